@@ -22,15 +22,16 @@ use crate::conditions::Places;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
 use crate::feed::Tap;
-use crate::host::Host;
+use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{Concerning, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
 use crate::outbox::{LiveSources, Outbox, Sources};
+use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
-use crate::serve::{Doors, Served};
+use crate::serve::{Doors, ServeContext, Served};
 use crate::tasks::{Failure, Tasks};
 use crate::{host_clock, pipeline, serve, telemetry};
 
@@ -42,15 +43,21 @@ pub enum Agent {}
 #[derive(Debug)]
 pub struct Running {
     host: Host,
-    board: Board,
-    metrics: watch::Receiver<HostMetrics>,
+    bank: Arc<Bank>,
+    live: LiveSources,
     serves: Option<Address>,
-    tasks: Tasks,
-    outbox: Option<Outbox>,
     served: watch::Receiver<Served>,
     tap: Option<Tap>,
-    stop_timeout: Duration,
+    parts: Parts,
+}
+
+/// What of an agent has an end.
+#[derive(Debug)]
+struct Parts {
+    tasks: Tasks,
+    outbox: Option<Outbox>,
     io: IoThreads,
+    stop_timeout: Duration,
     _state: StateLock,
 }
 
@@ -127,20 +134,8 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let links = Links::new(near, &config.clock, probes.clone());
     let places = Arc::new(Places::of(&config));
-    let host = Host {
-        id,
-        name,
-        version,
-        clock,
-        bank,
-        fingerprints,
-        feed,
-        incidents,
-        runs: Runs::default(),
-        own,
-        links,
-        places,
-    };
+    let host = Host { id, name, version, clock };
+    let events = EventSinks { feed, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
     let doors = io.within(Doors::open(&config, &probes, &host)).await?;
     let serves = doors.as_ref().map(|doors| doors.address().clone());
@@ -151,21 +146,32 @@ async fn start(
         config.clock.clone(),
         config.rehearsal.clone(),
         Arc::clone(&host.clock),
-        host.incidents.clone(),
+        events.incidents.clone(),
         publish,
         tasks.stop(),
     );
     tasks.keep(&beside, "host clock", watching);
-    tasks.keep_or_fail(travelling, "links", host.links.clone().run(tasks.stop()));
+    tasks.keep_or_fail(travelling, "links", links.clone().run(tasks.stop()));
     let (figures, metrics) = watch::channel(HostMetrics::default());
     tasks.keep(&beside, "telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
     let pipelines = TaskTracker::new();
-    let board = start_pipelines(&mut tasks, travelling, &pipelines, &config, &host);
+    let context = PipelineContext {
+        host: host.clone(),
+        events: events.clone(),
+        bank: Arc::clone(&bank),
+        links: links.clone(),
+        fingerprints,
+        places: Arc::clone(&places),
+    };
+    let board = start_pipelines(&mut tasks, travelling, &pipelines, &config, &context);
+    let live = LiveSources { board, metrics, links, clock: own.clone() };
     let (count, served) = watch::channel(Served::default());
     if let Some(doors) = doors {
         // Pipelines may compute on this very host: they finish first.
         let (told, ended) = (tasks.stop(), CancellationToken::new());
-        let serving = serve::run(doors, host.clone(), count, ended.clone());
+        let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
+        let context = ServeContext { host, incidents, bank, own, places };
+        let serving = serve::run(doors, context, count, ended.clone());
         tasks.keep(&beside, "order of stopping", async move {
             told.cancelled().await;
             pipelines.close();
@@ -176,12 +182,10 @@ async fn start(
     }
     let outbox = match (exit, spool, &config.agent.aggregator) {
         (Some(exit), Some(spool), Some(address)) => {
-            let description = describe(&host, serves.as_ref());
+            let description = describe(&host, &bank, serves.as_ref());
             let identity = (description, host_secret(&config.agent.state_dir)?);
-            let (links, clock) = (host.links.clone(), host.own.clone());
-            let live = LiveSources { board: board.clone(), metrics: metrics.clone(), links, clock };
-            let (clock, incidents) = (SharedClock::clone(&host.clock), host.incidents.clone());
-            let sources = Sources { clock, incidents, runs: host.runs.clone(), live };
+            let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
+            let sources = Sources { clock, incidents: events.incidents, runs: events.runs, live };
             Some(Outbox::start(&config, address.clone(), exit, spool, identity, sources))
         }
         _ => None,
@@ -195,7 +199,8 @@ async fn start(
     }
     tracing::info!(host = %host.name, id = %host.id, "the agent is up");
     let stop_timeout = config.agent.stop_timeout();
-    Ok(Running { host, board, metrics, serves, tasks, outbox, served, tap, stop_timeout, io, _state: state })
+    let parts = Parts { tasks, outbox, io, stop_timeout, _state: state };
+    Ok(Running { host, bank, live, serves, served, tap, parts })
 }
 
 /// Takes away what others may do with the agent's files: those of earlier builds, and those that `peernet` just made.
@@ -214,7 +219,7 @@ impl Running {
 
     /// What the host tells of itself. Reads its hardware and the folders of models: not for every second.
     pub fn description(&self) -> HostDescription {
-        describe(&self.host, self.serves.as_ref())
+        describe(&self.host, &self.bank, self.serves.as_ref())
     }
 
     /// Where peers may ask for models, with the real port.
@@ -229,17 +234,17 @@ impl Running {
 
     /// Who serves a pipeline, or served it last.
     pub fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
-        self.host.links.served_by(pipeline)
+        self.live.links.served_by(pipeline)
     }
 
     /// Since when a pipeline waits for its sensor, to be set up or to give a sample; `None` when it does not.
     pub fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.board.senses_since(pipeline)
+        self.live.board.senses_since(pipeline)
     }
 
     /// Loads one of this host's models now: what is wrong with it shows at once, and its first peer does not wait for it.
     pub fn load(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
-        let (bank, model) = (Arc::clone(&self.host.bank), model.clone());
+        let (bank, model) = (Arc::clone(&self.bank), model.clone());
         tokio::task::spawn_blocking(move || bank.load(&model, None).map(drop))
     }
 
@@ -251,16 +256,8 @@ impl Running {
     /// What the agent shows of itself now: every pipeline with the seconds that the aggregator has not seen
     /// yet, its links and its clock, the host's figures, the accounting of events.
     pub fn live(&self) -> LiveUpdate {
-        let (pipelines, _) = self.board.look();
-        LiveUpdate {
-            host: self.host.id,
-            sent: self.host.clock.wall(),
-            pipelines,
-            links: self.host.links.live(),
-            clock: self.host.own.borrow().clone(),
-            metrics: self.metrics.borrow().clone(),
-            accounting: self.outbox.as_ref().map(Outbox::accounting).unwrap_or_default(),
-        }
+        let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
+        self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
     /// Waits for the end: that of a task, which is a failure, or the token's. Then pipelines finish what is
@@ -269,7 +266,8 @@ impl Running {
     /// # Errors
     /// When a task ended that should not have.
     pub async fn join(self) -> Result<(), Failure> {
-        let Self { host, tasks, outbox, stop_timeout, io: _io, _state, .. } = self;
+        let Self { bank, parts, .. } = self;
+        let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
         let stop = tasks.stop();
         let told = stop.clone();
         let began = tokio::spawn(async move {
@@ -288,7 +286,7 @@ impl Running {
                 None => Ok(()),
             }
         };
-        let (stored, unloaded) = tokio::join!(stored, unload(Arc::clone(&host.bank), deadline - now));
+        let (stored, unloaded) = tokio::join!(stored, unload(bank, deadline - now));
         // That the outbox ended is a failure of the tasks, too; it alone says why. Theirs is in the log.
         stored.and(ended).and(unloaded)
     }
@@ -297,8 +295,7 @@ impl Running {
 /// Ends the threads of the models; one that computes or loads for longer than `patience` is left to itself.
 async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
     let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(patience));
-    let left =
-        unloading.await.map_err(|error| Failure { part: "models".to_owned(), reason: error.to_string() })?;
+    let left = unloading.await.map_err(|error| Failure { part: "models".to_owned(), cause: error.into() })?;
     for model in left {
         tracing::warn!(%model, "not waited for: the model is still loading or computing");
     }
@@ -328,7 +325,7 @@ fn start_pipelines(
     there: &Handle,
     tracker: &TaskTracker,
     config: &AgentConfig,
-    host: &Host,
+    context: &PipelineContext,
 ) -> Board {
     // Half of the time to stop is for what is under way, the other half for handing it over.
     let patience = config.agent.stop_timeout() / 2;
@@ -338,7 +335,7 @@ fn start_pipelines(
         match pipeline.start {
             StartMode::Boot => {
                 let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));
-                let running = pipeline::run(config, shown, host.clone(), tasks.stop(), patience);
+                let running = pipeline::run(config, shown, context.clone(), tasks.stop(), patience);
                 tasks.let_end(there, &format!("pipeline {}", pipeline.name), tracker.track_future(running));
             }
             StartMode::Manual => {
@@ -351,7 +348,7 @@ fn start_pipelines(
     Board::new(config.pipelines.iter().map(start).collect())
 }
 
-fn describe(host: &Host, serves: Option<&Address>) -> HostDescription {
+fn describe(host: &Host, bank: &Bank, serves: Option<&Address>) -> HostDescription {
     HostDescription {
         id: host.id,
         name: host.name.clone(),
@@ -359,6 +356,6 @@ fn describe(host: &Host, serves: Option<&Address>) -> HostDescription {
         version: host.version.to_owned(),
         hardware: telemetry::hardware(),
         serves: serves.map(Address::to_string),
-        models: host.bank.offered(),
+        models: bank.offered(),
     }
 }

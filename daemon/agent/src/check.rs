@@ -7,7 +7,7 @@ use std::collections::HashSet;
 use std::fmt;
 use std::io;
 use std::net::TcpListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use peernet_actuators::ActuatorConfig;
@@ -229,18 +229,25 @@ fn check_pipeline(
     }
 }
 
+/// The reason why a folder cannot be used for the files of a key.
+#[derive(Debug, thiserror::Error)]
+enum FolderError {
+    #[error("{} is not a folder; choose another {key}", .path.display())]
+    NotAFolder { path: PathBuf, key: &'static str },
+    #[error("cannot write to {}: {source}; change its permissions or choose another {key}", .path.display())]
+    NotWritable { path: PathBuf, key: &'static str, source: io::Error },
+}
+
 /// Whether files can be made in a folder, or the folder itself.
-fn usable(folder: &Path, key: &str) -> Result<(), String> {
+fn usable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
     let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
     let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !existing.is_dir() {
-        return Err(format!("{} is not a folder; choose another {key}", existing.display()));
+        return Err(FolderError::NotAFolder { path: existing.to_owned(), key });
     }
-    access(existing, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| {
-        format!(
-            "cannot write to {}: {}; change its permissions or choose another {key}",
-            existing.display(),
-            io::Error::from(error)
-        )
+    access(existing, Access::WRITE_OK | Access::EXEC_OK).map_err(|error| FolderError::NotWritable {
+        path: existing.to_owned(),
+        key,
+        source: error.into(),
     })
 }

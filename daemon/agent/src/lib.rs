@@ -45,11 +45,12 @@ pub use error::{ReflectorError, StartError};
 pub use identity::{IdentityError, host_id, host_secret};
 pub use link::Cloud;
 pub use serve::Served;
-pub use tasks::Failure;
+pub use tasks::{Failure, FailureCause};
 
 /// The file in which events wait for the aggregator.
 pub mod spool {
     pub use crate::outbox::{
-        InspectError, Inspection, SpoolDamage, SpoolError, SpoolReadError, inspect, waiting_events,
+        InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect,
+        waiting_events,
     };
 }

@@ -1,26 +1,43 @@
 //! The tasks of the agent and how they may end.
 
 use std::collections::HashMap;
+use std::convert::Infallible;
+use std::error::Error;
 
 use tokio::runtime::Handle;
-use tokio::task::{Id, JoinSet};
+use tokio::task::{Id, JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
 /// A part of the agent ended that should not have.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{part} ended unexpectedly: {reason}")]
+#[derive(Debug, thiserror::Error)]
+#[error("{part} ended unexpectedly: {cause}")]
 pub struct Failure {
     /// Which part.
     pub part: String,
     /// What is known of the cause.
-    pub reason: String,
+    #[source]
+    pub cause: FailureCause,
+}
+
+/// The cause of an unexpected end.
+#[derive(Debug, thiserror::Error)]
+pub enum FailureCause {
+    /// The task came to its end without being told to stop.
+    #[error("it was not told to")]
+    NotTold,
+    /// The task panicked.
+    #[error(transparent)]
+    Panicked(#[from] JoinError),
+    /// The task gave up; each part has an error type of its own.
+    #[error(transparent)]
+    Failed(Box<dyn Error + Send + Sync>),
 }
 
 /// All tasks but the outbox, which outlives them.
 #[derive(Debug)]
 pub(crate) struct Tasks {
     stop: CancellationToken,
-    set: JoinSet<Result<(), String>>,
+    set: JoinSet<Result<(), FailureCause>>,
     names: HashMap<Id, String>,
 }
 
@@ -45,21 +62,21 @@ impl Tasks {
     ) {
         self.keep_or_fail(there, name, async {
             task.await;
-            Ok(())
+            Ok::<(), Infallible>(())
         });
     }
 
     /// Starts a task there that must run until it is told to stop, and may tell why it could not.
-    pub(crate) fn keep_or_fail(
+    pub(crate) fn keep_or_fail<E: Error + Send + Sync + 'static>(
         &mut self,
         there: &Handle,
         name: &str,
-        task: impl Future<Output = Result<(), String>> + Send + 'static,
+        task: impl Future<Output = Result<(), E>> + Send + 'static,
     ) {
         let stop = self.stop();
         self.spawn(there, name, async move {
-            task.await?;
-            if stop.is_cancelled() { Ok(()) } else { Err("it was not told to".to_owned()) }
+            task.await.map_err(|error| FailureCause::Failed(Box::new(error)))?;
+            if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::NotTold) }
         });
     }
 
@@ -80,7 +97,7 @@ impl Tasks {
         &mut self,
         there: &Handle,
         name: &str,
-        task: impl Future<Output = Result<(), String>> + Send + 'static,
+        task: impl Future<Output = Result<(), FailureCause>> + Send + 'static,
     ) {
         let id = self.set.spawn_on(task, there).id();
         self.names.insert(id, name.to_owned());
@@ -90,13 +107,13 @@ impl Tasks {
     pub(crate) async fn join(mut self) -> Result<(), Failure> {
         let mut first = Ok(());
         while let Some(ended) = self.set.join_next_with_id().await {
-            let (id, reason) = match ended {
+            let (id, cause) = match ended {
                 Ok((_, Ok(()))) => continue,
-                Ok((id, Err(reason))) => (id, reason),
-                Err(error) => (error.id(), error.to_string()),
+                Ok((id, Err(cause))) => (id, cause),
+                Err(error) => (error.id(), error.into()),
             };
             let part = self.names.get(&id).cloned().unwrap_or_default();
-            let failure = Failure { part, reason };
+            let failure = Failure { part, cause };
             tracing::error!("{failure}");
             self.stop.cancel();
             if first.is_ok() {

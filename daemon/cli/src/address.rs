@@ -2,24 +2,32 @@
 
 use std::net::{IpAddr, Ipv6Addr};
 
-use peernet_networks::Address;
+use peernet_networks::{Address, InvalidAddress};
 
 /// Where agents listen when no port is given.
 pub(crate) const DEFAULT_PORT: u16 = 5551;
 
+/// A text that says of no peer where it is.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum AddressError {
+    /// The address is valid on one network interface only.
+    #[error("a zone such as %eth0 cannot be given; take an address that is not link-local, or a name")]
+    Zone,
+    /// It is no address; the text itself is told by whoever asks.
+    #[error("{}", .0.problem)]
+    Invalid(InvalidAddress),
+}
+
 /// An address, or a host with or without a port.
 ///
 /// # Errors
-/// A sentence that says what is wrong with it.
-pub(crate) fn address(text: &str, port: u16) -> Result<Address, String> {
+/// When it is neither.
+pub(crate) fn address(text: &str, port: u16) -> Result<Address, AddressError> {
     let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
     let is_zoned =
         rest.split_once('%').is_some_and(|(ip, _)| ip.trim_start_matches('[').parse::<Ipv6Addr>().is_ok());
     if is_zoned {
-        return Err(
-            "a zone such as %eth0 cannot be given; take an address that is not link-local, or a name"
-                .to_owned(),
-        );
+        return Err(AddressError::Zone);
     }
     let rest = match rest.parse() {
         Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
@@ -27,9 +35,7 @@ pub(crate) fn address(text: &str, port: u16) -> Result<Address, String> {
     };
     let has_port = rest.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
     let port = if has_port { String::new() } else { format!(":{port}") };
-    format!("{scheme}://{rest}{port}")
-        .parse()
-        .map_err(|error: peernet_networks::InvalidAddress| error.problem.to_string())
+    format!("{scheme}://{rest}{port}").parse().map_err(AddressError::Invalid)
 }
 
 #[cfg(test)]
@@ -51,7 +57,7 @@ mod tests {
             assert_eq!(read(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
         }
         for zoned in ["fe80::1%lo", "[fe80::1%lo]:8", "tcp://fe80::1%eth0"] {
-            assert!(read(zoned).is_err_and(|problem| problem.starts_with("a zone")), "{zoned}");
+            assert_eq!(read(zoned), Err(AddressError::Zone), "{zoned}");
         }
         assert!(read("udp://cloud").is_err() && read("a b").is_err() && read("").is_err());
     }

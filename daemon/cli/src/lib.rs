@@ -22,6 +22,7 @@ mod recompute;
 #[cfg(test)]
 mod reference;
 mod run;
+mod seconds;
 pub mod short;
 pub mod small_file;
 mod status;

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use peernet_sample::printable_line;
+
 /// Characters of the longest line that is told whole.
 const LINE: usize = 600;
 /// Characters of the longest value of a command line that is told whole.
@@ -18,22 +20,10 @@ pub fn lines(text: &str) -> Cow<'_, str> {
 
 /// A value of a command line, in one line, without its middle when it is overlong.
 pub fn value(text: &str) -> Cow<'_, str> {
-    match plain(text) {
+    match printable_line(text) {
         Cow::Borrowed(text) => cut(text, VALUE),
         Cow::Owned(text) => Cow::Owned(cut(&text, VALUE).into_owned()),
     }
-}
-
-/// A text that somebody else may have written, in one line: what would move a terminal's cursor is escaped.
-pub fn plain(text: &str) -> Cow<'_, str> {
-    if !text.contains(char::is_control) {
-        return Cow::Borrowed(text);
-    }
-    let escaped = |char: char| match char.is_control() {
-        true => char.escape_debug().to_string(),
-        false => char.to_string(),
-    };
-    Cow::Owned(text.chars().map(escaped).collect())
 }
 
 /// What it is about stands in front, what was expected at its end.
@@ -67,10 +57,10 @@ mod tests {
     #[test]
     fn a_value_is_told_in_one_line() {
         assert_eq!(value("random string"), "random string");
-        assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1\\nb\\t\\u{1b}[31m");
+        assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
         let long = "x = 1\n".repeat(1000);
         let told = value(&long);
-        assert!(told.starts_with("x = 1\\nx = 1") && told.ends_with("x = 1\\n"), "{told}");
+        assert!(told.starts_with("x = 1 x = 1") && told.ends_with("x = 1 "), "{told}");
         assert!(told.chars().count() <= VALUE && !told.contains('\n'), "{told}");
     }
 }

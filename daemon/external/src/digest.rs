@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{Mode, OFlags};
 use sha2::{Digest, Sha256};
 
-use crate::text::printable;
+use peernet_sample::printable_line;
 
 /// Bytes of the largest file of a user's code that is hashed: 256 MiB.
 const LARGEST: u64 = 256 << 20;
@@ -38,7 +38,8 @@ pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
 
 /// A file with its hash, in words: `camera.py SHA-256 …`, or why it has none.
 pub fn identified(file: &Path) -> String {
-    let name = printable(&file.display().to_string()).replace('\n', " ");
+    let name = file.display().to_string();
+    let name = printable_line(&name);
     match hashed(file) {
         Ok(words) => format!("{name} {words}"),
         Err(error) => format!("{name} (cannot be read: {error})"),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::env;
 
-use crate::text::printable;
+use peernet_sample::printable_line;
 
 /// Ours, those of Python, of the loader, of thread pools and of GPUs. Others may be secret and are nobody's business.
 const NAMES: [&str; 26] = [
@@ -43,7 +43,7 @@ const NOT_TOLD: &str = "(not told)";
 pub fn environment() -> BTreeMap<String, String> {
     let told = |name: &&str| {
         let value = env::var_os(name)?.to_string_lossy().chars().take(LONGEST).collect::<String>();
-        Some(((*name).to_owned(), printable(&value).replace('\n', " ")))
+        Some(((*name).to_owned(), printable_line(&value).into_owned()))
     };
     NAMES.iter().filter_map(told).collect()
 }

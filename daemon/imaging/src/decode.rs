@@ -7,7 +7,7 @@ use std::io::Cursor;
 
 use image::ImageDecoder;
 use image::codecs::png::PngDecoder;
-use peernet_sample::{MediaType, Part, PixelFormat};
+use peernet_sample::{MediaType, Part, PixelFormat, printable_line};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::errors::DecodeErrors;
 use zune_jpeg::zune_core::bytestream::ZCursor;
@@ -138,5 +138,5 @@ fn png_error(error: &image::ImageError) -> ImageError {
 
 /// Error texts of other libraries on one line, without full stop.
 fn tidy(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
+    printable_line(text).split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
 }

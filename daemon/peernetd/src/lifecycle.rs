@@ -28,6 +28,13 @@ pub(crate) struct LifecycleConfig {
     pub(crate) shutdown_deadline_s: u64,
 }
 
+/// A deadline beyond a day.
+#[derive(Debug, thiserror::Error)]
+#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::LONGEST_S)]
+pub(crate) struct DeadlineError {
+    seconds: u64,
+}
+
 impl LifecycleConfig {
     /// A day.
     const LONGEST_S: u64 = 86_400;
@@ -36,10 +43,10 @@ impl LifecycleConfig {
     ///
     /// # Errors
     /// What is possible.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), DeadlineError> {
         match self.shutdown_deadline_s {
             ..=Self::LONGEST_S => Ok(()),
-            seconds => Err(format!("{seconds} s is too long; at most {} s, a day", Self::LONGEST_S)),
+            seconds => Err(DeadlineError { seconds }),
         }
     }
 }

@@ -5,7 +5,7 @@ use std::io::IsTerminal;
 use peernet_cli::log::{Line, VARIABLE};
 use serde::{Deserialize, Serialize};
 use tracing::Subscriber;
-use tracing_subscriber::filter::EnvFilter;
+use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -24,6 +24,20 @@ impl Default for LogConfig {
     }
 }
 
+/// A level that is none.
+#[derive(Debug, thiserror::Error)]
+#[error("{level:?}{} is not a log level: {source}; use error, warn, info, debug or trace", origin(*.from_environment))]
+pub(crate) struct LevelError {
+    level: String,
+    /// Whether the level comes from the environment and not from the configuration.
+    from_environment: bool,
+    source: ParseError,
+}
+
+fn origin(from_environment: bool) -> String {
+    if from_environment { format!(" (from {VARIABLE})") } else { String::new() }
+}
+
 /// A log for the time until the configuration is read.
 pub(crate) fn temporary() -> tracing::subscriber::DefaultGuard {
     let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
@@ -35,18 +49,16 @@ impl LogConfig {
     ///
     /// # Errors
     /// Which it is, where it comes from, and what is possible.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    pub(crate) fn check(&self) -> Result<(), LevelError> {
         self.filter().map(|_| ())
     }
 
-    fn filter(&self) -> Result<EnvFilter, String> {
-        let (level, origin) = match std::env::var(VARIABLE) {
-            Ok(level) => (level, format!(" (from {VARIABLE})")),
-            Err(_) => (self.level.clone(), String::new()),
+    fn filter(&self) -> Result<EnvFilter, LevelError> {
+        let (level, from_environment) = match std::env::var(VARIABLE) {
+            Ok(level) => (level, true),
+            Err(_) => (self.level.clone(), false),
         };
-        EnvFilter::try_new(&level).map_err(|error| {
-            format!("{level:?}{origin} is not a log level: {error}; use error, warn, info, debug or trace")
-        })
+        EnvFilter::try_new(&level).map_err(|source| LevelError { level, from_environment, source })
     }
 }
 
@@ -55,7 +67,7 @@ impl LogConfig {
 /// # Errors
 /// When the level is none.
 pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
-    subscriber(config.filter().map_err(anyhow::Error::msg)?).try_init()?;
+    subscriber(config.filter()?).try_init()?;
     Ok(())
 }
 

@@ -20,7 +20,7 @@ mod socket;
 pub mod stamp;
 
 pub use prober::{OpenError, ProbeResult, Prober, ProberConfig};
-pub use reflecting::{BindError, Reflector, ReflectorConfig};
+pub use reflecting::{BindError, ReceiveError, Reflector, ReflectorConfig};
 pub use socket::Stamps;
 pub use stamp::auth::{Key, KeyError};
 pub use stamp::figures::{ReflectorCounts, ReflectorFigures, Refusal};

@@ -69,6 +69,16 @@ pub enum BindError {
     },
 }
 
+/// A reflector cannot receive from its socket any more.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot receive probes on {listen} any more: {error}")]
+pub struct ReceiveError {
+    /// Where it listened.
+    pub listen: SocketAddr,
+    /// What the system said.
+    pub error: io::Error,
+}
+
 /// Answers probes (the session-reflector of RFC 8762).
 ///
 /// It is of no use for attacks: an answer has the length of its request, each source has a limit, all sources without a
@@ -138,7 +148,7 @@ impl Reflector {
     ///
     /// # Errors
     /// Only when the socket is lost.
-    pub async fn run(mut self, stop: CancellationToken) -> Result<(), String> {
+    pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
         self.socket.check().await;
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
@@ -183,7 +193,7 @@ impl Reflector {
                     failures += 1;
                 }
                 Some(error) => {
-                    return Err(format!("cannot receive probes on {} any more: {error}", self.address()));
+                    return Err(ReceiveError { listen: self.address(), error });
                 }
             }
         }

@@ -23,13 +23,29 @@ pub struct Loaded {
     pub rows: Rows,
 }
 
+/// Rows that are not all that `run.json` counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RowsDamage {
+    /// There are as many, and they are not the same.
+    #[error("data.csv has other outcomes or another warm-up than run.json counts")]
+    Outcomes,
+    /// There are more or fewer.
+    #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
+    Length {
+        /// Number of rows.
+        rows: u64,
+        /// Number of iterations that were measured.
+        measured: u64,
+    },
+}
+
 impl Loaded {
     /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
     /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
     /// other programs.
     pub fn lacking(&self) -> Option<String> {
         let reason = &self.record.reason;
-        self.damage().or_else(|| match reason == NO_RECORD {
+        self.damage().map(|damage| damage.to_string()).or_else(|| match reason == NO_RECORD {
             true => Some(reason.clone()),
             false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
         })
@@ -37,7 +53,7 @@ impl Loaded {
 
     /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
     /// or changed. `None` where they are, or where nothing counts them.
-    pub fn damage(&self) -> Option<String> {
+    pub fn damage(&self) -> Option<RowsDamage> {
         let said = self.record.counts;
         let is = Counts::of(&self.rows, said.unseen);
         let is_known = self.record.format > 0 && said != Counts::default();
@@ -46,13 +62,8 @@ impl Loaded {
             counts.into_iter().fold(0, u64::saturating_add)
         };
         (is_known && is != said).then(|| match (all(is), all(said)) {
-            (rows, measured) if rows == measured => {
-                "data.csv has other outcomes or another warm-up than run.json counts".to_owned()
-            }
-            (rows, measured) => {
-                let measured = counted(measured, "iteration");
-                format!("data.csv has {rows} of the {measured} that run.json counts")
-            }
+            (rows, measured) if rows == measured => RowsDamage::Outcomes,
+            (rows, measured) => RowsDamage::Length { rows, measured },
         })
     }
 

@@ -1,5 +1,7 @@
 //! Right answers as words, as data sets and models write them.
 
+use crate::printable::printable_line;
+
 /// How many words are enough to show what all are like.
 const EXAMPLES: usize = 5;
 /// Most characters of one that is shown.
@@ -20,11 +22,11 @@ pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
 }
 
 fn shorten(word: &str) -> String {
-    let plain = word.chars().map(|c| if c.is_control() { ' ' } else { c });
+    let word = printable_line(word);
     if word.chars().count() <= LONGEST {
-        return plain.collect();
+        return word.into_owned();
     }
-    plain.take(LONGEST - 1).chain(['…']).collect()
+    word.chars().take(LONGEST - 1).chain(['…']).collect()
 }
 
 #[cfg(test)]

@@ -6,9 +6,11 @@
 mod description;
 mod label;
 mod media;
+mod printable;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 pub use label::{examples, plain_label};
+pub use printable::{printable_line, printable_lines};
 
 use bytes::Bytes;
 

@@ -25,7 +25,7 @@ impl Contents {
     ///
     /// # Errors
     /// When it cannot be read.
-    pub async fn of(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
+    pub(crate) async fn of(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let (all, database, spool): (i64, i64, i64) = sqlx::query_as(TABLES).fetch_one(connection).await?;
         Ok(match (all, database, spool) {
             (0, ..) => Self::Nothing,

@@ -8,9 +8,9 @@ use sqlx::{ConnectOptions, SqliteConnection};
 
 use super::contents::Contents;
 use super::foreign_log::mark;
-use super::integrity::is_damage;
 use super::limits::BUSY;
 use super::rebuild::make_coarser;
+use crate::database_error::{DatabaseError, is_damage};
 use crate::error::OpenError;
 
 /// Pages that the writing connection keeps, in negative KiB: 64 MiB, so that the tables' growing ends stay in memory.
@@ -70,11 +70,11 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
             OpenError::NewerSchema { path: path.to_owned(), found, known }
         }
         MigrateError::Execute(source) if is_damage(&source) => OpenError::opening(path, source),
-        source => OpenError::Migrate { path: path.to_owned(), source },
+        source => OpenError::Migrate { path: path.to_owned(), source: DatabaseError::new(source) },
     })?;
     make_coarser(&mut connection).await.map_err(|source| OpenError::Migrate {
         path: path.to_owned(),
-        source: MigrateError::Execute(source),
+        source: DatabaseError::new(MigrateError::Execute(source)),
     })?;
     // On a full disk, say, the file is still good for reading, and the first commit tells.
     if let Err(error) = mark(&mut connection).await {

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::database_error::{DatabaseError, is_partial_damage};
 use crate::foreign_log::ForeignLog;
-use crate::integrity::is_partial_damage;
 use crate::lock::LockError;
 
 /// The reason why a database cannot be opened.
@@ -16,7 +16,7 @@ pub enum OpenError {
         /// The configured file.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// Some of what is needed to start is damaged.
     #[error("cannot open the database {path}: it is damaged: {source}; agents keep their events; run `peernetd doctor --repair --database {path}`", path = path.display())]
@@ -24,7 +24,7 @@ pub enum OpenError {
         /// The configured file.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// The file is something else.
     #[error("{} is {what} and not an aggregator's database; choose another file with `database`", path.display())]
@@ -55,21 +55,22 @@ pub enum OpenError {
     Migrate {
         /// The configured file.
         path: PathBuf,
-        /// The failed step in sqlx's words.
-        source: sqlx::migrate::MigrateError,
+        /// The failed step.
+        source: DatabaseError,
     },
 }
 
 impl OpenError {
     /// The error for a folder of the database that cannot be made.
     pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
-        Self::Open { path: database.to_owned(), source: error.into() }
+        Self::Open { path: database.to_owned(), source: DatabaseError::new(error) }
     }
 
     /// SQLite could not open or read the database.
     pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
-        let path = path.to_owned();
-        if is_partial_damage(&source) { Self::Damaged { path, source } } else { Self::Open { path, source } }
+        let (path, is_partial_damage) = (path.to_owned(), is_partial_damage(&source));
+        let source = DatabaseError::new(source);
+        if is_partial_damage { Self::Damaged { path, source } } else { Self::Open { path, source } }
     }
 }
 
@@ -82,7 +83,7 @@ pub enum StoreError {
         /// What was asked for.
         what: &'static str,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// The database refused to take something, or the task that writes is gone.
     #[error(
@@ -92,7 +93,7 @@ pub enum StoreError {
         /// What was to be written.
         what: &'static str,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// It took longer than a reader's statement may.
     #[error(
@@ -132,15 +133,15 @@ pub enum StoreError {
 impl StoreError {
     /// The error for a wish that comes after the writing task has ended.
     pub fn no_writer() -> Self {
-        Self::pinning(sqlx::Error::WorkerCrashed)
+        Self::pinning(DatabaseError::new(sqlx::Error::WorkerCrashed))
     }
 
     /// The error for a wish that comes while the database is closed.
     pub fn no_database() -> Self {
-        Self::pinning(std::io::Error::other("the database is not open now").into())
+        Self::pinning(DatabaseError::new(std::io::Error::other("the database is not open now")))
     }
 
-    pub(crate) fn pinning(source: sqlx::Error) -> Self {
+    pub(crate) fn pinning(source: DatabaseError) -> Self {
         Self::Write { what: "whether a run is kept", source }
     }
 }

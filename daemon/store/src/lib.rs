@@ -6,6 +6,7 @@
 mod column;
 pub(crate) mod contents;
 pub(crate) mod database;
+mod database_error;
 mod error;
 mod extent;
 mod figures;
@@ -38,6 +39,7 @@ use peernet_stream::Iteration;
 
 use readers::Readers;
 
+pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
 pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use lock::{DatabaseLock, LockError};

@@ -12,6 +12,7 @@ use super::lock::{DatabaseLock, LockError};
 use super::write::{
     CommitError, FormerFiles, Streams, Writer, known_hosts, newest_runs, stored_hosts, unknown_runs,
 };
+use crate::database_error::DatabaseError;
 use crate::error::OpenError;
 use crate::retention_config::RetentionConfig;
 use crate::stored::Stored;
@@ -91,8 +92,10 @@ impl OpenDatabase {
             }
             taken => taken?,
         };
-        let cannot_open =
-            |error: std::io::Error| OpenError::Open { path: path.to_owned(), source: error.into() };
+        let cannot_open = |error: std::io::Error| OpenError::Open {
+            path: path.to_owned(),
+            source: DatabaseError::new(error),
+        };
         if std::fs::metadata(path).map_err(cannot_open)?.len() == 0 {
             return Err(ReopenError::Empty(path.to_owned()));
         }
@@ -139,7 +142,7 @@ impl OpenDatabase {
 
     /// Closes the connection and lets the file go. When it is the last one to the file, SQLite carries its log over into
     /// it and removes it. Returns which files they were.
-    pub async fn close(self) -> (FormerFiles, Result<(), sqlx::Error>) {
+    pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;
         let closed = writer.close().await;

@@ -11,6 +11,7 @@ use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
 
 use super::integrity::Integrity;
 use super::limits::BUSY;
+use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 
 /// How long a question waits for a connection.
@@ -88,7 +89,8 @@ impl Readers {
             sqlx::Error::Database(error) if error.code().as_deref() == Some(INTERRUPTED) => {
                 StoreError::TooLong { what, limit }
             }
-            source => {
+            error => {
+                let source = DatabaseError::new(error);
                 integrity.note(&source);
                 StoreError::Database { what, source }
             }

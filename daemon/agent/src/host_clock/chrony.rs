@@ -1,5 +1,7 @@
 //! What chrony says, as `chronyc -c tracking` prints it. No I/O.
 
+use std::fmt;
+
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
 use super::claim::{Answer, Claim, GROWTH_PPM};
@@ -8,6 +10,15 @@ use super::claim::{Answer, Claim, GROWTH_PPM};
 const LOCAL: &str = "7F7F0101";
 /// chrony ages its own bound by so much at least (`maxclockerror`), parts per million.
 const MAX_CLOCK_ERROR_PPM: f64 = 1.0;
+
+/// The reason why a line is not one of `chronyc -c tracking`.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum TrackingError {
+    #[error("{0} fields instead of 14")]
+    FieldCount(usize),
+    #[error("{field} {text:?} is no number")]
+    NotANumber { field: &'static str, text: String },
+}
 
 /// The line of `chronyc -c tracking`.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,22 +40,23 @@ pub(super) struct Tracking {
 impl Tracking {
     /// Reads the line: reference id, name, stratum, reference time, system time, last offset, RMS offset, frequency,
     /// residual frequency, skew, root delay, root dispersion, update interval, leap status (chronyc(1), `tracking`).
-    pub(super) fn parse(line: &str) -> Result<Self, String> {
+    pub(super) fn parse(line: &str) -> Result<Self, TrackingError> {
         let fields: Vec<&str> = line.trim().split(',').collect();
         let [id, name, stratum, measured, system_time, _, _, _, residual, skew, delay, dispersion, _, leap] =
             fields[..]
         else {
-            return Err(format!("{} fields instead of 14", fields.len()));
+            return Err(TrackingError::FieldCount(fields.len()));
         };
-        let number = |what: &str, text: &str| {
+        let invalid = |field, text: &str| TrackingError::NotANumber { field, text: text.to_owned() };
+        let number = |field, text: &str| {
             let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
-            value.ok_or_else(|| format!("{what} {text:?} is no number"))
+            value.ok_or_else(|| invalid(field, text))
         };
         let (delay, dispersion) = (number("root delay", delay)?, number("root dispersion", dispersion)?);
         let growth = number("skew", skew)?.abs() + number("residual frequency", residual)?.abs();
         Ok(Self {
             reference: if name.is_empty() { id } else { name }.to_owned(),
-            stratum: stratum.parse().map_err(|_| format!("stratum {stratum:?} is no number"))?,
+            stratum: stratum.parse().map_err(|_| invalid("stratum", stratum))?,
             measured: measured.to_owned(),
             // Positive means "slow of NTP time": the clock shows less than the truth.
             error: -Span::from_seconds_f64(number("system time", system_time)?),
@@ -78,9 +90,9 @@ impl Tracking {
     }
 }
 
-/// chrony claims nothing; why, in words.
-pub(super) fn silent(why: &str) -> Answer {
-    Answer { source: DelaySource::Chrony, claim: None, text: format!("chrony, {why}") }
+/// chrony claims nothing; `reason` says why.
+pub(super) fn silent(reason: &impl fmt::Display) -> Answer {
+    Answer { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
 /// Whether what chrony says is worth anything: after the clock was disturbed it goes on saying what it measured
@@ -165,7 +177,7 @@ mod tests {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
         let error = Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("it is no number");
-        assert_eq!(error, "system time \"slow\" is no number");
+        assert_eq!(error.to_string(), "system time \"slow\" is no number");
     }
 
     #[test]

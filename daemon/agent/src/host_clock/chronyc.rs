@@ -1,14 +1,14 @@
 //! Runs `chronyc`: the library for chrony's protocol is GPL and so not linked.
 
 use std::io;
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::process::Command;
 
-use super::chrony::{Tracking, Trust, silent};
+use super::chrony::{Tracking, TrackingError, Trust, silent};
 use super::claim::Answer;
 use crate::config::ClockConfig;
 
@@ -16,6 +16,24 @@ use crate::config::ClockConfig;
 pub(super) const PATIENCE: Duration = Duration::from_secs(2);
 /// Most bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
+
+/// The reason why chrony says nothing.
+#[derive(Debug, thiserror::Error)]
+enum ChronycError {
+    #[error("cannot run {command}: {source}")]
+    Run { command: String, source: io::Error },
+    #[error("no answer within {} s", PATIENCE.as_secs())]
+    Timeout,
+    /// What it printed when it failed.
+    #[error("{0}")]
+    Complaint(String),
+    #[error("{command}: {status}")]
+    Failed { command: String, status: ExitStatus },
+    #[error("{command} printed what cannot be understood: {source}")]
+    Output { command: String, source: TrackingError },
+    #[error("has not measured since the clock was stepped")]
+    Outdated,
+}
 
 /// Asks chrony, again and again.
 #[derive(Debug)]
@@ -37,10 +55,9 @@ impl Chronyc {
 
     /// What chrony says now; `None` when there is no chrony on this host.
     pub(super) async fn ask(&mut self) -> Option<Answer> {
-        let at = self.clock.mono();
-        let printed = match tokio::time::timeout(PATIENCE, self.print()).await {
-            Err(_) => return Some(silent(&format!("no answer within {} s", PATIENCE.as_secs()))),
-            Ok(Err(error)) if error.kind() == io::ErrorKind::NotFound => {
+        match self.track().await {
+            Ok(answer) => Some(answer),
+            Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
                 if !self.told {
                     tracing::info!(
                         "{} is not installed: chrony is not asked about this host's clock",
@@ -48,24 +65,37 @@ impl Chronyc {
                     );
                     self.told = true;
                 }
-                return None;
+                None
             }
-            Ok(Err(error)) => return Some(silent(&format!("cannot run {}: {error}", self.command))),
-            Ok(Ok(printed)) => printed,
-        };
-        let line = match printed {
-            Ok(line) => line,
-            Err(complaint) => return Some(silent(&complaint)),
-        };
-        Some(match Tracking::parse(&line) {
-            Ok(tracking) if self.trust.allows(&tracking, self.clock.epoch()) => tracking.answer(at),
-            Ok(_) => silent("has not measured since the clock was stepped"),
-            Err(why) => silent(&format!("{} printed what cannot be understood: {why}", self.command)),
-        })
+            Err(error) => Some(silent(&error)),
+        }
     }
 
-    /// The line printed, or the line that says why there is none.
-    async fn print(&self) -> io::Result<Result<String, String>> {
+    async fn track(&mut self) -> Result<Answer, ChronycError> {
+        let at = self.clock.mono();
+        let command = || self.command.clone();
+        let printed = tokio::time::timeout(PATIENCE, self.print()).await;
+        let (status, output, errors) = printed
+            .map_err(|_| ChronycError::Timeout)?
+            .map_err(|source| ChronycError::Run { command: command(), source })?;
+        if !status.success() {
+            let complaint = [errors, output].into_iter().find(|line| !line.is_empty());
+            return Err(match complaint {
+                Some(complaint) => ChronycError::Complaint(complaint),
+                None => ChronycError::Failed { command: command(), status },
+            });
+        }
+        let tracking = Tracking::parse(&output);
+        let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
+        if self.trust.allows(&tracking, self.clock.epoch()) {
+            Ok(tracking.answer(at))
+        } else {
+            Err(ChronycError::Outdated)
+        }
+    }
+
+    /// How it ended, and the first lines of its output and of its errors.
+    async fn print(&self) -> io::Result<(ExitStatus, String, String)> {
         let mut child = Command::new(&self.command)
             .args(&self.arguments)
             .args(["-n", "-c", "tracking"])
@@ -76,12 +106,7 @@ impl Chronyc {
             .spawn()?;
         let (output, errors) = (child.stdout.take(), child.stderr.take());
         let (output, errors) = tokio::try_join!(first_line(output), first_line(errors))?;
-        let status = child.wait().await?;
-        if status.success() {
-            return Ok(Ok(output));
-        }
-        let complaint = [errors, output].into_iter().find(|line| !line.is_empty());
-        Ok(Err(complaint.unwrap_or_else(|| format!("{}: {status}", self.command))))
+        Ok((child.wait().await?, output, errors))
     }
 }
 

@@ -1,13 +1,15 @@
 //! The task of a link: probes, what both hosts tell of their clocks, the end of each second.
 
 use std::convert::Infallible;
+use std::io;
 use std::net::SocketAddr;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
+use peernet_logger::Slug;
 use peernet_networks::PeerClock;
-use peernet_probes::{ProbeResult, Prober, ProberConfig};
+use peernet_probes::{OpenError, ProbeResult, Prober, ProberConfig};
 use peernet_stream::Probing;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -22,6 +24,23 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 const RETRY: Duration = Duration::from_secs(10);
 /// Results that may wait; they are taken at once.
 const RESULTS: usize = 64;
+
+/// The reason why a link is not probed.
+#[derive(Debug, thiserror::Error)]
+enum ProbingError {
+    #[error("this host sends no probes: [probes] send = false")]
+    NotSent,
+    #[error("{0} answers no probes")]
+    NotAnswered(Slug),
+    #[error("cannot find {host}: {source}")]
+    Lookup { host: String, source: io::Error },
+    #[error("cannot find {host}: the name has no address")]
+    NoAddress { host: String },
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    #[error("the prober ended by itself")]
+    Ended,
+}
 
 /// Looks after a link until its last session is over.
 pub(super) async fn tend(link: Arc<Link>) {
@@ -88,14 +107,11 @@ async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
 /// Probes the cloud of a session as long as it is polled; says at the link why it does not.
 async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
     let port = match (link.shared.probes.send, session.probes) {
-        (false, _) => Err("this host sends no probes: [probes] send = false".to_owned()),
-        (true, None) => Err(format!("{} answers no probes", link.name)),
-        (true, Some(port)) => Ok(port),
-    };
-    let port = match port {
-        Ok(port) => port,
-        Err(reason) => {
-            link.set_probing(Probing::Off(reason));
+        (true, Some(port)) => port,
+        (sends, _) => {
+            let reason =
+                if sends { ProbingError::NotAnswered(link.name.clone()) } else { ProbingError::NotSent };
+            link.set_probing(Probing::Off(reason.to_string()));
             return std::future::pending().await;
         }
     };
@@ -106,22 +122,22 @@ async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult
                 let rate_hz = *link.rate_hz.borrow();
                 link.set_probing(Probing::On { address: format!("udp://{target}"), rate_hz, stamps });
                 prober.run(link.rate_hz.subscribe(), results.clone(), CancellationToken::new()).await;
-                link.set_probing(Probing::Off("the prober ended by itself".to_owned()));
+                link.set_probing(Probing::Off(ProbingError::Ended.to_string()));
             }
-            Err(reason) => {
-                tracing::warn!(peer = %link.name, "no probes: {reason}");
-                link.set_probing(Probing::Off(reason));
+            Err(error) => {
+                tracing::warn!(peer = %link.name, "no probes: {error}");
+                link.set_probing(Probing::Off(error.to_string()));
             }
         }
         tokio::time::sleep(RETRY).await;
     }
 }
 
-async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, SocketAddr), String> {
+async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, SocketAddr), ProbingError> {
     let host = session.host.as_str();
-    let cannot = |reason: String| format!("cannot find {host}: {reason}");
-    let mut found = tokio::net::lookup_host((host, port)).await.map_err(|error| cannot(error.to_string()))?;
-    let target = found.next().ok_or_else(|| cannot("the name has no address".to_owned()))?;
+    let found = tokio::net::lookup_host((host, port)).await;
+    let mut found = found.map_err(|source| ProbingError::Lookup { host: host.to_owned(), source })?;
+    let target = found.next().ok_or_else(|| ProbingError::NoAddress { host: host.to_owned() })?;
     let probes = &link.shared.probes;
     let config = ProberConfig {
         target,
@@ -131,8 +147,7 @@ async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, Sock
         stamps: probes.stamps,
         timeout: TIMEOUT,
     };
-    let mut prober =
-        Prober::open(config, Arc::clone(&link.shared.host.clock)).map_err(|error| error.to_string())?;
+    let mut prober = Prober::open(config, Arc::clone(&link.shared.host.clock))?;
     prober.check_stamps().await;
     Ok((prober, target))
 }

@@ -30,8 +30,8 @@ struct Inner {
     served_by: Mutex<BTreeMap<Slug, Cloud>>,
     /// One task per link; it ends with the link's last session.
     tasks: TaskTracker,
-    /// Which of them died, and why.
-    died: watch::Sender<Option<String>>,
+    /// The first of them that died.
+    died: watch::Sender<Option<LinkPanic>>,
     sessions: AtomicU64,
 }
 
@@ -44,6 +44,13 @@ pub struct Cloud {
     pub version: String,
     /// What it is made of.
     pub hardware: Hardware,
+}
+
+/// The task of a link panicked.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("the task of the link to {peer} panicked; the log says where")]
+pub(crate) struct LinkPanic {
+    peer: Slug,
 }
 
 /// A session's share in a link; the link is over when the last one is dropped.
@@ -126,7 +133,7 @@ impl Links {
     ///
     /// # Errors
     /// When one of them died.
-    pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), String> {
+    pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), LinkPanic> {
         let mut died = self.0.died.subscribe();
         let over = async {
             stop.cancelled().await;
@@ -135,8 +142,8 @@ impl Links {
         };
         tokio::select! {
             biased;
-            reason = died.wait_for(Option::is_some) => match reason {
-                Ok(reason) => Err(reason.clone().unwrap_or_default()),
+            panic = died.wait_for(Option::is_some) => match panic {
+                Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),
             },
             () = over => Ok(()),
@@ -145,11 +152,9 @@ impl Links {
 
     /// The task of a link.
     async fn tend(self, link: Arc<Link>) {
-        let name = link.name.clone();
+        let peer = link.name.clone();
         if AssertUnwindSafe(probing::tend(link)).catch_unwind().await.is_err() {
-            self.0
-                .died
-                .send_replace(Some(format!("the task of the link to {name} panicked; the log says where")));
+            self.0.died.send_replace(Some(LinkPanic { peer }));
         }
     }
 

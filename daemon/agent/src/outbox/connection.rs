@@ -1,5 +1,6 @@
 //! One connection to the aggregator: a DEALER that lives and dies with it.
 
+use std::io;
 use std::time::Duration;
 
 use peernet_networks::Address;
@@ -21,6 +22,32 @@ const HANDSHAKE: Duration = Duration::from_secs(5);
 /// The library would dial again by itself, behind our back and with the old messages still in its queue.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
+/// The reason why there is no connection, or none any more.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ConnectionError {
+    /// The socket could not be made, connected or read.
+    #[error(transparent)]
+    Socket(#[from] zeromq::Error),
+    /// The socket tells no more of its connection.
+    #[error(transparent)]
+    Monitor(#[from] zeromq::MonitorRecvError),
+    /// Something that does not speak the protocol listens there.
+    #[error("something else answers there ({0})")]
+    Handshake(String),
+    /// The system refused the connection.
+    #[error("nobody answers ({})", .0.to_string().to_lowercase())]
+    Refused(#[source] io::Error),
+    /// The system did not say anything in time.
+    #[error("nobody answers")]
+    Unanswered,
+    /// The connection is accepted but does not last.
+    #[error("something there takes connections and closes them at once")]
+    ClosedAtOnce,
+    /// The connection was open, and ended.
+    #[error("{}", in_words(.0))]
+    Disconnected(DisconnectReason),
+}
+
 /// An open connection.
 #[derive(Debug)]
 pub(super) struct Connection {
@@ -32,8 +59,8 @@ impl Connection {
     /// Opens a connection.
     ///
     /// # Errors
-    /// What stood in the way, in a few words.
-    pub(super) async fn open(address: &Address) -> Result<Self, String> {
+    /// What stood in the way.
+    pub(super) async fn open(address: &Address) -> Result<Self, ConnectionError> {
         let options = Options::default()
             .workload_profile(WorkloadProfile::Latency)
             .send_hwm(QUEUE)
@@ -44,18 +71,18 @@ impl Connection {
             .handshake_timeout(HANDSHAKE)
             .reconnect(ReconnectPolicy::Fixed(NEVER))
             .linger(Duration::ZERO);
-        let socket = Socket::try_new(SocketType::Dealer, options).map_err(|error| error.to_string())?;
+        let socket = Socket::try_new(SocketType::Dealer, options)?;
         let mut monitor = socket.monitor();
-        socket.connect(address.to_string()).await.map_err(|error| error.to_string())?;
+        socket.connect(address.to_string()).await?;
         loop {
-            match monitor.recv().await.map_err(|error| error.to_string())? {
+            match monitor.recv().await? {
                 MonitorEvent::HandshakeSucceeded { .. } => return Ok(Self { socket, monitor }),
                 MonitorEvent::HandshakeFailed { reason, .. } => {
-                    return Err(format!("something else answers there ({reason})"));
+                    return Err(ConnectionError::Handshake(reason));
                 }
                 MonitorEvent::ConnectDelayed { .. } => return Err(diagnose(address).await),
                 MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. } => {
-                    return Err(in_words(&reason));
+                    return Err(ConnectionError::Disconnected(reason));
                 }
                 _ => {}
             }
@@ -83,15 +110,15 @@ impl Connection {
 
     /// The next message's frames, or why there will be none; nothing when it is `blocked`, and has room again. Dropping
     /// the future loses nothing.
-    pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, String> {
+    pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {
                 biased;
-                message = self.socket.recv() => return message.map(Some).map_err(|error| error.to_string()),
+                message = self.socket.recv() => return Ok(message.map(Some)?),
                 event = self.monitor.recv() => match event {
-                    Ok(MonitorEvent::Disconnected { reason, .. }) => return Err(in_words(&reason)),
+                    Ok(MonitorEvent::Disconnected { reason, .. }) => return Err(ConnectionError::Disconnected(reason)),
                     Ok(_) => {}
-                    Err(error) => return Err(error.to_string()),
+                    Err(error) => return Err(error.into()),
                 },
                 () = self.socket.wait_send_ready(), if blocked => return Ok(None),
             }
@@ -107,11 +134,11 @@ impl Connection {
 }
 
 /// The library keeps to itself why a connection failed: the system is asked once more.
-async fn diagnose(address: &Address) -> String {
+async fn diagnose(address: &Address) -> ConnectionError {
     match tokio::time::timeout(DIAGNOSIS, TcpStream::connect(address.authority())).await {
-        Ok(Err(error)) => format!("nobody answers ({})", error.to_string().to_lowercase()),
-        Ok(Ok(_)) => "something there takes connections and closes them at once".to_owned(),
-        Err(_) => "nobody answers".to_owned(),
+        Ok(Err(error)) => ConnectionError::Refused(error),
+        Ok(Ok(_)) => ConnectionError::ClosedAtOnce,
+        Err(_) => ConnectionError::Unanswered,
     }
 }
 

@@ -8,12 +8,12 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 use peernet_networks::Address;
 
-use super::connection::Connection;
+use super::connection::{Connection, ConnectionError};
 
 /// The state of the connection.
 pub(super) enum Line {
     /// Waiting for the next try, or trying.
-    Dialling(BoxFuture<'static, Result<Connection, String>>),
+    Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
     /// There is one.
     Open(Connection),
 }
@@ -27,8 +27,8 @@ impl fmt::Debug for Line {
 /// What happened on the line.
 pub(super) enum Happened {
     Connected(Connection),
-    Failed(String),
-    Gone(String),
+    Failed(ConnectionError),
+    Gone(ConnectionError),
     Message(Bytes),
     /// There is room on it again.
     Room,

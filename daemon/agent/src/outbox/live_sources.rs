@@ -20,7 +20,7 @@ pub(crate) struct LiveSources {
 
 impl LiveSources {
     /// Makes a live update of the current state. The caller gives the receipt back to the board after sending.
-    pub(super) fn update(
+    pub(crate) fn update(
         &self,
         host: HostId,
         sent: WallTime,

@@ -14,7 +14,9 @@ mod sender;
 mod spool;
 
 pub(crate) use live_sources::LiveSources;
-pub use spool::{InspectError, Inspection, SpoolDamage, SpoolError, SpoolReadError, inspect, waiting_events};
+pub use spool::{
+    InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, waiting_events,
+};
 pub(crate) use spool::{Look, OpenSpool};
 
 use peernet_clock::{SharedClock, Span};
@@ -29,13 +31,13 @@ use uuid::Uuid;
 
 use self::reports::Reports;
 use self::sender::Sender;
-use self::spool::SpoolTask;
+use self::spool::{SpoolTask, SpoolTaskError};
 use crate::config::{AgentConfig, SpoolConfig};
 use crate::feed::Exit;
 use crate::incidents::Incidents;
 use crate::pauses::Pauses;
 use crate::runs::Runs;
-use crate::tasks::Failure;
+use crate::tasks::{Failure, FailureCause};
 
 /// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
 /// few enough that a live update behind them is still live.
@@ -73,7 +75,7 @@ pub(crate) struct Sources {
 /// The outbox task; it ends with this, as it would in a crash.
 #[derive(Debug)]
 pub(crate) struct Outbox {
-    task: AbortOnDropHandle<Result<(), String>>,
+    task: AbortOnDropHandle<Result<(), SpoolTaskError>>,
     /// Takes the moment by which it must have ended.
     stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
@@ -127,8 +129,9 @@ impl Outbox {
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
         // A task that has ended already says why below.
         let _ = self.stop.send(deadline);
-        let failed = |reason| Failure { part: "outbox".to_owned(), reason };
-        self.task.await.map_err(|died| failed(died.to_string()))?.map_err(failed)
+        let failed = |cause| Failure { part: "outbox".to_owned(), cause };
+        let ended = self.task.await.map_err(|died| failed(died.into()))?;
+        ended.map_err(|error| failed(FailureCause::Failed(Box::new(error))))
     }
 }
 

@@ -1,5 +1,7 @@
 //! What the outbox says of itself: to the log and, as incidents, to the aggregator.
 
+use std::fmt;
+
 use peernet_clock::MonoTime;
 use peernet_logger::Slug;
 use peernet_networks::Address;
@@ -76,7 +78,7 @@ impl Reports {
     }
 
     /// There is no connection.
-    pub(super) fn away(&mut self, address: &Address, reason: &str) {
+    pub(super) fn away(&mut self, address: &Address, reason: &impl fmt::Display) {
         if self.said.is_none() {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \

@@ -2,12 +2,23 @@
 
 use std::sync::Arc;
 
-use peernet_actuators::{Actuator, ActuatorConfig};
+use peernet_actuators::{Actuator, ActuatorConfig, ActuatorError};
 use peernet_clock::SharedClock;
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::Mutex;
-use tokio::task::spawn_blocking;
+use tokio::task::{JoinError, spawn_blocking};
+
+/// The reason why an answer was not acted upon.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ActError {
+    /// The actuator refused or failed.
+    #[error(transparent)]
+    Actuator(#[from] ActuatorError),
+    /// The actuator panicked.
+    #[error("the actuator did not finish: {0}")]
+    Panicked(#[from] JoinError),
+}
 
 /// Acts on one answer after the other, in the order in which they came.
 #[derive(Clone)]
@@ -21,39 +32,44 @@ impl Acting {
     /// Sets up the actuator; `None` when answers are not acted upon: then nothing is recorded either.
     ///
     /// # Errors
-    /// A sentence that says what could not be set up.
-    pub(super) fn new(config: &ActuatorConfig, clock: &SharedClock) -> Result<Option<Self>, String> {
+    /// When the actuator cannot be set up.
+    pub(super) fn new(config: &ActuatorConfig, clock: &SharedClock) -> Result<Option<Self>, ActuatorError> {
         if *config == (ActuatorConfig::None {}) {
             return Ok(None);
         }
-        let actuator = config.build(clock).map_err(|error| error.to_string())?;
+        let actuator = config.build(clock)?;
         let blocks = actuator.blocks();
         Ok(Some(Self { actuator: Arc::new(Mutex::new(actuator)), blocks }))
     }
 
-    /// Acts on an answer, recording `actuation`. An error is a sentence.
+    /// Acts on an answer, recording `actuation`.
     pub(super) async fn act(
         &self,
         mut log: Recorder,
         source: &str,
         answer: &Sample,
-    ) -> (Recorder, Result<(), String>) {
+    ) -> (Recorder, Result<(), ActError>) {
         let mut actuator = Arc::clone(&self.actuator).lock_owned().await;
         if !self.blocks {
             let acted = act(actuator.as_mut(), &mut log, source, answer);
-            return (log, acted);
+            return (log, acted.map_err(ActError::from));
         }
         // When the thread panics this copy tells what was known before.
         let spare = log.clone();
         let (source, answer) = (source.to_owned(), answer.clone());
         let acting = spawn_blocking(move || {
             let acted = act(actuator.as_mut(), &mut log, &source, &answer);
-            (log, acted)
+            (log, acted.map_err(ActError::from))
         });
-        acting.await.unwrap_or_else(|error| (spare, Err(format!("the actuator did not finish: {error}"))))
+        acting.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
     }
 }
 
-fn act(actuator: &mut dyn Actuator, log: &mut Recorder, source: &str, answer: &Sample) -> Result<(), String> {
-    actuator.act(source, answer, &mut log.time(stage::ACTUATION)).map_err(|error| error.to_string())
+fn act(
+    actuator: &mut dyn Actuator,
+    log: &mut Recorder,
+    source: &str,
+    answer: &Sample,
+) -> Result<(), ActuatorError> {
+    actuator.act(source, answer, &mut log.time(stage::ACTUATION))
 }

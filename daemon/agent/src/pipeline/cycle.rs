@@ -1,26 +1,30 @@
 //! The state of a pipeline's inner loop and its transitions; waiting is in `drive`.
 
+use std::io;
+use std::sync::Arc;
+
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::{Recorder, RunId};
+use peernet_sample::printable_line;
 use peernet_stream::{IncidentKind, Outcome};
 use tokio::sync::oneshot;
 
 use super::accuracy;
 use super::brake::Brake;
+use super::context::PipelineContext;
 use super::flight::{Landed, Ticket, Waiting};
 use super::iteration;
 use super::line::Line;
 use super::load::Start;
 use super::run::Run;
 use super::sensing::{Sensed, Sensing};
-use crate::host::Host;
 use crate::incidents::Concerning;
 
 /// So many samples in a row that could not be had are worth an incident.
 const BLIND: u32 = 10;
 
 /// Why the loop ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub(super) enum Ended {
     /// The run reached its limit.
     Limit,
@@ -32,8 +36,19 @@ pub(super) enum Ended {
     Disconnected(String),
     /// The agent stops.
     Stopped,
-    /// The pipeline cannot go on; the text says why.
-    Broken(String),
+    /// The pipeline cannot go on.
+    Broken(LoopError),
+}
+
+/// The reason why a pipeline's loop cannot go on.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(super) enum LoopError {
+    /// The sensor panicked.
+    #[error("the sensor's thread has died; the log says why")]
+    SensorDied,
+    /// The kernel does not set the timer.
+    #[error("the timer of the pipeline failed: {0}")]
+    Timer(#[source] Arc<io::Error>),
 }
 
 /// A sample that the sensor's thread is asked for.
@@ -52,7 +67,7 @@ pub(super) struct Awaited {
 pub(super) struct Cycle<'a> {
     pub(super) line: &'a mut Line,
     run: &'a mut Run,
-    host: &'a Host,
+    context: &'a PipelineContext,
     waiting: Option<Waiting>,
     aloft: Vec<Ticket>,
     ending: Option<Ended>,
@@ -62,9 +77,9 @@ pub(super) struct Cycle<'a> {
 }
 
 impl<'a> Cycle<'a> {
-    pub(super) fn new(line: &'a mut Line, run: &'a mut Run, host: &'a Host) -> Self {
+    pub(super) fn new(line: &'a mut Line, run: &'a mut Run, context: &'a PipelineContext) -> Self {
         let (aloft, brake) = (Vec::new(), Brake::default());
-        let mut cycle = Self { line, run, host, waiting: None, aloft, ending: None, brake, blind: 0 };
+        let mut cycle = Self { line, run, context, waiting: None, aloft, ending: None, brake, blind: 0 };
         cycle.take_up();
         cycle
     }
@@ -82,7 +97,7 @@ impl<'a> Cycle<'a> {
         }
         let ticket = Ticket { position: self.run.place(start.intended), start, begun };
         let reason = "there was no connection when the sample was there".to_owned();
-        self.finish(ticket, log, Outcome::Lost(reason), None, self.host.clock.stamp());
+        self.finish(ticket, log, Outcome::Lost(reason), None, self.context.host.clock.stamp());
     }
 
     /// The sample that may be sent now: there is one, and a place for it.
@@ -98,7 +113,7 @@ impl<'a> Cycle<'a> {
         if !self.may_begin() {
             return false;
         }
-        let clock = &self.host.clock;
+        let clock = &self.context.host.clock;
         let now = clock.mono();
         if self.run.is_yesterdays(clock.wall()) {
             self.ending = Some(Ended::Midnight);
@@ -114,7 +129,7 @@ impl<'a> Cycle<'a> {
             return false;
         }
         let Some(start) = self.line.schedule.take(now) else { return false };
-        let (log, begun) = iteration::begin(clock, self.host.id, start.intended);
+        let (log, begun) = iteration::begin(clock, self.context.host.id, start.intended);
         match self.line.senses.begin(log) {
             Sensing::Done(sensed) => self.judge(self.run.id(), (start, begun), sensed),
             Sensing::Pending(sample) => {
@@ -130,7 +145,7 @@ impl<'a> Cycle<'a> {
         if !self.may_begin() {
             return None;
         }
-        let now = self.host.clock.mono();
+        let now = self.context.host.clock.mono();
         self.brake.holds_until(now).or_else(|| Some(self.line.schedule.next_at(now)))
     }
 
@@ -159,14 +174,14 @@ impl<'a> Cycle<'a> {
     pub(super) fn sensor_died(&mut self) {
         self.line.sensing = None;
         self.line.display.set_senses_since(None);
-        self.end(Ended::Broken("the sensor's thread has died; the log says why".to_owned()));
+        self.end(Ended::Broken(LoopError::SensorDied));
     }
 
     /// An iteration came back.
     pub(super) fn land(&mut self, landed: Landed) {
         let Landed { ticket, label, mut log, outcome, answer, transport } = landed;
         self.aloft.retain(|other| other.position.number != ticket.position.number);
-        let ended = self.host.clock.stamp();
+        let ended = self.context.host.clock.stamp();
         // Judged after the end: what a study of accuracy costs is no latency.
         if let (Some(answer), Some(label)) = (answer, label) {
             accuracy::judge(&mut log, &label, &answer);
@@ -179,8 +194,9 @@ impl<'a> Cycle<'a> {
         let waiting = self.waiting.take().map(|waiting| waiting.ticket);
         for ticket in std::mem::take(&mut self.aloft).into_iter().chain(waiting) {
             // What was measured is with the peer or the model; what remains is that it began.
-            let (log, _) = iteration::begin(&self.host.clock, self.host.id, ticket.start.intended);
-            let ended = self.host.clock.stamp();
+            let (log, _) =
+                iteration::begin(&self.context.host.clock, self.context.host.id, ticket.start.intended);
+            let ended = self.context.host.clock.stamp();
             self.finish(ticket, log, Outcome::Lost(reason.to_owned()), None, ended);
         }
     }
@@ -209,12 +225,12 @@ impl<'a> Cycle<'a> {
             }
             Err(error) => {
                 let ticket = ticket();
-                let reason = one_line(error.to_string());
+                let reason = printable_line(&error.to_string()).into_owned();
                 self.blind = self.blind.saturating_add(1);
                 if self.blind == BLIND {
                     self.report_blindness(&reason);
                 }
-                let ended = self.host.clock.stamp();
+                let ended = self.context.host.clock.stamp();
                 self.finish(ticket, log, Outcome::Failed(reason), None, ended);
             }
         }
@@ -228,7 +244,7 @@ impl<'a> Cycle<'a> {
             ..Concerning::default()
         };
         let text = format!("no sample in {BLIND} iterations in a row: {reason}; the pipeline goes on trying");
-        self.host.incidents.report(IncidentKind::PipelineFailed, what, text);
+        self.context.events.incidents.report(IncidentKind::PipelineFailed, what, text);
     }
 
     fn finish(
@@ -239,29 +255,21 @@ impl<'a> Cycle<'a> {
         transport: Option<Span>,
         ended: Stamp,
     ) {
-        let outcome = in_one_line(outcome);
+        let outcome = with_printable_reason(outcome);
         let closed_loop = self.line.schedule.is_closed();
         if closed_loop {
             self.brake.note(&outcome, ended.mono);
         }
         let tree = iteration::close(log, &ticket, ended.mono, closed_loop, transport);
-        self.run.record(ticket.position, outcome, tree, ended, self.host, &self.line.display);
+        self.run.record(ticket.position, outcome, tree, ended, self.context, &self.line.display);
     }
 }
 
 /// A reason is a cell of a table and ends up on terminals, whoever gave it: a sensor's or a model's may be a traceback.
-fn in_one_line(outcome: Outcome) -> Outcome {
+fn with_printable_reason(outcome: Outcome) -> Outcome {
     match outcome {
-        Outcome::Failed(reason) => Outcome::Failed(one_line(reason)),
-        Outcome::Lost(reason) => Outcome::Lost(one_line(reason)),
+        Outcome::Failed(reason) => Outcome::Failed(printable_line(&reason).into_owned()),
+        Outcome::Lost(reason) => Outcome::Lost(printable_line(&reason).into_owned()),
         other @ (Outcome::Ok | Outcome::Timeout) => other,
     }
-}
-
-/// Control characters become spaces.
-fn one_line(text: String) -> String {
-    if !text.contains(char::is_control) {
-        return text;
-    }
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

@@ -1,16 +1,17 @@
 //! The inner loop of a pipeline: from start to start until something ends it.
 
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::stream::{FuturesUnordered, StreamExt};
 use tokio_util::sync::CancellationToken;
 
-use super::cycle::{Cycle, Ended};
+use super::context::PipelineContext;
+use super::cycle::{Cycle, Ended, LoopError};
 use super::line::Line;
 use super::placement::Placement;
 use super::run::Run;
-use crate::host::Host;
 
 /// Runs iterations of `run` at `placement` until one of the ends; all that had begun has been recorded by then.
 ///
@@ -19,12 +20,12 @@ pub(super) async fn drive(
     line: &mut Line,
     run: &mut Run,
     placement: &Placement,
-    host: &Host,
+    context: &PipelineContext,
     stop: &CancellationToken,
     patience: Duration,
 ) -> Ended {
     let timeout = line.config.timeout();
-    let mut cycle = Cycle::new(line, run, host);
+    let mut cycle = Cycle::new(line, run, context);
     let mut flights = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
     let mut gone = pin!(placement.closed());
@@ -63,7 +64,7 @@ pub(super) async fn drive(
             },
             Some(rung) = maybe(alarm_at.map(|at| Box::pin(alarm.until(at)))) => {
                 if let Err(error) = rung {
-                    cycle.end(Ended::Broken(format!("the timer of the pipeline failed: {error}")));
+                    cycle.end(Ended::Broken(LoopError::Timer(Arc::new(error))));
                 }
             }
             () = &mut given_up, if is_stopping => {

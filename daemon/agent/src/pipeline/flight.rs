@@ -64,7 +64,7 @@ impl Waiting {
         let (log, outcome) = match (&result, acting) {
             (Ok(Some(answer)), Some(acting)) => {
                 let (log, acted) = acting.act(log, &self.sample.source, answer).await;
-                (log, acted.map_or_else(Outcome::Failed, |()| Outcome::Ok))
+                (log, acted.map_or_else(|error| Outcome::Failed(error.to_string()), |()| Outcome::Ok))
             }
             (Ok(_), _) => (log, Outcome::Ok),
             (Err(outcome), _) => (log, outcome.clone()),

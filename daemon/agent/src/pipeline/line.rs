@@ -1,10 +1,13 @@
 //! What a pipeline keeps over all its runs: its sensor, its actuator, its beat.
 
+use std::io;
 use std::sync::Arc;
 
+use peernet_actuators::ActuatorError;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::FingerprintKey;
-use peernet_sensors::{Transform, build_transform};
+use peernet_sensors::{SensorError, Transform, build_transform};
+use tokio::task::JoinError;
 
 use super::acting::Acting;
 use super::alarm::Alarm;
@@ -13,6 +16,26 @@ use super::load::Schedule;
 use super::sensing::{Chain, Senses};
 use crate::config::PipelineConfig;
 use crate::live::Display;
+
+/// The reason why a pipeline cannot be assembled.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum AssembleError {
+    /// The sensor or a transform cannot be set up.
+    #[error(transparent)]
+    Sensor(#[from] SensorError),
+    /// The actuator cannot be set up.
+    #[error(transparent)]
+    Actuator(#[from] ActuatorError),
+    /// There is no thread for the sensor.
+    #[error("cannot start a thread for the sensor: {0}")]
+    Thread(#[source] io::Error),
+    /// There is no timer for the starts.
+    #[error("cannot have a timer: {0}")]
+    Timer(#[source] io::Error),
+    /// The sensor panicked while it was set up.
+    #[error("setting up the sensor panicked: {0}")]
+    Panicked(#[from] JoinError),
+}
 
 /// An assembled pipeline without a place to compute.
 pub(super) struct Line {
@@ -33,16 +56,15 @@ impl Line {
     /// Opens the sensor and sets up the rest. Blocks: a folder of pictures may be on a slow disk.
     ///
     /// # Errors
-    /// A sentence that says what could not be set up.
+    /// When a part of it cannot be set up.
     pub(super) fn assemble(
         config: Arc<PipelineConfig>,
         display: Arc<Display>,
         clock: SharedClock,
         fingerprints: &FingerprintKey,
-    ) -> Result<Self, String> {
-        let sensor = peernet_sensors::open(&config.sensor, &clock).map_err(|error| error.to_string())?;
-        let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>();
-        let transforms = transforms.map_err(|error| error.to_string())?;
+    ) -> Result<Self, AssembleError> {
+        let sensor = peernet_sensors::open(&config.sensor, &clock)?;
+        let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>()?;
         let mut facts = sensor.facts();
         facts.extend(config.sensor.arguments(fingerprints));
         if !transforms.is_empty() {
@@ -54,12 +76,12 @@ impl Line {
         }
         facts.extend(config.actuator.facts());
         facts.extend(config.actuator.arguments(fingerprints));
-        let senses = Senses::new(Chain { sensor, transforms }, &config.name)
-            .map_err(|error| format!("cannot start a thread for the sensor: {error}"))?;
+        let senses =
+            Senses::new(Chain { sensor, transforms }, &config.name).map_err(AssembleError::Thread)?;
         Ok(Self {
             actuator: Acting::new(&config.actuator, &clock)?,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
-            alarm: Alarm::new(clock).map_err(|error| format!("cannot have a timer: {error}"))?,
+            alarm: Alarm::new(clock).map_err(AssembleError::Timer)?,
             config,
             display,
             senses,

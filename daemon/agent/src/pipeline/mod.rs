@@ -7,6 +7,7 @@ mod accuracy;
 mod acting;
 mod alarm;
 mod brake;
+mod context;
 mod cycle;
 mod drive;
 mod flight;
@@ -19,5 +20,6 @@ mod run;
 mod runner;
 mod sensing;
 
+pub(crate) use context::PipelineContext;
 pub(crate) use placement::intended;
 pub(crate) use runner::run;

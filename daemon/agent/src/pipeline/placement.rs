@@ -13,9 +13,9 @@ use peernet_sample::Sample;
 use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind};
 use tokio::sync::oneshot;
 
+use super::context::PipelineContext;
 use crate::conditions::{Places, look_soon};
 use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
-use crate::host::Host;
 use crate::link::Attached;
 
 /// An open placement: a loaded model, a session with a peer that has one, or nothing.
@@ -56,10 +56,13 @@ pub(super) enum OpenFailure {
 
 impl Placement {
     /// Loads the model or opens a session with the peer.
-    pub(super) async fn open(config: &PipelineConfig, host: &Host) -> Result<Self, OpenFailure> {
+    pub(super) async fn open(
+        config: &PipelineConfig,
+        context: &PipelineContext,
+    ) -> Result<Self, OpenFailure> {
         match &config.placement {
             PlacementConfig::Local { model } => {
-                let (bank, model) = (Arc::clone(&host.bank), model.clone());
+                let (bank, model) = (Arc::clone(&context.bank), model.clone());
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(OpenFailure::Model)
@@ -67,9 +70,9 @@ impl Placement {
             PlacementConfig::Remote(remote) => {
                 let hello = SessionHello {
                     versions: SESSION_VERSIONS,
-                    host: host.id,
-                    name: host.name.clone(),
-                    clock: host.clock.identity().clone(),
+                    host: context.host.id,
+                    name: context.host.name.clone(),
+                    clock: context.host.clock.identity().clone(),
                     pipeline: config.name.clone(),
                     model: remote.model.clone(),
                     device: remote.device.clone(),
@@ -80,9 +83,9 @@ impl Placement {
                     max_in_flight: remote.session.max_in_flight.max(wanted),
                     ..remote.session.clone()
                 };
-                let clock = Arc::clone(&host.clock);
+                let clock = Arc::clone(&context.host.clock);
                 let session = Session::open(remote.network, &remote.peer, hello, settings, clock).await?;
-                let link = host.links.attach(&session, remote.network, &remote.peer, &config.name);
+                let link = context.links.attach(&session, remote.network, &remote.peer, &config.name);
                 Ok(Self::Remote { session, link, config: remote.clone() })
             }
             PlacementConfig::None {} => Ok(Self::None),
@@ -144,14 +147,14 @@ impl Placement {
 
     /// What is found of this host now, and what the peer told of itself when the session opened. `warm` while a pipeline
     /// measures: then nothing is waited for.
-    pub(super) async fn conditions(&self, host: &Host, warm: bool) -> Vec<Condition> {
+    pub(super) async fn conditions(&self, context: &PipelineContext, warm: bool) -> Vec<Condition> {
         let (network, told) = match self {
             Self::Remote { session, .. } => (true, session.accepted().conditions.as_slice()),
             Self::Local(_) | Self::None => (false, [].as_slice()),
         };
-        let looks = if warm { 1 } else { host.places.looks };
-        let places = Places { network, looks, ..Places::clone(&host.places) };
-        let mut found = look_soon(places, host.name.to_string()).await;
+        let looks = if warm { 1 } else { context.places.looks };
+        let places = Places { network, looks, ..Places::clone(&context.places) };
+        let mut found = look_soon(places, context.host.name.to_string()).await;
         found.extend_from_slice(told);
         found
     }

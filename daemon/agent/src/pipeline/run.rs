@@ -7,10 +7,10 @@ use peernet_stream::{
     Condition, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
 };
 
+use super::context::PipelineContext;
 use super::cycle::Ended;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
-use crate::host::Host;
 use crate::live::Display;
 
 const SECONDS_PER_DAY: i64 = 86_400;
@@ -33,11 +33,11 @@ impl Run {
         placement: Description,
         (facts, conditions): (Vec<(String, String)>, Vec<Condition>),
         warm: bool,
-        host: &Host,
+        context: &PipelineContext,
         display: &Display,
     ) -> Self {
         let id = RunId::random();
-        let started = host.clock.wall();
+        let started = context.host.clock.wall();
         let description = RunDescription {
             run: id,
             pipeline: config.name.clone(),
@@ -45,12 +45,12 @@ impl Run {
             placement: placement.clone(),
             facts,
             configuration: configuration(config),
-            version: host.version.to_owned(),
+            version: context.host.version.to_owned(),
             experiment: config.experiment.clone().map(Box::new),
             conditions,
         };
-        host.runs.began(description.clone());
-        host.feed.event(Some(&config.name), Event::RunStarted(description));
+        context.events.runs.began(description.clone());
+        context.events.feed.event(Some(&config.name), Event::RunStarted(description));
         display.set_run(id);
         Self {
             id,
@@ -101,7 +101,7 @@ impl Run {
         outcome: Outcome,
         tree: Tree,
         ended: Stamp,
-        host: &Host,
+        context: &PipelineContext,
         display: &Display,
     ) {
         if !position.warm_up {
@@ -109,26 +109,26 @@ impl Run {
         }
         let Position { number, episode, step, warm_up } = position;
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
-        host.feed.iteration(&self.pipeline, iteration);
+        context.events.feed.iteration(&self.pipeline, iteration);
     }
 
     /// Reports the end.
-    pub(super) fn end(&self, reason: &str, host: &Host) {
-        end(&self.pipeline, self.id, reason, host);
+    pub(super) fn end(&self, reason: &str, context: &PipelineContext) {
+        end(&self.pipeline, self.id, reason, context);
     }
 }
 
 /// Reports the end of a run that nobody holds any more, if the pipeline has one.
-pub(super) fn end_orphan(pipeline: &Slug, reason: &str, host: &Host) {
-    if let Some(run) = host.runs.current(pipeline) {
-        end(pipeline, run, reason, host);
+pub(super) fn end_orphan(pipeline: &Slug, reason: &str, context: &PipelineContext) {
+    if let Some(run) = context.events.runs.current(pipeline) {
+        end(pipeline, run, reason, context);
     }
 }
 
-fn end(pipeline: &Slug, run: RunId, reason: &str, host: &Host) {
-    let ended = RunEnded { run, ended: host.clock.wall(), reason: reason.to_owned() };
-    host.runs.ended(pipeline, run);
-    host.feed.event(Some(pipeline), Event::RunEnded(ended));
+fn end(pipeline: &Slug, run: RunId, reason: &str, context: &PipelineContext) {
+    let ended = RunEnded { run, ended: context.host.clock.wall(), reason: reason.to_owned() };
+    context.events.runs.ended(pipeline, run);
+    context.events.feed.event(Some(pipeline), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {

@@ -6,18 +6,19 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::FutureExt;
+use peernet_inference::LoadError;
 use peernet_logger::RunId;
 use peernet_networks::Address;
 use peernet_stream::{IncidentKind, PipelineState};
 use tokio_util::sync::CancellationToken;
 
-use super::cycle::Ended;
+use super::context::PipelineContext;
+use super::cycle::{Ended, LoopError};
 use super::drive::drive;
-use super::line::Line;
+use super::line::{AssembleError, Line};
 use super::placement::{OpenFailure, Placement};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
-use crate::host::Host;
 use crate::incidents::Concerning;
 use crate::live::Display;
 use crate::pauses::Pauses;
@@ -27,25 +28,42 @@ use crate::pauses::Pauses;
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
-    host: Host,
+    context: PipelineContext,
     stop: CancellationToken,
     patience: Duration,
 ) {
-    let runner = Runner { config, display, host, stop, patience };
+    let runner = Runner { config, display, context, stop, patience };
     let life = AssertUnwindSafe(runner.live()).catch_unwind().await;
     match life.unwrap_or_else(|panic| Err(runner.panicked(panic.as_ref()))) {
         Ok(()) => runner.display.set_state(PipelineState::Finished),
-        Err(reason) => {
+        Err(error) => {
+            let reason = error.to_string();
             runner.report(IncidentKind::PipelineFailed, None, reason.clone());
             runner.display.set_state(PipelineState::Failed(reason));
         }
     }
 }
 
+/// The reason why a pipeline could not start or had to stop.
+#[derive(Debug, thiserror::Error)]
+enum PipelineError {
+    #[error(transparent)]
+    Assemble(#[from] AssembleError),
+    /// The host's own model cannot be loaded.
+    #[error(transparent)]
+    Model(#[from] LoadError),
+    #[error("loading the model panicked")]
+    ModelPanicked,
+    #[error(transparent)]
+    Loop(#[from] LoopError),
+    #[error("the pipeline panicked: {message}; the log says where")]
+    Panicked { message: String },
+}
+
 struct Runner {
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
-    host: Host,
+    context: PipelineContext,
     stop: CancellationToken,
     /// How long iterations under way may take when the agent stops.
     patience: Duration,
@@ -79,8 +97,8 @@ impl Trouble {
 }
 
 impl Runner {
-    /// The whole life. An error is why the pipeline could not start or had to stop.
-    async fn live(&self) -> Result<(), String> {
+    /// Sets the pipeline up and runs it to its end.
+    async fn live(&self) -> Result<(), PipelineError> {
         let Some(line) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut line = line?;
         let mut run: Option<Run> = None;
@@ -97,7 +115,7 @@ impl Runner {
                 Some(run) => run,
                 None => {
                     let begun = self.begin(line.facts(placement.facts()), &placement, false).await;
-                    line.begin_beat(self.host.clock.mono());
+                    line.begin_beat(self.context.host.clock.mono());
                     run.insert(begun)
                 }
             };
@@ -110,7 +128,7 @@ impl Runner {
                 }
                 Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => ("finished".to_owned(), Ok(())),
                 Ended::Stopped => ("stopped".to_owned(), Ok(())),
-                Ended::Broken(reason) => (reason.clone(), Err(reason)),
+                Ended::Broken(error) => (error.to_string(), Err(error.into())),
             };
             self.end(run.as_ref(), &reason);
             if line.schedule.untold() > 0 {
@@ -123,71 +141,78 @@ impl Runner {
     }
 
     /// Sets up sensor, transforms and actuator on a thread that may block.
-    async fn assemble(&self) -> Result<Line, String> {
+    async fn assemble(&self) -> Result<Line, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
-        let (clock, fingerprints) = (Arc::clone(&self.host.clock), self.host.fingerprints.clone());
+        let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
         self.display.set_senses_since(Some(clock.mono()));
         let assembling = move || Line::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
         self.display.set_senses_since(None);
-        assembled.unwrap_or_else(|error| Err(format!("setting up the sensor panicked: {error}")))
+        assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
     /// Measures at one placement; midnight begins a new run on the way.
     async fn measure(&self, line: &mut Line, run: &mut Run, placement: &Placement) -> Ended {
         self.display.set_state(PipelineState::Running);
         loop {
-            let ended = drive(line, run, placement, &self.host, &self.stop, self.patience).await;
-            if ended != Ended::Midnight {
+            let ended = drive(line, run, placement, &self.context, &self.stop, self.patience).await;
+            if !matches!(ended, Ended::Midnight) {
                 return ended;
             }
-            run.end("finished", &self.host);
+            run.end("finished", &self.context);
             *run = self.begin(line.facts(placement.facts()), placement, true).await;
         }
     }
 
     /// The pipeline's own task panicked: its run ends, and the others go on.
-    fn panicked(&self, panic: &(dyn Any + Send)) -> String {
+    fn panicked(&self, panic: &(dyn Any + Send)) -> PipelineError {
         let message = panic.downcast_ref::<String>().map(String::as_str);
         let message =
             message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
-        let reason = format!("the pipeline panicked: {message}; the log says where");
-        end_orphan(&self.config.name, &reason, &self.host);
-        reason
+        let error = PipelineError::Panicked { message: message.to_owned() };
+        end_orphan(&self.config.name, &error.to_string(), &self.context);
+        error
     }
 
     async fn begin(&self, mut facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
-        if let Some(rehearsal) = self.host.clock.rehearsal() {
+        if let Some(rehearsal) = self.context.host.clock.rehearsal() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
-        let conditions = placement.conditions(&self.host, warm).await;
-        Run::begin(&self.config, placement.describe(), (facts, conditions), warm, &self.host, &self.display)
+        let conditions = placement.conditions(&self.context, warm).await;
+        Run::begin(
+            &self.config,
+            placement.describe(),
+            (facts, conditions),
+            warm,
+            &self.context,
+            &self.display,
+        )
     }
 
     fn end(&self, run: Option<&Run>, reason: &str) {
         if let Some(run) = run {
-            run.end(reason, &self.host);
+            run.end(reason, &self.context);
         }
     }
 
     /// Opens the placement, however long that takes. `None` when the agent stops.
-    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, String> {
-        let mut pauses = Pauses::new(self.host.id);
+    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, PipelineError> {
+        let mut pauses = Pauses::new(self.context.host.id);
         // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
         // has been said.
         let mut said = run.map(|_| Trouble::Away);
         loop {
-            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.host));
+            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
             // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
-            line.schedule.catch_up(self.host.clock.mono());
+            line.schedule.catch_up(self.context.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {
                     self.connected(&placement, run);
                     return Ok(Some(placement));
                 }
-                Err(OpenFailure::Model(error)) => return Err(error.to_string()),
-                Err(OpenFailure::Panicked) => return Err("loading the model panicked".to_owned()),
+                Err(OpenFailure::Model(error)) => return Err(error.into()),
+                Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
                 Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), pauses.grow()),
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();
@@ -212,7 +237,7 @@ impl Runner {
             let device = description.device.as_deref().unwrap_or("an unknown device");
             let text = format!("connected to {name}, which runs {model} on {device}");
             let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
-            self.host.incidents.report(IncidentKind::Connected, what, text);
+            self.context.events.incidents.report(IncidentKind::Connected, what, text);
         }
         self.display.set_placement(description);
     }
@@ -222,7 +247,7 @@ impl Runner {
         let address = self.peer_address().map(Address::to_string).unwrap_or_default();
         let text = format!("lost {name} at {address}: {reason}; the run goes on when it is back");
         let what = Concerning { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
-        self.host.incidents.report(IncidentKind::Disconnected, what, text);
+        self.context.events.incidents.report(IncidentKind::Disconnected, what, text);
         self.display.set_state(PipelineState::Waiting(reason));
     }
 
@@ -235,7 +260,7 @@ impl Runner {
 
     fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
         let what = Concerning { pipeline: Some(&self.config.name), run, peer: None };
-        self.host.incidents.report(kind, what, text);
+        self.context.events.incidents.report(kind, what, text);
     }
 }
 

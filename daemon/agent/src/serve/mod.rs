@@ -13,13 +13,13 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use peernet_inference::{Done, InferenceError, Job, LoadError, Pool};
+use peernet_inference::{Bank, Done, InferenceError, Job, LoadError, Pool};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
-    Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, SessionAccepted,
-    SessionId,
+    Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest,
+    SessionAccepted, SessionId,
 };
-use peernet_probes::Reflector;
+use peernet_probes::{ReceiveError, Reflector};
 use peernet_stream::{Condition, Hardware, HostClock, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -27,21 +27,47 @@ use tokio_util::sync::CancellationToken;
 
 use self::asked::Asked;
 use self::doors::to_peers;
+use crate::conditions::Places;
 use crate::host::Host;
-use crate::incidents::Concerning;
+use crate::incidents::{Concerning, Incidents};
 use crate::telemetry;
+
+/// What serving needs of the rest of the agent.
+#[derive(Clone, Debug)]
+pub(crate) struct ServeContext {
+    pub(crate) host: Host,
+    pub(crate) incidents: Incidents,
+    /// The models that are served.
+    pub(crate) bank: Arc<Bank>,
+    /// What is known of this host's own clock.
+    pub(crate) own: watch::Receiver<HostClock>,
+    /// Paths in /proc and /sys that show what can disturb a run.
+    pub(crate) places: Arc<Places>,
+}
+
+/// Why serving ended before it was told to.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ServeError {
+    /// The port for sessions was lost.
+    #[error("the port at {0} was lost")]
+    PortLost(Address),
+    /// The port for probes was lost.
+    #[error(transparent)]
+    Reflector(#[from] ReceiveError),
+}
 
 /// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
     doors: Doors,
-    host: Host,
+    context: ServeContext,
     served: watch::Sender<Served>,
     stop: CancellationToken,
-) -> Result<(), String> {
+) -> Result<(), ServeError> {
     let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
+    let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     let server = Server {
-        host: host.clone(),
+        context,
         named,
         hardware,
         served,
@@ -50,10 +76,13 @@ pub(crate) async fn run(
         asked: Asked::default(),
     };
     let announcer = doors.listener.announcer();
-    let announcing = announce(host.own, announcer, stop.clone());
+    let announcing = async {
+        announce(own, announcer, stop.clone()).await;
+        Ok(())
+    };
     let reflecting = async {
         match doors.reflector {
-            Some(reflector) => reflector.run(stop.clone()).await,
+            Some(reflector) => reflector.run(stop.clone()).await.map_err(ServeError::from),
             None => Ok(()),
         }
     };
@@ -63,20 +92,19 @@ pub(crate) async fn run(
 }
 
 /// Tells all peers at once what becomes known of this host's clock.
-async fn announce(
-    mut own: watch::Receiver<HostClock>,
-    announcer: Announcer,
-    stop: CancellationToken,
-) -> Result<(), String> {
+async fn announce(mut own: watch::Receiver<HostClock>, announcer: Announcer, stop: CancellationToken) {
     while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
         let clock = own.borrow_and_update().clone();
         announcer.announce(to_peers(clock));
     }
-    Ok(())
 }
 
 /// Serves sessions until it is told to stop.
-async fn sessions(mut listener: Listener, mut server: Server, stop: CancellationToken) -> Result<(), String> {
+async fn sessions(
+    mut listener: Listener,
+    mut server: Server,
+    stop: CancellationToken,
+) -> Result<(), ServeError> {
     // Models that are being loaded for a peer; the listener bounds how many peers there are.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
@@ -92,13 +120,13 @@ async fn sessions(mut listener: Listener, mut server: Server, stop: Cancellation
             incoming = listener.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(wish)) => {
-                    let host = server.host.clone();
-                    loading.spawn_blocking(move || prepare(wish, &host));
+                    let context = server.context.clone();
+                    loading.spawn_blocking(move || prepare(wish, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
                     server.closed(session, said_goodbye, ordered);
                 }
-                None => return Err(format!("the port at {} was lost", listener.address())),
+                None => return Err(ServeError::PortLost(listener.address().clone())),
             },
         }
     }
@@ -107,17 +135,17 @@ async fn sessions(mut listener: Listener, mut server: Server, stop: Cancellation
 }
 
 /// Gets ready what a peer asks for. Blocks while a model loads.
-fn prepare(wish: OpenRequest, host: &Host) -> Loaded {
+fn prepare(wish: OpenRequest, context: &ServeContext) -> Loaded {
     // First, because a model that loads is a competing load itself.
-    let conditions = conditions(host);
-    let model = wish.hello.model.clone().map_or_else(|| host.bank.only(), Ok);
-    let pool = model.and_then(|model| host.bank.load(&model, wish.hello.device.as_deref()));
+    let conditions = conditions(context);
+    let model = wish.hello.model.clone().map_or_else(|| context.bank.only(), Ok);
+    let pool = model.and_then(|model| context.bank.load(&model, wish.hello.device.as_deref()));
     Loaded { wish, pool, conditions }
 }
 
 /// What a peer is told of this host before a session.
-fn conditions(host: &Host) -> Vec<Condition> {
-    let mut found = crate::conditions::look(&host.places, host.name.as_str());
+fn conditions(context: &ServeContext) -> Vec<Condition> {
+    let mut found = crate::conditions::look(&context.places, context.host.name.as_str());
     found.truncate(MAX_CONDITIONS);
     found
 }
@@ -153,7 +181,7 @@ struct Peer {
 }
 
 struct Server {
-    host: Host,
+    context: ServeContext,
     named: Named,
     /// What this host is made of.
     hardware: Hardware,
@@ -208,14 +236,14 @@ impl Server {
 
     fn accepted(&self, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
-            host: self.host.id,
-            name: self.host.name.clone(),
-            clock: self.host.clock.identity().clone(),
-            version: self.host.version.to_owned(),
+            host: self.context.host.id,
+            name: self.context.host.name.clone(),
+            clock: self.context.host.clock.identity().clone(),
+            version: self.context.host.version.to_owned(),
             model: pool.name().clone(),
             device: pool.device(),
             facts: pool.facts(),
-            host_clock: to_peers(self.host.own.borrow().clone()),
+            host_clock: to_peers(self.context.own.borrow().clone()),
             probes: self.named.probes,
             instance: self.named.instance,
             conditions,
@@ -270,7 +298,7 @@ impl Server {
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {
         let what = Concerning { peer: Some(peer), ..Concerning::default() };
-        self.host.incidents.report(kind, what, text);
+        self.context.incidents.report(kind, what, text);
     }
 }
 

@@ -1,12 +1,13 @@
 //! What `peernet calibrate` can be told.
 
-use std::num::NonZeroU64;
+use std::num::{NonZeroU64, ParseFloatError, ParseIntError};
 use std::path::PathBuf;
 
 use peernet_networks::{Address, NetworkKind};
 
-use crate::address::{DEFAULT_PORT, address};
+use crate::address::{AddressError, DEFAULT_PORT, address};
 use crate::network::network;
+use crate::seconds::{SecondsError, seconds};
 
 /// What `peernet calibrate` can be told.
 #[derive(Debug, clap::Args)]
@@ -26,7 +27,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value = "400", value_parser = repeats)]
     pub(super) repeats: NonZeroU64,
     /// Stop after so many seconds, however often each size was sent by then.
-    #[arg(long, default_value = "120", value_parser = seconds)]
+    #[arg(long, default_value = "120", value_parser = duration)]
     pub(super) seconds: f64,
     /// How often each size is sent before, kept but left out of the study.
     #[arg(long, default_value = "2")]
@@ -48,17 +49,36 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-fn peer(text: &str) -> Result<Address, String> {
+fn peer(text: &str) -> Result<Address, AddressError> {
     address(text, DEFAULT_PORT)
 }
 
-fn repeats(text: &str) -> Result<NonZeroU64, String> {
-    let number = text.parse::<u64>().map_err(|_| "not a whole number".to_owned())?;
-    NonZeroU64::new(number).ok_or_else(|| "at least 1".to_owned())
+/// A text that is no number of repeats.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+enum RepeatsError {
+    #[error("not a whole number")]
+    NotANumber(#[from] ParseIntError),
+    #[error("at least 1")]
+    Zero,
+}
+
+fn repeats(text: &str) -> Result<NonZeroU64, RepeatsError> {
+    NonZeroU64::new(text.parse::<u64>()?).ok_or(RepeatsError::Zero)
+}
+
+/// A text that is no size of a payload.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+enum SizeError {
+    #[error("{0:?} is not a unit; write B, kB, MB, GB, KiB, MiB or GiB")]
+    Unit(String),
+    #[error("{digits:?} is not a number")]
+    NotANumber { digits: String, source: ParseFloatError },
+    #[error("from 1 B to 1 GB")]
+    OutOfRange,
 }
 
 /// A size in bytes: a number, and one of the usual units in any case.
-fn size(text: &str) -> Result<u64, String> {
+fn size(text: &str) -> Result<u64, SizeError> {
     let text = text.trim();
     let digits = text.trim_end_matches(|char: char| char.is_ascii_alphabetic() || char == ' ');
     let unit = text[digits.len()..].trim();
@@ -70,16 +90,16 @@ fn size(text: &str) -> Result<u64, String> {
         "ki" | "kib" => 1024.0,
         "mi" | "mib" => 1024.0 * 1024.0,
         "gi" | "gib" => 1024.0 * 1024.0 * 1024.0,
-        _ => return Err(format!("{unit:?} is not a unit; write B, kB, MB, GB, KiB, MiB or GiB")),
+        _ => return Err(SizeError::Unit(unit.to_owned())),
     };
-    let bytes = digits.parse::<f64>().map_err(|_| format!("{digits:?} is not a number"))? * unit;
-    let bytes = bytes.round();
-    if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err("from 1 B to 1 GB".to_owned()) }
+    let number = digits.parse::<f64>();
+    let number = number.map_err(|source| SizeError::NotANumber { digits: digits.to_owned(), source })?;
+    let bytes = (number * unit).round();
+    if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err(SizeError::OutOfRange) }
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse::<f64>().map_err(|error| error.to_string())?;
-    if (1.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 1 to 86400".to_owned()) }
+fn duration(text: &str) -> Result<f64, SecondsError> {
+    seconds(text, 1.0)
 }
 
 #[cfg(test)]
@@ -88,8 +108,8 @@ mod tests {
 
     #[test]
     fn no_repeat_at_all_is_too_few() {
-        assert_eq!(repeats("0"), Err("at least 1".to_owned()));
-        assert_eq!(repeats("-1"), Err("not a whole number".to_owned()));
+        assert_eq!(repeats("0"), Err(RepeatsError::Zero));
+        assert_eq!(repeats("-1").expect_err("none").to_string(), "not a whole number");
         assert_eq!(repeats("12").map(NonZeroU64::get), Ok(12));
     }
 
@@ -103,7 +123,7 @@ mod tests {
             ["64 KiB", "1kiB", "1.5MiB", "1GB", "2mb", "3 K", "0.5GiB"].map(size),
             [65_536, 1_024, 1_572_864, 1_000_000_000, 2_000_000, 3_000, 536_870_912].map(Ok)
         );
-        assert_eq!(size("1 GiB"), Err("from 1 B to 1 GB".to_owned()));
+        assert_eq!(size("1 GiB"), Err(SizeError::OutOfRange));
         for wrong in ["", "kB", "1 TB", "1 kBit", "0", "-3", "2e12", "1.2.3"] {
             assert!(size(wrong).is_err(), "{wrong}");
         }

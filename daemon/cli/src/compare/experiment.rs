@@ -1,12 +1,12 @@
 //! The experiments that results belong to.
 
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use crate::short::plain;
 use crate::small_file;
 use peernet_report::number::counted;
+use peernet_sample::printable_line;
 use serde::Deserialize;
 
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
@@ -15,7 +15,20 @@ use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
 const HIGHEST: usize = 4;
 
 /// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
-pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, String>>);
+pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, RecordError>>);
+
+/// The reason why the record of an experiment tells nothing.
+#[derive(Debug, thiserror::Error)]
+enum RecordError {
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    #[error(transparent)]
+    Parse(#[from] serde_json::Error),
+    #[error("its format is {0}, this program knows {FORMAT}")]
+    Format(u32),
+    #[error("it has {}, and how {states} of them fare", counted(*.runs as u64, "run"))]
+    Lengths { runs: usize, states: usize },
+}
 
 /// What is needed of `experiment.json`.
 #[derive(Deserialize)]
@@ -84,7 +97,8 @@ impl Experiments {
         unread
             .filter(|(home, _)| has_runs(home))
             .map(|(home, why)| {
-                let (record, why) = (home.join(RECORD), plain(why));
+                let (record, why) = (home.join(RECORD), why.to_string());
+                let why = printable_line(&why);
                 format!("cannot read {}: {why}; which of its runs are done is not known", record.display())
             })
             .collect()
@@ -118,7 +132,7 @@ impl Experiment {
 
     /// What is to be typed, so that all of them are done.
     pub(super) fn remedy(&self) -> String {
-        format!("`peernet run {}` again, with the options that it had,", plain(&self.file))
+        format!("`peernet run {}` again, with the options that it had,", printable_line(&self.file))
     }
 }
 
@@ -136,7 +150,11 @@ impl RunOf<'_> {
     pub(super) fn fate(&self) -> String {
         let State { stage, reason } = self.state;
         let why = reason.as_deref().filter(|_| *stage == Stage::Failed);
-        format!("{}{}", stage.left_as(), why.map_or_else(String::new, |why| format!(" ({})", plain(why))))
+        format!(
+            "{}{}",
+            stage.left_as(),
+            why.map_or_else(String::new, |why| format!(" ({})", printable_line(why)))
+        )
     }
 }
 
@@ -149,21 +167,21 @@ fn above(results: &Path) -> Vec<PathBuf> {
 /// A record that is there.
 ///
 /// # Errors
-/// Why it tells nothing.
-fn read(record: &Path) -> Result<Option<Experiment>, String> {
+/// When it tells nothing.
+fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
     let text = match small_file::read_found(record, LARGEST_RECORD) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
-        read => read.map_err(|error| error.to_string())?,
+        read => read?,
     };
-    let experiment: Experiment = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+    let experiment: Experiment = serde_json::from_str(&text)?;
     if experiment.format != FORMAT {
-        return Err(format!("its format is {}, this program knows {FORMAT}", experiment.format));
+        return Err(RecordError::Format(experiment.format));
     }
     let (runs, states) = (experiment.plan.runs.len(), experiment.states.len());
     if runs != states {
-        return Err(format!("it has {}, and how {states} of them fare", counted(runs as u64, "run")));
+        return Err(RecordError::Lengths { runs, states });
     }
     Ok(Some(experiment))
 }

@@ -32,6 +32,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_agent::conditions;
+use peernet_report::WriteError;
 use peernet_report::figures;
 use peernet_report::record::RunRecord;
 use peernet_report::rows::Rows;
@@ -107,7 +108,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     // Where the rows found no room, the folder may hold earlier results again.
     match is_written.then(|| study(&record, &taken.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
-        Err(error) => trouble = trouble.or(Some(error)),
+        Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
     if order.plots && !is_written {
         // They would take the room that rows did not get.
@@ -122,14 +123,13 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
 }
 
 /// Writes what a sensor alone showed of itself.
-fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, String> {
+fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
     if !record.is_sensor_alone() {
         return Ok(None);
     }
     let Some(study) = SensorStudy::of(rows) else { return Ok(None) };
     let path = folder.join("sensor.txt");
-    std::fs::write(&path, format!("{}\n", study.text().trim_end()))
-        .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    std::fs::write(&path, format!("{}\n", study.text().trim_end())).map_err(WriteError::at(&path))?;
     Ok(Some(path))
 }
 

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
+use peernet_inference::InferenceError;
 use peernet_report::number::{counted, fixed};
 use peernet_sample::{Sample, plain_label};
 use serde::Deserialize;
@@ -58,11 +59,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let alone = all == 1;
     for sample in input.samples {
         let (source, label) = (sample.source.clone(), sample.label.clone());
-        let answer =
-            running.infer(sample).0.map_err(|error| error.to_string()).and_then(|answer| read(&answer));
+        let answer = running.infer(sample).0.map_err(AnswerError::from).and_then(|answer| read(&answer));
         match answer {
-            Err(reason) => {
-                complain(reason);
+            Err(error) => {
+                complain(error);
                 failed += 1;
             }
             Ok(answer) => {
@@ -97,7 +97,16 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-fn read(answer: &Sample) -> Result<Answer, String> {
+/// The reason why a picture counts as not answered.
+#[derive(Debug, thiserror::Error)]
+enum AnswerError {
+    #[error(transparent)]
+    Inference(#[from] InferenceError),
+    #[error("its answer cannot be read: {0}")]
+    Unreadable(#[from] serde_json::Error),
+}
+
+fn read(answer: &Sample) -> Result<Answer, AnswerError> {
     let bytes = answer.parts.first().map(|part| part.bytes.as_ref()).unwrap_or_default();
-    serde_json::from_slice(bytes).map_err(|error| format!("its answer cannot be read: {error}"))
+    Ok(serde_json::from_slice(bytes)?)
 }

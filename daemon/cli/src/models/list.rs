@@ -2,9 +2,9 @@
 
 use crate::exit::Failure;
 use crate::output::{complain, say};
-use crate::short::plain;
 use peernet_inference::bank::Found;
 use peernet_report::table::text;
+use peernet_sample::printable_line;
 use serde_json::{Value, json};
 
 use super::Places;
@@ -51,7 +51,7 @@ fn row(found: &Found) -> Vec<String> {
     let folder = found.folder.display().to_string();
     let cells =
         [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];
-    cells.map(|cell| plain(&cell).into_owned()).to_vec()
+    cells.map(|cell| printable_line(&cell).into_owned()).to_vec()
 }
 
 /// What keeps the model from being used.

@@ -2,8 +2,8 @@
 
 use crate::exit::Failure;
 use crate::output::say;
-use crate::short::plain;
 use peernet_report::number;
+use peernet_sample::printable_line;
 use serde_json::json;
 
 use super::{Wanted, failure, other_file};
@@ -38,7 +38,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let more = if card.labels.len() > LABELS { ", …" } else { "" };
     let mut lines = vec![
         ("model".to_owned(), name.to_string()),
-        ("folder".to_owned(), plain(&folder.display().to_string()).into_owned()),
+        ("folder".to_owned(), printable_line(&folder.display().to_string()).into_owned()),
         ("name".to_owned(), format!("{} {}", card.name, card.version)),
         ("what it does".to_owned(), card.description),
         ("task".to_owned(), card.task),
@@ -56,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     lines.extend(other_file.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
-        say(format_args!("{:<14}{}", plain(key), plain(value.trim())));
+        say(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));
     }
     Ok(())
 }

@@ -156,6 +156,8 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_report::figures::MissingData;
+
     use super::*;
 
     #[test]
@@ -174,15 +176,20 @@ mod tests {
 
     #[test]
     fn of_several_runs_each_reason_is_told() {
-        let lacking = |reasons: &[&str]| -> Vec<(PathBuf, PlotError)> {
-            let error = |reason: &&str| PlotError::Lacking(figures::Kind::Length, (*reason).to_owned());
+        let lacking = |reasons: &[MissingData]| -> Vec<(PathBuf, PlotError)> {
+            let error = |reason: &MissingData| PlotError::Lacking(figures::Kind::Length, reason.clone());
             reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()
         };
+        let (runs, total) = (MissingData::Runs, MissingData::Total);
         assert_eq!(reasons(&[]), None);
-        assert_eq!(reasons(&lacking(&["no n", "no n"])).as_deref(), Some("cannot draw length: no n"));
+        let twice = lacking(&[runs.clone(), runs.clone()]);
+        assert_eq!(reasons(&twice).as_deref(), Some("cannot draw length: there is no run"));
         assert_eq!(
-            reasons(&lacking(&["no n", "one length", "one length"])).as_deref(),
-            Some("1 run: cannot draw length: no n; 2 runs: cannot draw length: one length")
+            reasons(&lacking(&[runs, total.clone(), total])).as_deref(),
+            Some(
+                "1 run: cannot draw length: there is no run; 2 runs: cannot draw length: no iteration was answered \
+                 with a total that can be drawn"
+            )
         );
     }
 }

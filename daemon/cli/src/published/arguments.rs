@@ -1,6 +1,6 @@
 //! The published options, with the published defaults.
 
-use std::num::NonZeroU64;
+use std::num::{NonZeroU64, ParseIntError, TryFromIntError};
 use std::path::PathBuf;
 
 use peernet_logger::Slug;
@@ -9,6 +9,7 @@ use peernet_networks::{Address, NetworkKind};
 use super::encoding::Encoding;
 use super::sensor::SensorType;
 use crate::network::network;
+use crate::seconds::{SecondsError, seconds};
 
 /// The published experiment: one device serves a model, the other senses and measures.
 #[derive(Clone, Debug, clap::Args)]
@@ -67,7 +68,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "ADDRESS")]
     pub(super) aggregator: Option<Address>,
     /// How long a server that is away is waited for, before the run and during it; seconds.
-    #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub(super) patience: f64,
 
     /// What the server serves: `dummy` (takes 10 + 80 + 10 ms), `echo`, a name in the model bank, a path with a slash, a
@@ -90,17 +91,28 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-fn iterations(text: &str) -> Result<NonZeroU64, String> {
-    let number = text.parse::<i128>().map_err(|_| "not a whole number".to_owned())?;
-    if number < 1 {
-        return Err("nothing would be measured; at least 1".to_owned());
-    }
-    u64::try_from(number).ok().and_then(NonZeroU64::new).ok_or_else(|| format!("at most {}", u64::MAX))
+/// A text that is no number of iterations.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+enum IterationsError {
+    #[error("not a whole number")]
+    NotANumber(#[source] ParseIntError),
+    #[error("nothing would be measured; at least 1")]
+    TooFew,
+    #[error("at most {}", u64::MAX)]
+    TooMany(#[source] TryFromIntError),
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse::<f64>().map_err(|error| error.to_string())?;
-    if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("from 0 to 86400".to_owned()) }
+fn iterations(text: &str) -> Result<NonZeroU64, IterationsError> {
+    let number = text.parse::<i128>().map_err(IterationsError::NotANumber)?;
+    if number < 1 {
+        return Err(IterationsError::TooFew);
+    }
+    let number = u64::try_from(number).map_err(IterationsError::TooMany)?;
+    NonZeroU64::new(number).ok_or(IterationsError::TooFew)
+}
+
+fn patience(text: &str) -> Result<f64, SecondsError> {
+    seconds(text, 0.0)
 }
 
 #[cfg(test)]

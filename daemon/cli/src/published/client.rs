@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use crate::clock;
 use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
-use crate::short::plain;
 use anyhow::Context;
 use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_clock::ClockIdentity;
 use peernet_networks::Address;
 use peernet_report::summary::Summary;
 use peernet_results::{Overwrite, summary};
+use peernet_sample::printable_line;
 use serde_json::json;
 
 use super::bar::Bar;
@@ -98,7 +98,7 @@ fn tell(measured: &Measured) {
     }
     let files: Vec<_> = measured.files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     let folder = measured.folder.display().to_string();
-    say(format_args!("\n{}: {}", plain(&folder), files.join(", ")));
+    say(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
 }
 
 /// Says where the run is seen that was streamed as well, and what aggregators have not taken, of this run or of others.

@@ -13,7 +13,7 @@ use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::address::{DEFAULT_PORT, address};
+use crate::address::{AddressError, DEFAULT_PORT, address};
 
 /// The file, as published.
 #[derive(Debug, Deserialize)]
@@ -23,6 +23,15 @@ struct File {
     start_port: Option<u16>,
     #[serde(flatten)]
     other: BTreeMap<String, IgnoredAny>,
+}
+
+/// A device that cannot be reached at what the file says.
+#[derive(Debug, thiserror::Error)]
+enum DeviceError {
+    #[error("{at:?} is no address of the device {name}: {source}")]
+    Address { at: String, name: String, source: AddressError },
+    #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
+    PortZero(String),
 }
 
 impl File {
@@ -39,13 +48,12 @@ impl File {
     }
 
     /// Where the device `name` listens, which is said to be `at`.
-    fn address(&self, name: &str, at: &str) -> Result<Address, String> {
-        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT))
-            .map_err(|problem| format!("{at:?} is no address of the device {name}: {problem}"))?;
+    fn address(&self, name: &str, at: &str) -> Result<Address, DeviceError> {
+        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT));
+        let invalid = |source| DeviceError::Address { at: at.to_owned(), name: name.to_owned(), source };
+        let address = address.map_err(invalid)?;
         if address.port() == 0 {
-            return Err(format!(
-                "the device {name} has port 0, at which nobody could ask it: give start_port a number from 1"
-            ));
+            return Err(DeviceError::PortZero(name.to_owned()));
         }
         Ok(address)
     }
@@ -60,7 +68,7 @@ pub(crate) fn addresses(path: &Path) -> Result<(BTreeMap<String, Address>, Netwo
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let read = File::read(&text, &file).map_err(wrong)?;
     let addresses = read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at)?)));
-    let addresses = addresses.collect::<Result<_, String>>();
+    let addresses = addresses.collect::<Result<_, DeviceError>>();
     let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
     Ok((addresses, NetworkConfig { file, text }))
 }

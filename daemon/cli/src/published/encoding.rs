@@ -13,14 +13,23 @@ pub(super) enum Encoding {
     Jpeg(u8),
 }
 
+/// A text that says of no picture how it is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum EncodingError {
+    #[error("the quality of a JPEG is a number from 1 to 100")]
+    Quality,
+    #[error("there is pixels, file and jpeg:QUALITY")]
+    Unknown,
+}
+
 impl Encoding {
-    pub(super) fn read(text: &str) -> Result<Self, String> {
+    pub(super) fn read(text: &str) -> Result<Self, EncodingError> {
         match (text, text.strip_prefix("jpeg:").map(str::parse)) {
             ("pixels", _) => Ok(Self::Pixels),
             ("file", _) => Ok(Self::File),
             (_, Some(Ok(quality @ 1..=100))) => Ok(Self::Jpeg(quality)),
-            (_, Some(_)) => Err("the quality of a JPEG is a number from 1 to 100".to_owned()),
-            _ => Err("there is pixels, file and jpeg:QUALITY".to_owned()),
+            (_, Some(_)) => Err(EncodingError::Quality),
+            _ => Err(EncodingError::Unknown),
         }
     }
 

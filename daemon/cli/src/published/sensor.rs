@@ -22,14 +22,19 @@ pub(super) enum SensorType {
     Synthetic,
 }
 
+/// A name that no sensor has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is image, \"random string\", external and synthetic")]
+pub(super) struct UnknownSensorType;
+
 impl SensorType {
-    pub(super) fn read(text: &str) -> Result<Self, String> {
+    pub(super) fn read(text: &str) -> Result<Self, UnknownSensorType> {
         match text {
             "image" => Ok(Self::Image),
             "random string" => Ok(Self::Text),
             "external" => Ok(Self::External),
             "synthetic" => Ok(Self::Synthetic),
-            _ => Err("there is image, \"random string\", external and synthetic".to_owned()),
+            _ => Err(UnknownSensorType),
         }
     }
 }

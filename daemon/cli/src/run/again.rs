@@ -4,9 +4,10 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::output::complain;
-use crate::short::plain;
+use peernet_report::loaded::RowsDamage;
 use peernet_report::record::{Counts, RunRecord};
-use peernet_results::ResultFolder;
+use peernet_results::{FolderError, ResultFolder};
+use peernet_sample::printable_line;
 
 use super::Beside;
 use super::folder::Folder;
@@ -37,35 +38,63 @@ pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Optio
     (goes_on && record.version != version).then(|| {
         format!(
             "begun by PEERNet {}, and gone on with by {version}: run.json of each run has the version that measured it",
-            plain(&record.version)
+            printable_line(&record.version)
         )
     })
+}
+
+/// The reason why the results of a run that was finished cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnusableResults {
+    #[error("its results are gone")]
+    Gone,
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("{}: {damage}", .folder.display())]
+    Damaged { folder: PathBuf, damage: RowsDamage },
+    #[error("{}: {mismatch}", .folder.display())]
+    Mismatched { folder: PathBuf, mismatch: Mismatch },
+}
+
+/// What a finished run says of itself in `run.json`, and this one does not.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+pub(super) enum Mismatch {
+    #[error("run.json does not say that the run was finished")]
+    Unfinished,
+    #[error("run.json counts no iterations")]
+    NoIterations,
+    #[error("run.json is that of another run")]
+    OtherRun,
 }
 
 /// What a run's results say of themselves, for each user.
 ///
 /// # Errors
-/// Why they cannot be used: they are gone, cannot be read, are not whole, or are those of another run.
-pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, String> {
+/// When they are gone, cannot be read, are not whole, or are those of another run.
+pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, UnusableResults> {
     let of_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {
-            return Err("its results are gone".to_owned());
+            return Err(UnusableResults::Gone);
         }
-        let loaded = ResultFolder::open(path).map_err(|error| error.to_string())?;
-        let why = loaded.damage().or_else(|| lacks(&loaded.record, record, run).map(str::to_owned));
-        why.map_or(Ok(loaded.record), |why| Err(format!("{}: {why}", path.display())))
+        let loaded = ResultFolder::open(path)?;
+        if let Some(damage) = loaded.damage() {
+            return Err(UnusableResults::Damaged { folder: path.clone(), damage });
+        }
+        match mismatch(&loaded.record, record, run) {
+            Some(mismatch) => Err(UnusableResults::Mismatched { folder: path.clone(), mismatch }),
+            None => Ok(loaded.record),
+        }
     };
     folder.results(&record.plan, run).iter().map(of_user).collect()
 }
 
-/// What a finished run says of itself, and this one does not.
-fn lacks(told: &RunRecord, record: &Record, run: &Run) -> Option<&'static str> {
+fn mismatch(told: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
     if told.reason != "finished" {
-        return Some("run.json does not say that the run was finished");
+        return Some(Mismatch::Unfinished);
     }
     if told.counts == Counts::default() {
-        return Some("run.json counts no iterations");
+        return Some(Mismatch::NoIterations);
     }
     let place = record.plan.place(run, &record.id);
-    (told.experiment.as_ref() != Some(&place)).then_some("run.json is that of another run")
+    (told.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
 }

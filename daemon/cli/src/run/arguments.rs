@@ -57,12 +57,17 @@ pub(super) enum Only {
     Number(usize),
 }
 
+/// A text that names no runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("write AXIS=LABEL or the number of a run")]
+pub(super) struct InvalidOnly;
+
 impl Only {
-    fn read(text: &str) -> Result<Self, String> {
+    fn read(text: &str) -> Result<Self, InvalidOnly> {
         match (text.split_once('='), text.parse()) {
             (Some((axis, label)), _) => Ok(Self::Label(axis.trim().to_owned(), label.trim().to_owned())),
             (None, Ok(number)) => Ok(Self::Number(number)),
-            (None, Err(_)) => Err("write AXIS=LABEL or the number of a run".to_owned()),
+            (None, Err(_)) => Err(InvalidOnly),
         }
     }
 

@@ -36,11 +36,11 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::experiment::Stage;
 use crate::output::{complain, say};
-use crate::short::plain;
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
+use peernet_sample::printable_line;
 
 use crate::foreground::{Signals, remark, where_seen};
 use again::{settle, two_builds};
@@ -139,7 +139,7 @@ async fn carry_out(
     let estimates = estimates(&record, &tried);
     say(table::runs(&record, &estimates));
     let place = path.display().to_string();
-    let place = plain(&place);
+    let place = printable_line(&place);
     say(format_args!("\n{}; results in {place}", table::outlook(&to_do, &record, &estimates)));
     for condition in &tried.conditions {
         complain(remark(condition));

@@ -82,7 +82,7 @@ fn what_is_not_whole_is_done_again() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || found(&folder, &record, run).err();
+    let told = || found(&folder, &record, run).err().map(|error| error.to_string());
     assert_eq!(told().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");

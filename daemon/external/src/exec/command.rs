@@ -11,6 +11,7 @@ use peernet_clock::Span;
 use serde::{Deserialize, Serialize};
 
 use super::arguments::fact_of;
+use super::error::CommandError;
 use super::shell::{only_program, script, split};
 use super::{FingerprintKey, Role};
 use crate::digest;
@@ -64,30 +65,28 @@ impl ExecConfig {
     /// Checks what can be checked without running the program.
     ///
     /// # Errors
-    /// A sentence that says what is wrong.
-    pub fn check(&self) -> Result<(), String> {
+    /// When the program cannot be run like this.
+    pub fn check(&self) -> Result<(), CommandError> {
         if self.timeout_ms.get() > MAX_TIMEOUT_MS {
-            return Err(format!("timeout_ms = {} is too much; at most {MAX_TIMEOUT_MS}", self.timeout_ms));
+            return Err(CommandError::Timeout { timeout_ms: self.timeout_ms });
         }
         if let Some(folder) = self.folder.as_ref().filter(|folder| !folder.is_dir()) {
-            return Err(format!("{} is not a folder to run it in", folder.display()));
+            return Err(CommandError::NotAFolder(folder.clone()));
         }
         if let Some(name) = impossible_variable(&self.env) {
-            return Err(format!("{name:?} cannot be given to it as an environment variable"));
+            return Err(CommandError::Variable(name.to_owned()));
         }
         match &self.command {
-            CommandLine::Shell(line) if line.trim().is_empty() => {
-                Err("an empty command runs nothing".to_owned())
-            }
+            CommandLine::Shell(line) if line.trim().is_empty() => Err(CommandError::Empty),
             CommandLine::Shell(line) => match only_program(line) {
                 // Without a slash it may be a command of the shell's own.
                 Some(program) if program.contains('/') => self.find(program),
                 _ => Ok(()),
             },
             CommandLine::Words(words) => match words.first() {
-                None => Err("an empty command runs nothing".to_owned()),
+                None => Err(CommandError::Empty),
                 Some(program) if words.iter().any(|word| word.contains('\0')) => {
-                    Err(format!("the command of {program:?} contains a zero byte"))
+                    Err(CommandError::ZeroByte { program: program.clone() })
                 }
                 Some(program) => self.find(program),
             },
@@ -138,14 +137,13 @@ impl ExecConfig {
     }
 
     /// Whether a program is there.
-    fn find(&self, program: &str) -> Result<(), String> {
+    fn find(&self, program: &str) -> Result<(), CommandError> {
         if program.contains('/') {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
-            let there = path.is_file().then_some(());
-            return there.ok_or_else(|| format!("there is no program {}", path.display()));
+            return if path.is_file() { Ok(()) } else { Err(CommandError::NoFile(path)) };
         }
         let found = find_program(OsStr::new(program)).map(drop);
-        found.ok_or_else(|| format!("there is no program {program} in the folders of PATH"))
+        found.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
     }
 
     /// The program and its arguments, as the system is asked for them.
@@ -302,7 +300,7 @@ mod tests {
             ("command = 'x'\ntimeout_ms = 86400001", "86400000"),
         ] {
             let error = read(text).expect("reads").check().expect_err(text);
-            assert!(error.contains(part), "{error}");
+            assert!(error.to_string().contains(part), "{error}");
         }
     }
 }

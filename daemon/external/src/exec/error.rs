@@ -1,9 +1,11 @@
 //! What can go wrong with a program.
 
+use std::num::NonZeroU64;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, VERSION};
-use crate::process::ProcessError;
+use crate::process::{MAX_TIMEOUT_MS, ProcessError};
 
 /// A reply that does not follow the framing. The program is stopped then: where its next message begins is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -59,12 +61,44 @@ pub enum FramingError {
     Version(u32),
 }
 
+/// A command that cannot be run, found without running it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CommandError {
+    /// Longer than any reply may take.
+    #[error("timeout_ms = {timeout_ms} is too much; at most {MAX_TIMEOUT_MS}")]
+    Timeout {
+        /// The configured time in milliseconds.
+        timeout_ms: NonZeroU64,
+    },
+    /// The folder to run it in is not there.
+    #[error("{} is not a folder to run it in", .0.display())]
+    NotAFolder(PathBuf),
+    /// The system takes no environment variable of this name or value.
+    #[error("{0:?} cannot be given to it as an environment variable")]
+    Variable(String),
+    /// There is nothing to run.
+    #[error("an empty command runs nothing")]
+    Empty,
+    /// The system ends each word at its first zero byte.
+    #[error("the command of {program:?} contains a zero byte")]
+    ZeroByte {
+        /// The first word.
+        program: String,
+    },
+    /// There is no file at the path of the program.
+    #[error("there is no program {}", .0.display())]
+    NoFile(PathBuf),
+    /// The program is not in the folders of `PATH`.
+    #[error("there is no program {0} in the folders of PATH")]
+    NotInPath(String),
+}
+
 /// Why a program gave no reply to a request.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The command cannot be run.
-    #[error("{0}")]
-    Command(String),
+    #[error(transparent)]
+    Command(#[from] CommandError),
     /// The program said so: it goes on as it is.
     #[error("the program says: {0}")]
     Refused(String),

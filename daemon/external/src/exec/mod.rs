@@ -28,7 +28,7 @@ mod words;
 
 pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts};
 pub use command::{CommandLine, ExecConfig};
-pub use error::{ExchangeError, FramingError};
+pub use error::{CommandError, ExchangeError, FramingError};
 pub use program::{Exchange, Program};
 pub use reply::{Assembler, Next, Notes, Reply, Said};
 pub use request::Request;

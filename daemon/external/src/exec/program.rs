@@ -53,7 +53,7 @@ impl Program {
         name: &str,
         clock: &SharedClock,
     ) -> Result<Self, ExchangeError> {
-        config.check().map_err(ExchangeError::Command)?;
+        config.check()?;
         let (program, arguments) = config.words();
         let mut environment = config.env.clone();
         environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());

@@ -7,7 +7,7 @@ use peernet_sample::{MediaType, Part};
 use super::error::FramingError;
 use super::words::{first, shown, text};
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
-use crate::text::printable;
+use peernet_sample::printable_lines;
 
 /// Names that have a meaning of their own in every tree.
 const OURS: [&str; 31] = [
@@ -142,7 +142,7 @@ impl Assembler {
                 let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
                 notes.values.push((free(name, false)?, number, unit.to_owned()));
             }
-            ("error", _) => return Ok(self.whole(Said::Error(printable(rest)))),
+            ("error", _) => return Ok(self.whole(Said::Error(printable_lines(rest).into_owned()))),
             ("sequence", Role::Sensor) => {
                 notes.sequence = Some(rest.parse().map_err(|_| wrong("sequence NUMBER"))?);
             }

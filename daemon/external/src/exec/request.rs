@@ -1,10 +1,9 @@
 //! What is written to a program.
 
 use bytes::Bytes;
-use peernet_sample::Sample;
+use peernet_sample::{Sample, printable_line};
 
 use super::shape::{self, NOTHING};
-use super::words::one_line;
 
 /// The media type of bytes without further meaning.
 const BYTES: &str = "application/octet-stream";
@@ -37,15 +36,15 @@ impl Request<'_> {
 }
 
 fn parts(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
-    let source = one_line(source);
-    let source = if source.is_empty() { NOTHING } else { &source };
+    let source = printable_line(source);
+    let source = if source.trim().is_empty() { NOTHING } else { &source };
     let Some((last, before)) = sample.parts.split_last() else {
         return vec![format!("{word} 0 {BYTES} {NOTHING} {source}\n").into()];
     };
     let parts = before.iter().map(|part| ("part", part)).chain([(word, last)]);
     let pieces = parts.flat_map(|(word, part)| {
         // A name with a space in it would shift the words after it.
-        let media = one_line(&part.description.media.iana()).replace(' ', "?");
+        let media = printable_line(&part.description.media.iana()).replace(' ', "?");
         let media = if media.is_empty() { BYTES } else { &media };
         let shape = shape::write(&part.description);
         let header = format!("{word} {} {media} {shape} {source}\n", part.bytes.len());
@@ -69,7 +68,7 @@ mod tests {
         let mut sample = Sample::of(Description::unshaped(MediaType::Text), Bytes::from_static(b"hello"));
         assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - -\nhello");
         sample.source = "a b\nnext.jpg".to_owned();
-        assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - a b?next.jpg\nhello");
+        assert_eq!(written(Request::Sample(&sample)), "sample 5 text/plain - a b next.jpg\nhello");
         assert_eq!(
             written(Request::Answer { answer: &sample, source: "x" }),
             "answer 5 text/plain - x\nhello"

@@ -22,8 +22,3 @@ pub(super) fn shown(line: &str) -> String {
     let end = line.floor_char_boundary(SHOWN);
     if end < line.len() { format!("{}…", &line[..end]) } else { line.to_owned() }
 }
-
-/// A text that fits on a line: control characters become question marks.
-pub(super) fn one_line(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { '?' } else { c }).collect()
-}

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use crate::text::printable;
+use peernet_sample::printable_lines;
 
 /// Longest line in the log, in bytes; a longer one is cut into several.
 const MAX_LINE: usize = 4096;
@@ -70,7 +70,7 @@ fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
     if last.len() == KEPT_LINES {
         last.pop_front();
     }
-    last.push_back(printable(&line[..line.floor_char_boundary(KEPT_BYTES)]));
+    last.push_back(printable_lines(&line[..line.floor_char_boundary(KEPT_BYTES)]).into_owned());
 }
 
 /// Calls `say` with each line that is not blank.

@@ -1,5 +1,6 @@
 //! What can go wrong with a Python object.
 
+use super::frame::FrameError;
 use std::path::PathBuf;
 
 use peernet_clock::Span;
@@ -96,13 +97,13 @@ pub enum PythonError {
     },
     /// It did not speak as agreed.
     #[error(
-        "the Python process of {object} does not speak as agreed: {reason}; it was killed and is started anew"
+        "the Python process of {object} does not speak as agreed: {source}; it was killed and is started anew"
     )]
     Garbled {
         /// The object.
         object: String,
         /// What was wrong.
-        reason: String,
+        source: FrameError,
     },
     /// There is no memory to be shared with it.
     #[error("cannot share memory with the Python process of {object}: {error}")]

@@ -70,6 +70,34 @@ impl PartHead {
     }
 }
 
+/// What is wrong with a message of the process.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// It does not begin with the mark.
+    #[error("a message begins with {0:?}")]
+    Mark(String),
+    /// Its header is longer than any is.
+    #[error("a header has {0} bytes; at most {MAX_HEADER}")]
+    HeaderLength(usize),
+    /// Its header cannot be read or written.
+    #[error(transparent)]
+    Header(#[from] serde_json::Error),
+    /// Its parts are longer than any value is.
+    #[error("a value has more than {MAX_BYTES} bytes")]
+    ValueLength,
+    /// It says a second time that it is ready.
+    #[error("it says twice that it is ready")]
+    ReadyTwice,
+    /// A part does not lie where the header says.
+    #[error("{length} bytes at {at} are not in the shared memory")]
+    Position {
+        /// Bytes of the part.
+        length: usize,
+        /// Where they are to begin.
+        at: u64,
+    },
+}
+
 /// Mark, length and header of a request.
 pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error> {
     let mut frame = Vec::with_capacity(256);
@@ -81,15 +109,11 @@ pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error
     Ok(frame)
 }
 
-/// The length of the header that follows a prefix; what is wrong with it otherwise.
-pub(super) fn header_length(prefix: &[u8]) -> Result<usize, String> {
+/// Returns the length of the header that follows a prefix.
+pub(super) fn header_length(prefix: &[u8]) -> Result<usize, FrameError> {
     let Some(length) = prefix.strip_prefix(&MARK).and_then(|rest| <[u8; 4]>::try_from(rest).ok()) else {
-        return Err(format!("a message begins with {:?}", String::from_utf8_lossy(prefix)));
+        return Err(FrameError::Mark(String::from_utf8_lossy(prefix).into_owned()));
     };
     let length = u32::from_le_bytes(length) as usize;
-    if length > MAX_HEADER {
-        Err(format!("a header has {length} bytes; at most {MAX_HEADER}"))
-    } else {
-        Ok(length)
-    }
+    if length > MAX_HEADER { Err(FrameError::HeaderLength(length)) } else { Ok(length) }
 }

@@ -17,7 +17,7 @@ mod worker;
 pub use called::{Called, Stage, Times};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
-pub use frame::PICKLE;
+pub use frame::{FrameError, PICKLE};
 pub use object::{About, PythonObject, Role};
 
 /// What the process runs.

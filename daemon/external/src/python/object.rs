@@ -4,16 +4,15 @@ use std::path::PathBuf;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_sample::Part;
+use peernet_sample::{Part, printable_lines};
 use serde::{Deserialize, Serialize};
 
-use super::frame::{Reply, Request};
+use super::frame::{FrameError, Reply, Request};
 use super::interpreter;
 use super::worker::{Trouble, Worker};
 use super::{Called, PythonConfig, PythonError, Stage, Times};
 use crate::digest;
 use crate::process::{Launch, ProcessError, Restarts};
-use crate::text::printable;
 
 /// How long a process that is not needed any more may take to end.
 const GRACE: Span = Span::from_millis(1000);
@@ -51,13 +50,13 @@ impl About {
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
         let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
         if !self.executable.is_empty() {
-            facts.push((format!("{role} interpreter"), printable(&self.executable)));
+            facts.push((format!("{role} interpreter"), printable_lines(&self.executable).into_owned()));
         }
         facts.extend(digest::fact(role, &self.files));
         if !self.libraries.is_empty() {
             let library = |(name, version): &(String, String)| match version.as_str() {
-                "" => printable(name),
-                version => printable(&format!("{name} {version}")),
+                "" => printable_lines(name).into_owned(),
+                version => printable_lines(&format!("{name} {version}")).into_owned(),
             };
             let libraries: Vec<String> = self.libraries.iter().map(library).collect();
             facts.push((format!("{role} libraries"), libraries.join(", ")));
@@ -175,7 +174,7 @@ impl PythonObject {
             Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
             Reply::Ready(_) => {
                 self.worker = None;
-                called(Err(self.garbled("it says twice that it is ready".to_owned())), &[])
+                called(Err(self.garbled(FrameError::ReadyTwice)), &[])
             }
         }
     }
@@ -249,13 +248,13 @@ impl PythonObject {
                 last_words: worker.kill().last_words(),
             },
             Trouble::Process(error) => PythonError::Process(error),
-            Trouble::Garbled(reason) => self.garbled(reason),
+            Trouble::Garbled(source) => self.garbled(source),
             Trouble::Memory(error) => PythonError::Memory { object, error },
         }
     }
 
-    fn garbled(&self, reason: String) -> PythonError {
-        PythonError::Garbled { object: self.config.object.clone(), reason }
+    fn garbled(&self, source: FrameError) -> PythonError {
+        PythonError::Garbled { object: self.config.object.clone(), source }
     }
 }
 

@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 
 use super::SOURCE;
-use super::frame::{self, MAX_BYTES, PREFIX, PartHead, Reply, Request};
+use super::frame::{self, FrameError, MAX_BYTES, PREFIX, PartHead, Reply, Request};
 use super::window::Window;
 use crate::process::{Ended, Launch, Process, ProcessError};
 
@@ -28,7 +28,7 @@ pub(super) enum Trouble {
     #[error(transparent)]
     Process(#[from] ProcessError),
     #[error("its process does not speak as agreed: {0}")]
-    Garbled(String),
+    Garbled(#[from] FrameError),
     #[error("cannot share memory with its process: {0}")]
     Memory(io::Error),
 }
@@ -83,14 +83,13 @@ impl Worker {
 
     fn hear(&mut self, until: MonoTime) -> Result<Answer, Trouble> {
         let prefix = self.process.read_exact(PREFIX, until)?;
-        let length = frame::header_length(&prefix).map_err(Trouble::Garbled)?;
+        let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, until)?;
-        let reply: Reply =
-            serde_json::from_slice(&header).map_err(|error| Trouble::Garbled(error.to_string()))?;
+        let reply: Reply = serde_json::from_slice(&header).map_err(FrameError::from)?;
         let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
         let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
         if total.is_none_or(|total| total > MAX_BYTES) {
-            return Err(Trouble::Garbled(format!("a value has more than {MAX_BYTES} bytes")));
+            return Err(FrameError::ValueLength.into());
         }
         let bytes = parts.iter().map(|part| self.take(part, until)).collect::<Result<_, _>>()?;
         Ok((reply, bytes))
@@ -101,10 +100,10 @@ impl Worker {
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
         let taken = self.window.take(at, length).map_err(Trouble::Memory)?;
-        taken.ok_or_else(|| Trouble::Garbled(format!("{length} bytes at {at} are not in the shared memory")))
+        taken.ok_or_else(|| FrameError::Position { length, at }.into())
     }
 }
 
 fn encoded(request: &Request<'_>) -> Result<Vec<u8>, Trouble> {
-    frame::encode(request).map_err(|error| Trouble::Garbled(error.to_string()))
+    Ok(frame::encode(request).map_err(FrameError::from)?)
 }

@@ -115,12 +115,12 @@ pub struct PeerClock {
 }
 
 fn perhaps_words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
-    Ok(Option::<String>::deserialize(deserializer)?.map(printable))
+    Ok(Option::<String>::deserialize(deserializer)?.map(|text| printable(&text)))
 }
 
 fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(String, String)>, D::Error> {
     let pairs: Vec<(String, String)> = Vec::deserialize(deserializer)?;
-    Ok(pairs.into_iter().map(|(name, value)| (printable(name), printable(value))).collect())
+    Ok(pairs.into_iter().map(|(name, value)| (printable(&name), printable(&value))).collect())
 }
 
 /// A peer's findings, which end up on terminals and pages.
@@ -130,11 +130,11 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));
     }
     let clean = |Condition { host, about, found, grade, advice }| Condition {
-        host: printable(host),
-        about: printable(about),
-        found: printable(found),
+        host: printable(&host),
+        about: printable(&about),
+        found: printable(&found),
         grade,
-        advice: printable(advice),
+        advice: printable(&advice),
     };
     Ok(conditions.into_iter().map(clean).collect())
 }
@@ -143,7 +143,7 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
 fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
     let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
         Hardware::deserialize(deserializer)?;
-    let short = |text: String| printable(text.chars().take(MAX_WORDS).collect());
+    let short = |text: String| printable(&text.chars().take(MAX_WORDS).collect::<String>());
     Ok(Hardware {
         cpu: short(cpu),
         cores,

@@ -29,16 +29,14 @@ pub(crate) use header::{
 pub use hello::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
 pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
+use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};
 
 /// A peer's words, which end up on terminals and in logs: control characters become spaces.
 fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
-    String::deserialize(deserializer).map(printable)
+    String::deserialize(deserializer).map(|text| printable(&text))
 }
 
-fn printable(text: String) -> String {
-    if !text.contains(char::is_control) {
-        return text;
-    }
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+fn printable(text: &str) -> String {
+    printable_line(text).into_owned()
 }

@@ -215,10 +215,10 @@ impl Configuration {
     fn check(&self) -> Vec<(String, String)> {
         let mut problems = Vec::new();
         if let Err(error) = self.log.check() {
-            problems.push(("log.level".to_owned(), error));
+            problems.push(("log.level".to_owned(), error.to_string()));
         }
         if let Err(error) = self.lifecycle.check() {
-            problems.push(("lifecycle.shutdown_deadline_s".to_owned(), error));
+            problems.push(("lifecycle.shutdown_deadline_s".to_owned(), error.to_string()));
         }
         let (deadline_s, agent_ms) = (
             self.lifecycle.shutdown_deadline_s,

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_probes::{
-    Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, ReflectorFigures, Stamps,
+    Key, ProbeResult, Prober, ProberConfig, ReceiveError, Reflector, ReflectorConfig, ReflectorFigures,
+    Stamps,
 };
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -58,7 +59,7 @@ pub(crate) struct Running {
     pub(crate) figures: ReflectorFigures,
     pub(crate) peers: watch::Sender<Vec<IpAddr>>,
     stop: CancellationToken,
-    task: JoinHandle<Result<(), String>>,
+    task: JoinHandle<Result<(), ReceiveError>>,
 }
 
 impl Running {

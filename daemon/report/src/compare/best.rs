@@ -1,10 +1,12 @@
 //! The best line, and how far the others are from it.
 
+use peernet_sample::printable_line;
+
 use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS, in_milliseconds, with_interval};
 use super::{Comparison, Difference, NOTHING, Sample, Statistic, difference, values};
 use crate::loaded::Loaded;
 use crate::number::decimals_within;
-use crate::table::{Captioned, Table, in_one_line};
+use crate::table::{Captioned, Table};
 
 impl Comparison {
     /// Finds the best line and what the others have more.
@@ -39,7 +41,8 @@ impl Comparison {
         self.lines.iter().find(|line| line.beyond_best.is_some())?;
         let name = self.lines[best].name();
         Some(Captioned {
-            heading: in_one_line(&format!("Mean total ({}) against the smallest, {name}.", self.total())),
+            heading: printable_line(&format!("Mean total ({}) against the smallest, {name}.", self.total()))
+                .into_owned(),
             table: self.beyond_best(),
             notes: format!(
                 "In ms. {WHAT_IT_SAYS} Each holds for itself: they are not corrected for their number. \

@@ -1,11 +1,13 @@
 //! Comparisons as tables.
 
+use peernet_sample::printable_line;
+
 use super::{
     Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, NOTHING, StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
-use crate::table::{Captioned, Table, csv_text, in_one_line};
+use crate::table::{Captioned, Table, csv_text};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
@@ -148,7 +150,7 @@ impl Comparison {
                 .push(format!("Delays are known of a part of the iterations alone: {}.", unknown.join("; ")));
         }
         notes.extend(self.doubts.iter().cloned());
-        notes.iter().map(|note| in_one_line(note)).collect()
+        notes.iter().map(|note| printable_line(note).into_owned()).collect()
     }
 
     /// Which lines have labels that are no classes of the model: a sentence for each pair of vocabularies.
@@ -307,7 +309,7 @@ impl Differences {
     }
 
     fn heading(&self) -> String {
-        in_one_line(&format!("A: {}. B: {}.", self.baseline, self.other))
+        printable_line(&format!("A: {}. B: {}.", self.baseline, self.other)).into_owned()
     }
 
     fn table(&self) -> Table {

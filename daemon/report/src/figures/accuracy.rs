@@ -2,6 +2,7 @@
 
 use super::columns::{is_drawable, left_out, too_large};
 use super::configured::{Configured, counted};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::accuracy::{ACCURACIES, score};
 use crate::figure::{Accuracy, Score, Unit};
@@ -11,22 +12,17 @@ use crate::order::Ordered;
 use crate::rows::RowRef;
 
 /// Whether the best class is the label.
-const TOP_1: &str = ACCURACIES[0];
+pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Most points that can be told apart.
 const MOST: usize = 24;
 
 /// One point for each configuration of which answers were told right from wrong; repeats are taken together.
-pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups } = Configured::of(runs);
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
     if all().next().is_none() {
-        let why = unknown_labels(runs).map_or_else(String::new, |unknown| {
-            format!("; {} cannot have one, {}", number::counted(unknown.count, "iteration"), unknown.reason())
-        });
-        return Err(format!(
-            "it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{why}"
-        ));
+        return Err(MissingData::Labels { unknown: unknown_labels(runs) });
     }
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let scored = |(label, runs): &(String, Vec<&Loaded>)| {

@@ -1,6 +1,7 @@
 //! Histograms of a run: the six published ones, or that of any column.
 
 use super::columns::{account, heading, titled, too_large, unit, values};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
 use crate::loaded::Loaded;
@@ -36,13 +37,11 @@ pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
 }
 
 /// The published ones, or that of one column.
-pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
     if histogram.values.is_empty() {
-        return Err(format!(
-            "no iteration that counts has a number that can be drawn in the column {column}"
-        ));
+        return Err(MissingData::Column(column.to_owned()));
     }
     Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
 }

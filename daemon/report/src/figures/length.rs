@@ -2,6 +2,7 @@
 
 use super::Columns;
 use super::columns::{account, heading, is_drawable, titled, too_large, unit};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::Lengths;
 use crate::loaded::Loaded;
@@ -19,7 +20,7 @@ const ASKED: [&str; 2] = ["prompt", "input"];
 const VARIED: f64 = 1.5;
 
 /// Length and latency of each answer.
-pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
     let there = run.rows.names().iter().filter(|name| run.rows.counted(name).next().is_some());
     let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
@@ -28,20 +29,16 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     let points: Vec<(f64, f64)> =
         counted.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
-        return Err(format!(
-            "no iteration that counts has a number that can be drawn in both columns, {x} and {y}"
-        ));
+        return Err(MissingData::Columns { x, y });
     }
     let (shortest, longest) = points
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
     if longest <= shortest {
-        return Err(format!(
-            "all answers have the same length: {x} is {shortest} in every iteration; name another column with --x"
-        ));
+        return Err(MissingData::SameLength { x, length: shortest });
     }
     if columns.x.is_none() && !varies(shortest, longest) {
-        return Err(format!("all answers have much the same length ({x}); name another column with --x"));
+        return Err(MissingData::SimilarLength { x });
     }
     let lengths = Lengths {
         title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),

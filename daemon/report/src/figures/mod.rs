@@ -13,6 +13,7 @@ mod configured;
 mod files;
 mod histograms;
 mod length;
+mod missing_data;
 mod paired;
 mod payload;
 mod series;
@@ -23,6 +24,7 @@ mod written;
 pub use files::files_in;
 pub use histograms::HISTOGRAMS;
 pub use length::{LATENCY, answer_length, is_tokens, varies};
+pub use missing_data::MissingData;
 pub use written::Written;
 
 use std::path::{Path, PathBuf};
@@ -31,7 +33,6 @@ use crate::WriteError;
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 use crate::rows::Rows;
-use written::Drawing;
 
 /// The figures there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,8 +116,8 @@ pub struct Columns {
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
     /// There is nothing in the results that it could show.
-    #[error("cannot draw {kind}: {reason}", kind = .0.name(), reason = .1)]
-    Lacking(Kind, String),
+    #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
+    Lacking(Kind, #[source] MissingData),
     /// A file cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -160,8 +161,8 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
 /// # Errors
 /// When the runs lack what the kind shows, or a file cannot be written.
 pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
-    let first = runs.first().ok_or_else(|| PlotError::Lacking(kind, "there is no run".to_owned()))?;
-    let drawings: Result<Vec<Drawing>, String> = match kind {
+    let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
+    let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
         Kind::Series => series::drawings(&first.record, &first.rows),
         Kind::Length => length::drawings(first, columns),
@@ -171,7 +172,7 @@ pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Re
         Kind::Payload => payload::drawings(runs),
         Kind::Users => users::drawings(runs),
     };
-    let drawings = drawings.map_err(|reason| PlotError::Lacking(kind, reason))?;
+    let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
     Ok(written::write(&drawings, folder)?)
 }
 

@@ -1,6 +1,7 @@
 //! A model's latency on the robot and in the cloud.
 
 use super::columns::{heading, not_shown, unit, values};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 use crate::loaded::Loaded;
@@ -9,23 +10,17 @@ use crate::order::Ordered;
 use crate::record::RunRecord;
 
 /// Every model with the places where it ran, if some model ran in two.
-pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let shown: Vec<&Loaded> = runs.iter().filter(|run| !values(&run.rows, column).is_empty()).collect();
     let models = distinct(shown.iter().map(|run| model(&run.record)));
     let mut sides = distinct(shown.iter().map(|run| side(&run.record)));
     sides.sort_by_key(|(kind, _)| kind != "local");
     if sides.len() < 2 {
-        return Err(format!(
-            "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
-        ));
+        return Err(MissingData::SecondPlace { column: column.to_owned() });
     }
     if sides.len() > MOST_SIDES || models.len() > MOST_GROUPS {
-        return Err(format!(
-            "{} models in {} places are too many for one picture ({MOST_GROUPS} and {MOST_SIDES}); name fewer runs",
-            models.len(),
-            sides.len()
-        ));
+        return Err(MissingData::TooManyModels { models: models.len(), places: sides.len() });
     }
     let of = |model_name: &String, place: &(String, String)| -> Ordered {
         let here =

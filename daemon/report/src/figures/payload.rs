@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::columns::{is_drawable, left_out, titled, too_large};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
@@ -48,7 +49,7 @@ struct Study {
 }
 
 /// Two figures for each pair of hosts and way between them.
-pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     // Runs by link, as their places in the list.
     let mut links: Vec<(String, Vec<usize>)> = Vec::new();
     for (number, run) in runs.iter().enumerate() {
@@ -87,11 +88,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
         first.missing.extend(others);
     }
     if studied.is_empty() {
-        return Err(
-            "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
-                    peernet calibrate and the experiment payload-study"
-                .to_owned(),
-        );
+        return Err(MissingData::MessageSizes);
     }
     let drawings = studied.iter().enumerate().flat_map(|(number, study)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };

@@ -3,6 +3,7 @@
 use peernet_logger::{Name, stage};
 
 use super::columns::{account, is_drawable, titled, too_large};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Course, INK, Line, Unit, stage_line};
 use crate::record::RunRecord;
@@ -14,7 +15,7 @@ const STAGES: usize = 4;
 const ITERATION: &str = "Iteration";
 
 /// Total and stages over time.
-pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x, time) = times(rows);
     let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str, colour| {
@@ -30,7 +31,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
     let unanswered = unanswered.filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {
-        return Err("no iteration was answered with a total that can be drawn".to_owned());
+        return Err(MissingData::Total);
     };
     // Summed before any line is made: of a long run the lines of all stages are much more than those shown.
     let sum =

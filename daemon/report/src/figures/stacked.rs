@@ -5,6 +5,7 @@ use peernet_statistics::Moments;
 
 use super::columns::{account, is_drawable, too_large};
 use super::configured::{Configured, counted};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
 use crate::loaded::Loaded;
@@ -15,11 +16,11 @@ use crate::rows::{LATENESS, RowRef};
 const MOST: usize = 100;
 
 /// One bar for each configuration; repeats are taken together.
-pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups: lines } = Configured::of(runs);
     let all = || lines.iter().flat_map(|(_, runs)| counted(runs));
     if all().next().is_none() {
-        return Err("no iteration counts: all are warm-up or without an answer".to_owned());
+        return Err(MissingData::Iterations);
     }
     // Where one configuration has no measured total, all are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };

@@ -1,6 +1,7 @@
 //! Latency against the number of edges at once.
 
 use super::columns::{is_drawable, left_out};
+use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use crate::loaded::Loaded;
@@ -16,13 +17,10 @@ pub(super) fn have_curves(runs: &[Loaded]) -> bool {
 }
 
 /// One curve for each configuration; four to a picture.
-pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, String> {
-    let users = Users::of(runs)
-        .ok_or("it needs runs of an experiment with several edges at once: set experiment.users")?;
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    let users = Users::of(runs).ok_or(MissingData::Users)?;
     if !users.lines.iter().any(is_told) {
-        return Err(
-            "no total that can be drawn was measured while all edges of a run were measuring".to_owned()
-        );
+        return Err(MissingData::CommonTotal);
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));

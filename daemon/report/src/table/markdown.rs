@@ -1,5 +1,7 @@
 //! Tables as Markdown.
 
+use peernet_sample::printable_line;
+
 use super::Table;
 
 pub(super) fn table(table: &Table) -> String {
@@ -22,10 +24,9 @@ pub(super) fn table(table: &Table) -> String {
 /// What Markdown would take for something else.
 fn escape(cell: &str) -> String {
     let mut text = String::with_capacity(cell.len());
-    for char in cell.chars() {
+    for char in printable_line(cell).chars() {
         match char {
             '\\' | '|' | '*' | '_' | '`' | '<' | '[' => text.extend(['\\', char]),
-            _ if char.is_control() => text.push(' '),
             _ => text.push(char),
         }
     }

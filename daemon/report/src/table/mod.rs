@@ -10,11 +10,6 @@ pub use csv::csv_text;
 pub use latex::escape as latex_escape;
 pub use text::text;
 
-/// The text in one line: control characters, which would break a table or steer a terminal, become blanks.
-pub(crate) fn in_one_line(text: &str) -> String {
-    text.chars().map(|char| if char.is_control() { ' ' } else { char }).collect()
-}
-
 /// Cells under a header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {

@@ -1,6 +1,8 @@
 //! Tables for the terminal: columns as wide as their longest cell.
 
-use super::{Table, in_one_line};
+use peernet_sample::printable_line;
+
+use super::Table;
 
 /// Rows of cells under a header; the first column is text, the others are figures and stand to the right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
@@ -24,7 +26,8 @@ pub(super) fn table(table: &Table) -> String {
 }
 
 fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
-    let plain = |cells: &[String]| cells.iter().map(|cell| in_one_line(cell)).collect::<Vec<_>>();
+    let plain =
+        |cells: &[String]| cells.iter().map(|cell| printable_line(cell).into_owned()).collect::<Vec<_>>();
     let (header, rows) = (plain(header), rows.iter().map(|row| plain(row)).collect::<Vec<_>>());
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());

@@ -13,29 +13,10 @@ use std::sync::Arc;
 
 use tokio::sync::watch;
 
+use crate::database_error::DatabaseError;
+
 pub(crate) use self::page_check::PageCheck;
 pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
-
-/// SQLite's codes for a file that is damaged or never was a database (SQLITE_CORRUPT, SQLITE_NOTADB).
-const CORRUPT: i32 = 11;
-const NOT_A_DATABASE: i32 = 26;
-
-/// Whether an error says that the file itself is wrong.
-pub(crate) fn is_damage(error: &sqlx::Error) -> bool {
-    matches!(primary_code(error), Some(CORRUPT | NOT_A_DATABASE))
-}
-
-/// Whether an error says that the file is a database of which a part is damaged, so that the rest may be salvaged.
-pub(crate) fn is_partial_damage(error: &sqlx::Error) -> bool {
-    primary_code(error) == Some(CORRUPT)
-}
-
-/// SQLite's primary result code.
-fn primary_code(error: &sqlx::Error) -> Option<i32> {
-    let code = error.as_database_error().and_then(|error| error.code());
-    // Extended codes have the primary one in their lowest byte.
-    Some(code?.parse::<i32>().ok()? & 0xff)
-}
 
 /// What is known of the damage of one database, shared by all who read or write it.
 ///
@@ -108,8 +89,8 @@ impl Integrity {
     }
 
     /// Takes down damage if that is what the error tells of.
-    pub fn note(&self, error: &sqlx::Error) {
-        if is_damage(error) {
+    pub fn note(&self, error: &DatabaseError) {
+        if error.is_damage() {
             self.found(error.to_string());
         }
     }

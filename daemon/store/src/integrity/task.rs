@@ -13,7 +13,8 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
-use super::{Integrity, PageCheck, is_damage};
+use super::{Integrity, PageCheck};
+use crate::database_error::is_damage;
 use crate::limits::BUSY;
 
 /// Bytes that are read at once.

@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Contents, free_bytes, reading};
 use crate::column::count;
+use crate::database_error::DatabaseError;
 use crate::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
 
 /// Instructions of SQLite's machine between two looks at whether to stop.
@@ -28,7 +29,7 @@ pub enum BackupError {
         /// The database.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// It is something else.
     #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
@@ -76,7 +77,7 @@ pub enum BackupError {
         /// The unfinished copy.
         to: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// It was asked to stop.
     #[error("stopped; there is no copy")]
@@ -115,7 +116,10 @@ impl Backup {
         if target.symlink_metadata().is_ok() {
             return Err(BackupError::Exists(target.to_owned()));
         }
-        let read = |source| BackupError::Read { path: database.to_owned(), source };
+        let read = |error: sqlx::Error| BackupError::Read {
+            path: database.to_owned(),
+            source: DatabaseError::new(error),
+        };
         refuse_foreign_log_of(database)?;
         let mut connection = reading(database).connect().await.map_err(read)?;
         let contents = Contents::of(&mut connection).await.map_err(read)?;
@@ -170,7 +174,11 @@ impl Backup {
         if stop.is_cancelled() {
             return Err(BackupError::Stopped);
         }
-        copied.map_err(|source| BackupError::Copy { from: database, to: partial.path.clone(), source })?;
+        copied.map_err(|error| BackupError::Copy {
+            from: database,
+            to: partial.path.clone(),
+            source: DatabaseError::new(error),
+        })?;
         let bytes = partial.publish(&target)?;
         Ok(Copied { path: target, bytes })
     }

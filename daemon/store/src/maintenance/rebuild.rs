@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use sqlx::Connection;
 
 use crate::database;
+use crate::database_error::DatabaseError;
 use crate::error::OpenError;
 use crate::foreign_log::refuse_foreign_log;
 use crate::lock::{DatabaseLock, LockError};
@@ -37,7 +38,7 @@ pub enum RebuildError {
         /// The database.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
 }
 
@@ -56,7 +57,10 @@ pub async fn rebuild_rollups(
     }
     let lock = DatabaseLock::take(path)?;
     refuse_foreign_log(path, &lock.file()).map_err(OpenError::from)?;
-    let failed = |source| RebuildError::Database { path: path.to_owned(), source };
+    let failed = |error: sqlx::Error| RebuildError::Database {
+        path: path.to_owned(),
+        source: DatabaseError::new(error),
+    };
     let mut connection = database::open(path).await?;
     if let Some(run) = run {
         let known = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM run WHERE number = ?1)").bind(run);

@@ -8,6 +8,7 @@ use sqlx::{ConnectOptions, Connection};
 use super::BUSY;
 use crate::contents::Contents;
 use crate::database;
+use crate::database_error::DatabaseError;
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
 
 /// Why a host's secret was not cleared.
@@ -49,7 +50,7 @@ pub enum ClearSecretError {
         /// The database.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
 }
 
@@ -74,7 +75,10 @@ pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret,
         return Err(ClearSecretError::Missing(path.to_owned()));
     }
     refuse_foreign_log_of(path)?;
-    let failed = |source| ClearSecretError::Database { path: path.to_owned(), source };
+    let failed = |error: sqlx::Error| ClearSecretError::Database {
+        path: path.to_owned(),
+        source: DatabaseError::new(error),
+    };
     let options = database::writing(path).create_if_missing(false).busy_timeout(BUSY);
     let mut connection = options.connect().await.map_err(failed)?;
     let contents = Contents::of(&mut connection).await.map_err(failed)?;

@@ -3,6 +3,8 @@
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use crate::database_error::DatabaseError;
+
 /// Why a commit did not count.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
@@ -17,7 +19,7 @@ pub enum CommitError {
     Damaged(String),
     /// SQLite's own words.
     #[error(transparent)]
-    Database(#[from] sqlx::Error),
+    Database(#[from] DatabaseError),
 }
 
 impl CommitError {
@@ -26,15 +28,11 @@ impl CommitError {
     /// else the file is opened anew: the error may be one of the descriptors alone, which stay read-only, or lead to a
     /// file system that is gone, long after the path is well again.
     pub fn leaves_connection_usable(&self) -> bool {
-        /// Primary result codes: BUSY, LOCKED, FULL.
-        const PASSING: [u32; 3] = [5, 6, 13];
-        let error = match self {
-            Self::Database(error) => error,
-            Self::Damaged(_) => return true,
-            Self::Moved(_) | Self::LogMoved(_) => return false,
-        };
-        let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
-        code.is_some_and(|code| PASSING.contains(&(code & 0xff)))
+        match self {
+            Self::Database(error) => error.is_passing(),
+            Self::Damaged(_) => true,
+            Self::Moved(_) | Self::LogMoved(_) => false,
+        }
     }
 }
 

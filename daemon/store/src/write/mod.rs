@@ -38,6 +38,7 @@ pub use self::work::{Aside, Introduction, RunName, Work};
 use super::foreign_log::mark;
 use super::limits::BUSY;
 use super::retention::{self, Retention, Step};
+use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 pub use crate::incidents::PendingIncidents;
 use crate::integrity::Integrity;
@@ -107,7 +108,7 @@ impl Writer {
     }
 
     /// Closes the connection. Returns which files it was to.
-    pub async fn close(mut self) -> (FormerFiles, Result<(), sqlx::Error>) {
+    pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.end();
         if self.file.check().is_err() {
             // SQLite leaves the log of a file that was moved where it is, and would apply it to whatever is put in
@@ -116,7 +117,7 @@ impl Writer {
                 tracing::warn!(%error, log = %self.file.log_path().display(), "cannot carry the log over into the database that was moved");
             }
         }
-        let closed = self.connection.close().await;
+        let closed = self.connection.close().await.map_err(DatabaseError::new);
         (FormerFiles::new(self.file), closed)
     }
 
@@ -139,7 +140,7 @@ impl Writer {
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
                 Ok(committed) => committed,
-                Err(Refusal::Database(error)) => return Err(error.into()),
+                Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
                 Err(Refusal::Batch(_)) if part.len() > 1 => {
                     let (first, second) = part.split_at(part.len() / 2);
                     parts.extend([second, first]);
@@ -163,15 +164,15 @@ impl Writer {
             Some(refusal) => Err(sqlx::Error::Protocol(refusal)),
             None => retention::pin(&mut self.connection, run, pinned).await,
         };
-        let result = self.rolled_back(result).await.inspect_err(|error| integrity.note(error));
-        result.map_err(StoreError::pinning)
+        let result = self.rolled_back(result).await.map_err(DatabaseError::new);
+        result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pinning)
     }
 
     /// Deletes a little of what is old, if anything is; whether there is more.
-    pub async fn retain(&mut self, now: Stamp) -> Result<Step, sqlx::Error> {
+    pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
         let result = self.retention.step(connection, storage_clock, now, retention::ROWS).await;
-        self.rolled_back(result).await
+        self.rolled_back(result).await.map_err(DatabaseError::new)
     }
 
     /// Looks at the wall clock, stores incidents of the aggregator that wait, and the storage clock where nothing else was
@@ -180,7 +181,7 @@ impl Writer {
         &mut self,
         now: Stamp,
         incidents: &mut PendingIncidents,
-    ) -> Result<(), sqlx::Error> {
+    ) -> Result<(), DatabaseError> {
         if let Some(last_wall) = self.last_wall.take() {
             incidents.compare(now, last_wall);
         }
@@ -189,7 +190,7 @@ impl Writer {
             return Ok(());
         }
         let result = self.store_clocks(now, incidents).await;
-        self.rolled_back(result).await?;
+        self.rolled_back(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.committed(now.mono);
         incidents.clear();
         self.file.remember_log();
@@ -212,18 +213,21 @@ impl Writer {
         if bytes <= most_bytes {
             return Ok(());
         }
+        Ok(self.carry_over().await.map_err(DatabaseError::new)?)
+    }
+
+    async fn carry_over(&mut self) -> Result<(), sqlx::Error> {
         // Tried again soon: what waits to be stored does not wait for readers.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
         let carried_over = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await;
         let wait = format!("PRAGMA busy_timeout = {}", BUSY.as_millis());
         sqlx::raw_sql(sqlx::AssertSqlSafe(wait)).execute(&mut self.connection).await?;
-        carried_over?;
-        Ok(())
+        carried_over.map(drop)
     }
 
     /// Writes something that changes nothing, to see that writing works.
-    pub async fn write_nothing(&mut self) -> Result<(), sqlx::Error> {
-        mark(&mut self.connection).await?;
+    pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
+        mark(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.remember_log();
         Ok(())
     }
@@ -257,7 +261,7 @@ impl Writer {
         mut reason: String,
     ) -> Result<Committed, CommitError> {
         if let [Work::Batch(batch)] = part {
-            let stored = again::stored(&mut self.connection, batch).await?;
+            let stored = again::stored(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
             if !stored.is_empty()
                 && let Ok(rest) = Prepared::without(batch.head, batch.body.clone(), &stored)
             {
@@ -271,15 +275,15 @@ impl Writer {
                         );
                         return Ok(committed);
                     }
-                    Err(Refusal::Database(error)) => return Err(error.into()),
+                    Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
                     Err(Refusal::Batch(also)) => reason = also,
                 }
             }
         }
         match self.attempt(part, now, Some(&reason)).await {
             Ok(committed) => Ok(committed),
-            Err(Refusal::Database(error)) => Err(error.into()),
-            Err(Refusal::Batch(reason)) => Err(sqlx::Error::Protocol(reason).into()),
+            Err(Refusal::Database(error)) => Err(DatabaseError::new(error).into()),
+            Err(Refusal::Batch(reason)) => Err(DatabaseError::new(sqlx::Error::Protocol(reason)).into()),
         }
     }
 

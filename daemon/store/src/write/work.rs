@@ -77,9 +77,9 @@ impl Work {
     pub fn of_batch(head: BatchHead, body: Bytes) -> Self {
         match Prepared::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
-            Err(reason) => {
+            Err(error) => {
                 let frame = Bytes::from(codec::batch_frame(&head, &body, false));
-                Self::Aside(Box::new(Aside { head, frame, body: Some(body), reason }))
+                Self::Aside(Box::new(Aside { head, frame, body: Some(body), reason: error.to_string() }))
             }
         }
     }

@@ -20,7 +20,7 @@ use super::farewell::Farewell;
 use super::line::{Happened, Line};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
-use super::spool::{Done, Order, SpoolTask};
+use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
 use crate::feed::Exit;
 use crate::live;
 use crate::pauses::Pauses;
@@ -79,7 +79,7 @@ impl Sender {
         address: Address,
         mut pauses: Pauses,
         stop: oneshot::Receiver<Instant>,
-    ) -> Result<(), String> {
+    ) -> Result<(), SpoolTaskError> {
         let mut looks = tokio::time::interval(LOOK);
         let mut shows = tokio::time::interval(live::INTERVAL);
         for ticks in [&mut looks, &mut shows] {
@@ -107,7 +107,7 @@ impl Sender {
                     self.take();
                 }
                 done = self.spool.done() => {
-                    self.spooled(done.ok_or("the spool's task ended")?);
+                    self.spooled(done.ok_or(SpoolTaskError::Ended)?);
                 }
                 event = line.next(blocked) => match event {
                     Happened::Connected(connection) => {
@@ -270,13 +270,13 @@ impl Sender {
     }
 
     /// What becomes of the write to the spool that is under way.
-    async fn appended(&mut self, by: Instant) -> Result<(), String> {
+    async fn appended(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
         loop {
             match tokio::time::timeout_at(by, self.spool.done()).await {
                 Ok(Some(Done::Appended(appended))) => return appended,
                 Ok(Some(_)) => {}
-                Ok(None) => return Err("the spool's task ended".to_owned()),
-                Err(_) => return Err("the spool's disk takes long".to_owned()),
+                Ok(None) => return Err(SpoolTaskError::Ended),
+                Err(_) => return Err(SpoolTaskError::Slow),
             }
         }
     }

@@ -5,11 +5,11 @@ use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 use super::Sender;
 use crate::outbox::farewell::Standing;
 use crate::outbox::line::Line;
-use crate::outbox::spool::{Done, Order};
+use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
     /// Does what the machine wants.
-    pub(super) fn act(&mut self, line: &Line) -> Result<(), String> {
+    pub(super) fn act(&mut self, line: &Line) -> Result<(), SpoolTaskError> {
         if self.live.is_due()
             && let Line::Open(connection) = line
         {
@@ -53,24 +53,24 @@ impl Sender {
                 self.intake.release_runs(&mut self.machine);
                 notice
             }
-            Done::Appended(Err(reason)) => self.machine.append_failed(reason, now),
+            Done::Appended(Err(reason)) => self.machine.append_failed(reason.to_string(), now),
             Done::Loaded(Ok(loaded)) => {
                 if let Some(what) = loaded.rotten {
                     self.reports.rotten(what);
                 }
                 self.machine.loaded(loaded.batches, now)
             }
-            Done::Loaded(Err(reason)) => self.machine.load_failed(reason, now),
+            Done::Loaded(Err(reason)) => self.machine.load_failed(reason.to_string(), now),
             Done::Deleted(Ok(())) => {
                 self.machine.deleted();
                 None
             }
-            Done::Deleted(Err(reason)) => self.machine.delete_failed(reason, now),
+            Done::Deleted(Err(reason)) => self.machine.delete_failed(reason.to_string(), now),
             Done::Renewed(Ok(())) => {
                 self.machine.renewed(now);
                 None
             }
-            Done::Renewed(Err(reason)) => self.machine.renew_failed(reason, now),
+            Done::Renewed(Err(reason)) => self.machine.renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
             self.noticed(notice);

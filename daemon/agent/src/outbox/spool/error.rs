@@ -79,7 +79,31 @@ pub enum SpoolError {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        what: String,
+        what: SpoolDefect,
+    },
+}
+
+/// What makes a spool unusable although SQLite can read it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SpoolDefect {
+    /// An earlier process found the file broken and wrote down what it saw.
+    #[error("{0}")]
+    Condemned(String),
+    /// The id of its stream cannot be read.
+    #[error("{0:?} is no id of a stream")]
+    StreamId(String),
+    /// A chain has the wrong length.
+    #[error("a chain has {0} bytes, not 16")]
+    ChainLength(usize),
+    /// The numbers of its batches contradict each other.
+    #[error("it begins at batch {first}, was acknowledged up to {acknowledged} and ends at {newest}")]
+    BatchNumbers {
+        /// The first batch of the stream.
+        first: i64,
+        /// The last batch that the aggregator has.
+        acknowledged: u64,
+        /// The last batch that was written.
+        newest: u64,
     },
 }
 

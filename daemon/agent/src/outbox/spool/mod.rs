@@ -22,8 +22,8 @@ mod task;
 mod tests;
 
 pub(in crate::outbox) use aside::PutAside;
-pub use error::SpoolError;
+pub use error::{SpoolDefect, SpoolError};
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, waiting_events};
 pub(crate) use look::Look;
 pub(crate) use open::OpenSpool;
-pub(in crate::outbox) use task::{Done, Order, SpoolTask};
+pub(in crate::outbox) use task::{Done, Order, SpoolTask, SpoolTaskError};

@@ -12,7 +12,7 @@ use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, Sq
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
 use super::aside::{beside, condemned, put_aside};
-use super::error::is_full;
+use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
 use super::look::{APPLICATION_ID, Look};
 use super::reserve::Reserve;
@@ -133,7 +133,7 @@ async fn connect_in_any_room(
 
 async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, SpoolError> {
     if let Some(reason) = condemned(path) {
-        return Err(SpoolError::Damaged { path: path.to_owned(), what: reason });
+        return Err(SpoolError::Damaged { path: path.to_owned(), what: SpoolDefect::Condemned(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;
@@ -275,8 +275,8 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, String> {
-        let id = |text: &str| text.parse().map_err(|_| format!("{text:?} is no id of a stream"));
+    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, SpoolDefect> {
+        let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
         let newest = match (held.newest, held.chain) {
@@ -284,10 +284,7 @@ impl StreamRow {
             _ => (acknowledged, before),
         };
         if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
-            return Err(format!(
-                "it begins at batch {}, was acknowledged up to {acknowledged} and ends at {}",
-                self.first, newest.0
-            ));
+            return Err(SpoolDefect::BatchNumbers { first: self.first, acknowledged, newest: newest.0 });
         }
         if held.batches.cast_unsigned() != newest.0 - acknowledged {
             tracing::warn!(
@@ -324,8 +321,7 @@ impl StreamRow {
 }
 
 /// A chain as it stands in a row.
-pub(super) fn chain(bytes: &[u8]) -> Result<Chain, String> {
-    let bytes =
-        <[u8; 16]>::try_from(bytes).map_err(|_| format!("a chain has {} bytes, not 16", bytes.len()))?;
+pub(super) fn chain(bytes: &[u8]) -> Result<Chain, SpoolDefect> {
+    let bytes = <[u8; 16]>::try_from(bytes).map_err(|_| SpoolDefect::ChainLength(bytes.len()))?;
     Ok(Chain::from_bytes(bytes))
 }

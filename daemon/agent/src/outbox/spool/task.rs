@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
 use tokio::sync::mpsc::{self, error::TrySendError};
+use tokio::task::JoinError;
 use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -33,10 +34,30 @@ pub(in crate::outbox) enum Order {
 /// What became of an order.
 #[derive(Debug)]
 pub(in crate::outbox) enum Done {
-    Appended(Result<(), String>),
-    Loaded(Result<Loaded, String>),
-    Deleted(Result<(), String>),
-    Renewed(Result<(), String>),
+    Appended(Result<(), SpoolTaskError>),
+    Loaded(Result<Loaded, SpoolTaskError>),
+    Deleted(Result<(), SpoolTaskError>),
+    Renewed(Result<(), SpoolTaskError>),
+}
+
+/// The reason why the task has not done what it is to do.
+#[derive(Debug, thiserror::Error)]
+pub(in crate::outbox) enum SpoolTaskError {
+    /// The file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] Trouble),
+    /// The task is not there any more.
+    #[error("the spool's task ended")]
+    Ended,
+    /// The task has more orders than the state machine ever gives.
+    #[error("the spool was given more orders than it can have: {0:?}")]
+    Overloaded(Box<Order>),
+    /// The disk does not answer in time.
+    #[error("the spool's disk takes long")]
+    Slow,
+    /// The task panicked.
+    #[error(transparent)]
+    Panicked(#[from] JoinError),
 }
 
 /// The other end of the task; it ends with this.
@@ -60,12 +81,10 @@ impl SpoolTask {
     ///
     /// # Errors
     /// When the task is not there any more or has too many orders, which must not happen.
-    pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), String> {
+    pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), SpoolTaskError> {
         self.orders.try_send(order).map_err(|error| match error {
-            TrySendError::Closed(_) => "the spool's task ended".to_owned(),
-            TrySendError::Full(order) => {
-                format!("the spool was given more orders than it can have: {order:?}")
-            }
+            TrySendError::Closed(_) => SpoolTaskError::Ended,
+            TrySendError::Full(order) => SpoolTaskError::Overloaded(Box::new(order)),
         })
     }
 
@@ -75,13 +94,10 @@ impl SpoolTask {
     }
 
     /// Ends the task when it has done what it was given, and the file with it.
-    pub(in crate::outbox) async fn close(self) -> Result<(), String> {
+    pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
         let Self { orders, done, task } = self;
         drop((orders, done));
-        match task.await {
-            Ok(closed) => closed.map_err(|trouble| trouble.to_string()),
-            Err(died) => Err(died.to_string()),
-        }
+        Ok(task.await??)
     }
 }
 
@@ -123,31 +139,26 @@ async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done
                 syncing.written();
                 tally::tell(&batches);
             }
-            Done::Appended(in_words(file, appended))
+            Done::Appended(condemn_if_corrupt(file, appended))
         }
-        Order::Load { from, bytes } => {
-            Done::Loaded(file.load(from, bytes).await.map_err(|trouble| trouble.to_string()))
-        }
+        Order::Load { from, bytes } => Done::Loaded(file.load(from, bytes).await.map_err(Into::into)),
         Order::Delete { through, chain } => {
             let deleted = file.delete_through(through, chain).await;
-            Done::Deleted(in_words(file, deleted))
+            Done::Deleted(condemn_if_corrupt(file, deleted))
         }
         Order::Renew { stream, previous, first, events_before_first } => {
             let renewed = file.renew(stream, previous, (first, events_before_first)).await;
-            Done::Renewed(in_words(file, renewed))
+            Done::Renewed(condemn_if_corrupt(file, renewed))
         }
     }
 }
 
 /// A file that cannot be written because it is broken is not opened again.
-fn in_words(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), String> {
-    result.map_err(|trouble| {
-        let words = trouble.to_string();
-        if matches!(trouble, Trouble::Corrupt { .. }) {
-            condemn(file.path(), &words);
-        }
-        words
-    })
+fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), SpoolTaskError> {
+    if let Err(trouble @ Trouble::Corrupt { .. }) = &result {
+        condemn(file.path(), &trouble.to_string());
+    }
+    Ok(result?)
 }
 
 /// A step at a time: what is to be written goes first.

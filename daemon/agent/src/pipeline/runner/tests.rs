@@ -18,6 +18,7 @@ use super::super::sensing::Sensed;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
 use crate::feed::{EventCounter, Exit};
+use crate::host::{EventSinks, Host};
 use crate::incidents::Incidents;
 use crate::link::{Links, Near, ProbeSettings};
 use crate::runs::Runs;
@@ -56,7 +57,7 @@ impl Clock for Fragile {
 }
 
 /// A host with one pipeline, and where its events come out.
-fn host(sensor: &str, clock: SharedClock) -> (Host, Arc<PipelineConfig>, Arc<Display>, Exit) {
+fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, Exit) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
@@ -71,29 +72,28 @@ fn host(sensor: &str, clock: SharedClock) -> (Host, Arc<PipelineConfig>, Arc<Dis
     let near = Near {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
-        own: own.clone(),
+        own,
         feed: feed.clone(),
         incidents: incidents.clone(),
     };
     let probes = ProbeSettings::read(&config.probes, &config.clock).expect("no key is needed");
-    let host = Host {
-        id: HostId::random(),
-        name: near.name.clone(),
-        version: "0.0.0",
-        bank: Arc::new(Bank::new(config.models, config.onnxruntime, Arc::clone(&clock))),
+    let context = PipelineContext {
+        host: Host {
+            id: HostId::random(),
+            name: near.name.clone(),
+            version: "0.0.0",
+            clock: Arc::clone(&clock),
+        },
+        events: EventSinks { feed, incidents, runs: Runs::default() },
+        bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
         fingerprints: FingerprintKey::new([0; 32]),
-        incidents,
-        runs: Runs::default(),
         links: Links::new(near, &config.clock, probes),
-        own,
-        feed,
-        clock,
         places: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::intended(&pipeline.placement);
     let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    (host, pipeline, display, exit.expect("there is an aggregator"))
+    (context, pipeline, display, exit.expect("there is an aggregator"))
 }
 
 /// Runs a pipeline until the clock breaks for one who reads it. Returns why the run ended, which is what is shown and
@@ -102,8 +102,9 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
     let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false), reader });
     let clock: SharedClock = Arc::<Fragile>::clone(&fragile);
-    let (host, pipeline, display, mut exit) = host(sensor, clock);
-    let running = run(pipeline, Arc::clone(&display), host, CancellationToken::new(), Duration::from_secs(1));
+    let (context, pipeline, display, mut exit) = context(sensor, clock);
+    let running =
+        run(pipeline, Arc::clone(&display), context, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
     while let Some(event) = exit.next().await {
@@ -149,22 +150,26 @@ async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
 async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
-    let (host, pipeline, display, mut exit) = host(sensor, Arc::clone(&clock));
-    let mut line =
-        Line::assemble(Arc::clone(&pipeline), Arc::clone(&display), Arc::clone(&clock), &host.fingerprints)
-            .expect("sound");
+    let (context, pipeline, display, mut exit) = context(sensor, Arc::clone(&clock));
+    let mut line = Line::assemble(
+        Arc::clone(&pipeline),
+        Arc::clone(&display),
+        Arc::clone(&clock),
+        &context.fingerprints,
+    )
+    .expect("sound");
     let description = crate::pipeline::intended(&pipeline.placement);
-    let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &host, &display);
+    let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
-    let (log, begun) = iteration::begin(&clock, host.id, start.intended);
+    let (log, begun) = iteration::begin(&clock, context.host.id, start.intended);
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
     assert!(tell.send(Sensed { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
     line.sensing = Some(Awaited { run: asked(run.id()), start, begun, sample });
-    drop(Cycle::new(&mut line, &mut run, &host));
+    drop(Cycle::new(&mut line, &mut run, &context));
     assert!(line.sensing.is_none());
-    run.end("stopped", &host);
+    run.end("stopped", &context);
     let mut outcomes = Vec::new();
     loop {
         match exit.next().await.expect("the end is recorded") {

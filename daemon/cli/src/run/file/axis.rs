@@ -6,7 +6,7 @@ use peernet_external::exec::CommandLine;
 use serde::Deserialize;
 use toml::Value;
 
-use super::field::Field;
+use super::field::{Field, FieldError};
 
 /// Tables that an axis may reach into.
 const TABLES: [&str; 10] = [
@@ -68,42 +68,60 @@ pub(in crate::run) struct AxisValue {
     pub(super) sets: Vec<(Field, Value)>,
 }
 
+/// A table that is no axis.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum AxisError {
+    #[error("give either field = \"…\" and values = […], or [[axis.value]] with label and set")]
+    Form,
+    #[error("name: {0:?} holds a control character, which would break tables")]
+    NameControl(String),
+    #[error("name: compare.csv has a column {0} of its own; call it another way")]
+    NameColumn(String),
+    #[error(
+        "the label {0:?} holds a control character, which would break tables; give it another with [[axis.value]]"
+    )]
+    LabelControl(String),
+    #[error(
+        "two values are labelled {0}; tables could not tell them apart: give them labels with [[axis.value]]"
+    )]
+    SameLabel(String),
+    #[error("{0} does not say how it is to be called in tables; use [[axis.value]] with a label")]
+    NoLabel(Value),
+    #[error("the label must be a text, a number or a truth")]
+    LabelType,
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    #[error("there is no field {0}: a path begins with {tables}, such as pipeline.placement.model", tables = TABLES.join(", "))]
+    UnknownTable(String),
+    #[error("{0} is the same for all runs; of [experiment] only {own} may differ", own = OWN.join(", "))]
+    SameForAll(String),
+}
+
 impl Axis {
     /// Reads an axis.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
-    pub(super) fn read(table: AxisTable) -> Result<Self, String> {
+    /// When the table is none.
+    pub(super) fn read(table: AxisTable) -> Result<Self, AxisError> {
         let AxisTable { name, field, values, value } = table;
         let values: Vec<AxisValue> = match (field, values.is_empty(), value.is_empty()) {
             (Some(field), false, true) => short(&field, values)?,
             (None, true, false) => value.into_iter().map(long).collect::<Result<_, _>>()?,
-            _ => {
-                return Err(
-                    "give either field = \"…\" and values = […], or [[axis.value]] with label and set"
-                        .to_owned(),
-                );
-            }
+            _ => return Err(AxisError::Form),
         };
         if name.contains(char::is_control) {
-            return Err(format!("name: {name:?} holds a control character, which would break tables"));
+            return Err(AxisError::NameControl(name));
         }
         if COLUMNS.contains(&name.as_str()) {
-            return Err(format!("name: compare.csv has a column {name} of its own; call it another way"));
+            return Err(AxisError::NameColumn(name));
         }
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
-            return Err(format!(
-                "the label {:?} holds a control character, which would break tables; give it another with [[axis.value]]",
-                value.label
-            ));
+            return Err(AxisError::LabelControl(value.label.clone()));
         }
         let this = Self { name, values };
         let labels: Vec<&str> = this.values.iter().map(|value| value.label.as_str()).collect();
         match labels.iter().enumerate().find(|(at, label)| labels[..*at].contains(label)) {
-            Some((_, label)) => Err(format!(
-                "two values are labelled {label}; tables could not tell them apart: give them labels with \
-                     [[axis.value]]"
-            )),
+            Some((_, label)) => Err(AxisError::SameLabel((*label).to_owned())),
             None => Ok(this),
         }
     }
@@ -129,7 +147,7 @@ impl Axis {
 }
 
 /// `field` and `values`: one field, labels as the values say.
-fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, String> {
+fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
     // The arguments of a program may be secret, and labels are told to aggregators.
     let is_command = field.ends_with(".command");
     let field = reach(field)?;
@@ -138,37 +156,28 @@ fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, String> {
             Ok(command) if is_command => Some(command.to_string()),
             _ => label(&value),
         };
-        let label = label.ok_or_else(|| {
-            format!("{value} does not say how it is to be called in tables; use [[axis.value]] with a label")
-        })?;
+        let label = label.ok_or_else(|| AxisError::NoLabel(value.clone()))?;
         Ok(AxisValue { label, sets: vec![(field.clone(), value)] })
     };
     values.into_iter().map(value).collect()
 }
 
 /// `[[axis.value]]`: any number of fields.
-fn long(value: ValueTable) -> Result<AxisValue, String> {
-    let label =
-        label(&value.label).ok_or_else(|| "the label must be a text, a number or a truth".to_owned())?;
+fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
+    let label = label(&value.label).ok_or(AxisError::LabelType)?;
     let sets = value.set.into_iter().map(|(field, value)| Ok((reach(&field)?, value)));
-    Ok(AxisValue { label, sets: sets.collect::<Result<_, String>>()? })
+    Ok(AxisValue { label, sets: sets.collect::<Result<_, AxisError>>()? })
 }
 
 /// A field that an axis may change.
-fn reach(text: &str) -> Result<Field, String> {
+fn reach(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
     if !TABLES.contains(&field.table()) {
-        return Err(format!(
-            "there is no field {text}: a path begins with {}, such as pipeline.placement.model",
-            TABLES.join(", ")
-        ));
+        return Err(AxisError::UnknownTable(text.to_owned()));
     }
     let within = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
     if field.table() == "experiment" && !within.is_some_and(|key| OWN.contains(&key)) {
-        return Err(format!(
-            "{text} is the same for all runs; of [experiment] only {} may differ",
-            OWN.join(", ")
-        ));
+        return Err(AxisError::SameForAll(text.to_owned()));
     }
     Ok(field)
 }
@@ -189,7 +198,7 @@ pub(super) fn label(value: &Value) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Axis, String> {
+    fn read(text: &str) -> Result<Axis, AxisError> {
         Axis::read(toml::from_str(text).expect("it is a table of [[axis]]"))
     }
 
@@ -222,7 +231,7 @@ mod tests {
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);
-            assert!(error.contains(told), "{error}");
+            assert!(error.to_string().contains(told), "{error}");
         }
     }
 }

@@ -11,10 +11,11 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::experiment::{Experiment, Network, in_words};
-use super::field::Field;
+use super::experiment::{Experiment, LimitError, Network, RangeError, in_words};
+use super::field::{Field, FieldError};
 use super::matrix::Combination;
-use super::{AGENT, File, peers, typed};
+use super::peers::PeerError;
+use super::{AGENT, File, KeyError, peers, typed};
 use crate::run::check::as_written;
 
 /// Keys of a pipeline that the experiment decides, and where they are to be written instead.
@@ -54,22 +55,57 @@ pub(in crate::run) struct Seeds {
     pub(in crate::run) load: bool,
 }
 
+/// A combination that is no agent's configuration; the text begins with the key.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ConfigurationError {
+    #[error("axis {axis} = {label}: {source}")]
+    Axis { axis: String, label: String, source: FieldError },
+    #[error("experiment.{0}")]
+    Experiment(#[source] KeyError),
+    #[error(transparent)]
+    Range(#[from] RangeError),
+    #[error("network.{0}")]
+    Network(#[source] KeyError),
+    #[error("pipeline: there is no table [pipeline]: what is to be measured?")]
+    NoPipeline,
+    #[error("pipeline.{key}: in an experiment this is decided by {instead}")]
+    DecidedElsewhere { key: &'static str, instead: &'static str },
+    #[error(transparent)]
+    Peer(#[from] PeerError),
+    #[error("{}", as_written(&.0.to_string()))]
+    Agent(#[source] KeyError),
+    #[error("experiment.users: several edges need a spool each, and have one when [spool] file is left out")]
+    SharedSpool,
+    #[error("experiment: {0}")]
+    Limit(#[from] LimitError),
+    #[error("experiment.warm_up: all iterations of a run would be warm-up ({0}), and no statistics")]
+    AllWarmUp(String),
+    /// Axes could have put there what is wrong.
+    #[error("{problem} (with {})", .axes.join(", "))]
+    OfAxes { problem: Box<Self>, axes: Vec<String> },
+}
+
 impl File {
     /// The configuration of a combination, and the file that names its peer.
     ///
     /// # Errors
-    /// What is wrong: the key first, and the axis that put it there last.
+    /// When something is wrong: the text has the key first, and the axis that put it there last.
     pub(super) fn configuration(
         &self,
         combination: &Combination<'_>,
         models: &[PathBuf],
         files: &mut peers::Files,
-    ) -> Result<(Configuration, Option<NetworkConfig>), String> {
+    ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
         let mut document = self.document.clone();
         for (axis, value) in combination {
             for (field, to) in &value.sets {
                 let set = field.set(&mut document, to.clone());
-                set.map_err(|error| format!("axis {} = {}: {error}", axis.name, value.label))?;
+                let (axis, label) = (&axis.name, &value.label);
+                set.map_err(|source| ConfigurationError::Axis {
+                    axis: axis.clone(),
+                    label: label.clone(),
+                    source,
+                })?;
             }
         }
         read(document, models, files)
@@ -77,7 +113,7 @@ impl File {
                 let labels = combination.iter().map(|(axis, value)| (axis.name.clone(), value.label.clone()));
                 (Configuration { labels: labels.collect(), ..configuration }, network)
             })
-            .map_err(|problem| blame(&problem, combination))
+            .map_err(|problem| blame(problem, combination))
     }
 }
 
@@ -85,18 +121,18 @@ fn read(
     mut document: Table,
     models: &[PathBuf],
     files: &mut peers::Files,
-) -> Result<(Configuration, Option<NetworkConfig>), String> {
+) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
     let table = |document: &mut Table, key: &str| document.remove(key);
     let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
-    let experiment: Experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
+    let experiment: Experiment = typed(experiment).map_err(ConfigurationError::Experiment)?;
     experiment.check()?;
     let network = table(&mut document, "network").map(typed::<Network>).transpose();
-    let network = network.map_err(|error| format!("network.{error}"))?;
+    let network = network.map_err(ConfigurationError::Network)?;
     let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
-        return Err("pipeline: there is no table [pipeline]: what is to be measured?".to_owned());
+        return Err(ConfigurationError::NoPipeline);
     };
-    if let Some((key, instead)) = ELSEWHERE.iter().find(|(key, _)| pipeline.contains_key(*key)) {
-        return Err(format!("pipeline.{key}: in an experiment this is decided by {instead}"));
+    if let Some((key, instead)) = ELSEWHERE.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
+        return Err(ConfigurationError::DecidedElsewhere { key, instead });
     }
     let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
@@ -104,29 +140,22 @@ fn read(
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
-    let mut agent: AgentConfig = typed(document).map_err(|error| as_written(&error))?;
+    let mut agent: AgentConfig = typed(document).map_err(ConfigurationError::Agent)?;
     if !has_bank {
         agent.bank.folders = Folders::search(models).places().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
     if experiment.users.get() > 1 && agent.spool.file.is_some() {
-        return Err(
-            "experiment.users: several edges need a spool each, and have one when [spool] file is left out"
-                .to_owned(),
-        );
+        return Err(ConfigurationError::SharedSpool);
     }
-    let (limit, warm_up) =
-        (experiment.limit().map_err(|error| format!("experiment: {error}"))?, experiment.warm_up());
+    let (limit, warm_up) = (experiment.limit()?, experiment.warm_up());
     for pipeline in &mut agent.pipelines {
         pipeline.limit = limit;
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;
     }
     if is_all(&warm_up, &limit, experiment.episode_steps) {
-        let text = in_words(&warm_up);
-        return Err(format!(
-            "experiment.warm_up: all iterations of a run would be warm-up ({text}), and no statistics"
-        ));
+        return Err(ConfigurationError::AllWarmUp(in_words(&warm_up)));
     }
     let configuration = Configuration {
         labels: Vec::new(),
@@ -167,18 +196,19 @@ fn is<T: DeserializeOwned>(table: Table) -> bool {
 }
 
 /// Names the axes that could have put there what is wrong.
-fn blame(problem: &str, combination: &Combination<'_>) -> String {
-    let key = problem.split(": ").next().unwrap_or_default();
-    let Ok(field) = Field::read(key) else { return problem.to_owned() };
-    let guilty: Vec<String> = combination
+fn blame(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
+    let text = problem.to_string();
+    let key = text.split(": ").next().unwrap_or_default();
+    let Ok(field) = Field::read(key) else { return problem };
+    let axes: Vec<String> = combination
         .iter()
         .filter(|(_, value)| {
             value
                 .sets
                 .iter()
-                .any(|(set, _)| set.touches(&field) || problem.contains(&format!("`{}`", set.key())))
+                .any(|(set, _)| set.touches(&field) || text.contains(&format!("`{}`", set.key())))
         })
         .map(|(axis, value)| format!("{} = {}", axis.name, value.label))
         .collect();
-    if guilty.is_empty() { problem.to_owned() } else { format!("{problem} (with {})", guilty.join(", ")) }
+    if axes.is_empty() { problem } else { ConfigurationError::OfAxes { problem: Box::new(problem), axes } }
 }

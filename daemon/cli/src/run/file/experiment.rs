@@ -84,30 +84,46 @@ pub(super) struct Network {
     pub(super) config: PathBuf,
 }
 
+/// A number of `[experiment]` that is too small or too large; the text begins with the key.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub(super) enum RangeError {
+    #[error(
+        "experiment.users: {0} is too many; at most {MOST_USERS} edges, each a process of its own, can ask at once"
+    )]
+    Users(u32),
+    #[error("experiment.duration_s: {0:?} is not a number of seconds above 0 and up to {LONGEST_RUN_S}")]
+    Duration(f64),
+    #[error("experiment.patience_s: {0:?} is not a number of seconds from 0 to {LONGEST_PATIENCE_S}")]
+    Patience(f64),
+}
+
+/// A run without an end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum LimitError {
+    #[error("episodes needs episode_steps: how long is an episode?")]
+    EpisodeSteps,
+    #[error("when does a run end? Give episodes and episode_steps, iterations, or duration_s")]
+    Endless,
+}
+
 impl Experiment {
     /// Checks the ranges of its numbers.
     ///
     /// # Errors
-    /// A sentence that begins with the key.
-    pub(super) fn check(&self) -> Result<(), String> {
+    /// When one is beyond its range.
+    pub(super) fn check(&self) -> Result<(), RangeError> {
         let users = self.users.get();
         if users > MOST_USERS {
-            return Err(format!(
-                "experiment.users: {users} is too many; at most {MOST_USERS} edges, each a process of its own, can ask at once"
-            ));
+            return Err(RangeError::Users(users));
         }
         if let Some(seconds) =
             self.duration_s.filter(|seconds| !(*seconds > 0.0 && *seconds <= LONGEST_RUN_S))
         {
-            return Err(format!(
-                "experiment.duration_s: {seconds:?} is not a number of seconds above 0 and up to {LONGEST_RUN_S}"
-            ));
+            return Err(RangeError::Duration(seconds));
         }
         if let Some(seconds) = self.patience_s.filter(|seconds| !(0.0..=LONGEST_PATIENCE_S).contains(seconds))
         {
-            return Err(format!(
-                "experiment.patience_s: {seconds:?} is not a number of seconds from 0 to {LONGEST_PATIENCE_S}"
-            ));
+            return Err(RangeError::Patience(seconds));
         }
         Ok(())
     }
@@ -115,18 +131,16 @@ impl Experiment {
     /// When a run ends.
     ///
     /// # Errors
-    /// A sentence that says what is missing or too much.
-    pub(super) fn limit(&self) -> Result<Limit, String> {
+    /// When nothing says so.
+    pub(super) fn limit(&self) -> Result<Limit, LimitError> {
         let episodes = match (self.episodes, self.episode_steps) {
             (Some(episodes), Some(steps)) => Some(NonZeroU64::from(episodes).saturating_mul(steps.into())),
-            (Some(_), None) => return Err("episodes needs episode_steps: how long is an episode?".to_owned()),
+            (Some(_), None) => return Err(LimitError::EpisodeSteps),
             (None, _) => None,
         };
         let limit = Limit { iterations: self.iterations, total: episodes, duration_s: self.duration_s };
         if limit.is_none() {
-            return Err(
-                "when does a run end? Give episodes and episode_steps, iterations, or duration_s".to_owned()
-            );
+            return Err(LimitError::Endless);
         }
         Ok(limit)
     }
@@ -189,8 +203,8 @@ mod tests {
 
     #[test]
     fn a_run_has_an_end() {
-        assert!(read("").limit().expect_err("endless").contains("when does a run end"));
-        assert!(read("episodes = 3").limit().expect_err("endless").contains("episode_steps"));
+        assert_eq!(read("").limit().expect_err("endless"), LimitError::Endless);
+        assert_eq!(read("episodes = 3").limit().expect_err("endless"), LimitError::EpisodeSteps);
         assert!(read("duration_s = 3.5").limit().is_ok());
     }
 
@@ -209,7 +223,7 @@ mod tests {
             ("patience_s = inf", "experiment.patience_s: inf is not"),
         ] {
             let error = read(wrong).check().expect_err(wrong);
-            assert!(error.starts_with(told), "{error}");
+            assert!(error.to_string().starts_with(told), "{error}");
         }
     }
 }

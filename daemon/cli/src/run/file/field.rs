@@ -6,7 +6,7 @@ use toml::{Table, Value};
 
 /// Where a field stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Field(Vec<Step>);
+pub(in crate::run) struct Field(Vec<Step>);
 
 /// One step towards it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,25 +15,38 @@ enum Step {
     Index(usize),
 }
 
+/// A path that is none, or leads nowhere.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::run) enum FieldError {
+    #[error("{0:?} is no path of a field; write it as pipeline.placement.model")]
+    Path(String),
+    #[error("{path:?} is no path of a field: {place:?} is no place in a list, which are counted from 0")]
+    Index { path: String, place: String },
+    #[error("there is no {field}: {list} has {count} entries, counted from 0")]
+    NoEntry { field: Field, list: Field, count: usize },
+    #[error("there is no {field}: {place} is no table")]
+    NoTable { field: Field, place: Field },
+    #[error("there is no {field}: {place} is no list")]
+    NoList { field: Field, place: Field },
+}
+
 impl Field {
     /// Reads a path.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
-    pub(super) fn read(text: &str) -> Result<Self, String> {
+    /// When the text is none.
+    pub(super) fn read(text: &str) -> Result<Self, FieldError> {
         let mut steps = Vec::new();
         for part in text.split('.') {
             let (key, indices) = part.split_at(part.find('[').unwrap_or(part.len()));
             if key.is_empty() || key.contains(char::is_control) {
-                return Err(format!("{text:?} is no path of a field; write it as pipeline.placement.model"));
+                return Err(FieldError::Path(text.to_owned()));
             }
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
                 let number = index.strip_prefix('[').and_then(|number| number.parse().ok());
-                let number = number.ok_or_else(|| {
-                    let place = format!("{index}]");
-                    format!("{text:?} is no path of a field: {place:?} is no place in a list, which are counted from 0")
-                })?;
+                let number = number
+                    .ok_or_else(|| FieldError::Index { path: text.to_owned(), place: format!("{index}]") })?;
                 steps.push(Step::Index(number));
             }
         }
@@ -70,8 +83,8 @@ impl Field {
     /// Puts a value there; tables on the way are made.
     ///
     /// # Errors
-    /// A sentence that says where the path leads nowhere.
-    pub(super) fn set(&self, document: &mut Table, value: Value) -> Result<(), String> {
+    /// When the path leads nowhere.
+    pub(super) fn set(&self, document: &mut Table, value: Value) -> Result<(), FieldError> {
         let Some((Step::Key(first), rest)) = self.0.split_first() else { return Ok(()) };
         if rest.is_empty() {
             document.insert(first.clone(), value);
@@ -86,12 +99,15 @@ impl Field {
                 }
                 (Step::Index(index), Value::Array(list)) => {
                     let count = list.len();
-                    list.get_mut(*index).ok_or_else(|| {
-                        format!("there is no {self}: {} has {count} entries, counted from 0", walked())
-                    })?
+                    let none = || FieldError::NoEntry { field: self.clone(), list: walked(), count };
+                    list.get_mut(*index).ok_or_else(none)?
                 }
-                (Step::Key(_), _) => return Err(format!("there is no {self}: {} is no table", walked())),
-                (Step::Index(_), _) => return Err(format!("there is no {self}: {} is no list", walked())),
+                (Step::Key(_), _) => {
+                    return Err(FieldError::NoTable { field: self.clone(), place: walked() });
+                }
+                (Step::Index(_), _) => {
+                    return Err(FieldError::NoList { field: self.clone(), place: walked() });
+                }
             };
         }
         *place = value;
@@ -116,7 +132,7 @@ impl fmt::Display for Field {
 mod tests {
     use super::*;
 
-    fn set(path: &str, document: &str) -> Result<String, String> {
+    fn set(path: &str, document: &str) -> Result<String, FieldError> {
         let mut document: Table = document.parse().expect("TOML");
         Field::read(path)?.set(&mut document, Value::Integer(7))?;
         Ok(document.to_string().split_whitespace().collect::<Vec<_>>().join(" "))
@@ -141,7 +157,7 @@ mod tests {
             ("a[0]", "a = { b = 1 }", "a is no list"),
         ] {
             let error = set(path, document).expect_err(path);
-            assert!(error.contains(told), "{error}");
+            assert!(error.to_string().contains(told), "{error}");
         }
     }
 

@@ -12,23 +12,47 @@ pub(super) const MOST: usize = 10_000;
 /// One value of each axis, in the order of the axes.
 pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;
 
+/// Axes that make no matrix of runs.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum MatrixError {
+    #[error("the axes make more than {MOST} combinations")]
+    TooManyCombinations,
+    #[error("experiment.repeats: so many repeats make {0} runs; there may be {MOST}")]
+    TooManyRuns(u64),
+    #[error("experiment.exclude[{index}]: {source}")]
+    Exclusion { index: usize, source: ExclusionError },
+    #[error("experiment.exclude: no combination is left")]
+    NothingLeft,
+}
+
+/// A table that leaves out no combinations.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ExclusionError {
+    #[error("it names no axis, and would leave nothing")]
+    Empty,
+    #[error("there is no axis {name}; there is {}", .known.join(", "))]
+    UnknownAxis { name: String, known: Vec<String> },
+    #[error("{axis} is never {value}; there is {known}")]
+    UnknownLabel { axis: String, value: Value, known: String },
+}
+
 /// Every combination that is not left out, the last axis changing fastest.
 ///
 /// # Errors
-/// A sentence, when an exclusion names what is not there or nothing is left.
+/// When there are too many, an exclusion names what is not there, or nothing is left.
 pub(super) fn combinations<'a>(
     axes: &'a [Axis],
     exclude: &[BTreeMap<String, Value>],
-) -> Result<Vec<Combination<'a>>, String> {
+) -> Result<Vec<Combination<'a>>, MatrixError> {
     let count = axes.iter().try_fold(1_usize, |count, axis| count.checked_mul(axis.values.len()));
     if count.is_none_or(|count| count > MOST) {
-        return Err(format!("the axes make more than {MOST} combinations"));
+        return Err(MatrixError::TooManyCombinations);
     }
     let exclude: Vec<Exclusion> = exclude
         .iter()
         .enumerate()
         .map(|(index, table)| {
-            Exclusion::read(axes, table).map_err(|error| format!("experiment.exclude[{index}]: {error}"))
+            Exclusion::read(axes, table).map_err(|source| MatrixError::Exclusion { index, source })
         })
         .collect::<Result<_, _>>()?;
     let all = axes.iter().fold(vec![Vec::new()], |combinations: Vec<Combination<'a>>, axis| {
@@ -39,21 +63,22 @@ pub(super) fn combinations<'a>(
     });
     let left: Vec<Combination<'_>> =
         all.into_iter().filter(|combination| !exclude.iter().any(|one| one.holds(combination))).collect();
-    if left.is_empty() { Err("experiment.exclude: no combination is left".to_owned()) } else { Ok(left) }
+    if left.is_empty() { Err(MatrixError::NothingLeft) } else { Ok(left) }
 }
 
 /// A combination is left out when all of these axes have one of these labels.
 struct Exclusion(Vec<(String, Vec<String>)>);
 
 impl Exclusion {
-    fn read(axes: &[Axis], table: &BTreeMap<String, Value>) -> Result<Self, String> {
+    fn read(axes: &[Axis], table: &BTreeMap<String, Value>) -> Result<Self, ExclusionError> {
         if table.is_empty() {
-            return Err("it names no axis, and would leave nothing".to_owned());
+            return Err(ExclusionError::Empty);
         }
         let read = |(name, value): (&String, &Value)| {
-            let axis = axes.iter().find(|axis| axis.name == *name).ok_or_else(|| {
-                let known: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
-                format!("there is no axis {name}; there is {}", known.join(", "))
+            let axis = axes.iter().find(|axis| axis.name == *name);
+            let axis = axis.ok_or_else(|| ExclusionError::UnknownAxis {
+                name: name.clone(),
+                known: axes.iter().map(|axis| axis.name.clone()).collect(),
             })?;
             let values = match value {
                 Value::Array(values) => values.as_slice(),
@@ -62,11 +87,15 @@ impl Exclusion {
             let labels = values.iter().map(|value| {
                 let known =
                     label(value).filter(|label| axis.values.iter().any(|value| value.label == *label));
-                known.ok_or_else(|| format!("{name} is never {value}; there is {}", axis.listed()))
+                known.ok_or_else(|| ExclusionError::UnknownLabel {
+                    axis: name.clone(),
+                    value: value.clone(),
+                    known: axis.listed(),
+                })
             });
-            Ok((name.clone(), labels.collect::<Result<_, String>>()?))
+            Ok((name.clone(), labels.collect::<Result<_, _>>()?))
         };
-        table.iter().map(read).collect::<Result<_, String>>().map(Self)
+        table.iter().map(read).collect::<Result<_, _>>().map(Self)
     }
 
     fn holds(&self, combination: &Combination<'_>) -> bool {

@@ -16,6 +16,7 @@ pub(super) use configuration::Configuration;
 pub(super) use experiment::{Experiment, Order};
 pub(super) use set::Set;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
@@ -25,7 +26,8 @@ use anyhow::{Context, anyhow};
 use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
-use axis::AxisTable;
+use axis::{AxisError, AxisTable};
+use matrix::MatrixError;
 
 /// Tables of the file beside those of an agent.
 const OWN: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
@@ -43,6 +45,41 @@ pub(super) struct File {
     document: Table,
 }
 
+/// A document that is no experiment's file; the text begins with the key.
+#[derive(Debug, thiserror::Error)]
+enum FileError {
+    #[error("{0}: an experiment has no such table; there is {own} and {agent}", own = OWN.join(", "), agent = AGENT.join(", "))]
+    UnknownTable(String),
+    #[error("axis{0}")]
+    Axes(#[source] KeyError),
+    #[error("there is no table [experiment]")]
+    NoExperiment,
+    #[error("experiment.{0}")]
+    Experiment(#[source] KeyError),
+    #[error("axis[{index}]: {source}")]
+    Axis { index: usize, source: AxisError },
+    #[error("axis[{index}].name: there is an axis {name} already")]
+    SameName { index: usize, name: String },
+    #[error(
+        "axis[{index}]: {name} overwrites what {earlier} sets; an axis may change a part of what one before it sets, so put {name} first or give each its own fields"
+    )]
+    Overwrites { index: usize, name: String, earlier: String },
+}
+
+/// A value that is not what its key means; the text begins with the path of the key.
+#[derive(Debug, thiserror::Error)]
+struct KeyError {
+    path: String,
+    source: toml::de::Error,
+}
+
+impl fmt::Display for KeyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // The path of the whole is a dot.
+        f.write_str(&format!("{}: {}", self.path, told(&self.source)).replace(".: ", ": "))
+    }
+}
+
 impl File {
     /// Reads a file, and puts these values in the places of its own.
     ///
@@ -52,16 +89,15 @@ impl File {
         let text = small_file::read(path, small_file::LARGEST)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
-        let at = |error: String| Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()));
-        let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(error.to_string()))?;
-        for set in sets {
-            set.apply(&mut document).map_err(|error| Failure::new(Exit::Usage, anyhow!("--set: {error}")))?;
-        }
-        let file = Self::parse(document, path).map_err(at)?;
-        match sets.iter().find_map(|set| set.in_vain(&file.axes)) {
-            Some(problem) => Err(Failure::new(Exit::Usage, anyhow!("--set: {problem}"))),
-            None => Ok(file),
-        }
+        let at = |error: &dyn fmt::Display| {
+            Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()))
+        };
+        let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(&error))?;
+        let usage = |error| Failure::new(Exit::Usage, anyhow!("--set: {error}"));
+        sets.iter().try_for_each(|set| set.apply(&mut document)).map_err(usage)?;
+        let file = Self::parse(document, path).map_err(|error| at(&error))?;
+        sets.iter().try_for_each(|set| set.check(&file.axes)).map_err(usage)?;
+        Ok(file)
     }
 
     /// Its configurations, every combination of the axes' values that is not left out, the last axis changing fastest; and of
@@ -74,7 +110,7 @@ impl File {
         models: &[PathBuf],
     ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
         let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
-        let at = |text: String| wrong(format!("{}: {text}", self.path.display()));
+        let at = |error| wrong(format!("{}: {error}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
         self.bounded(combinations.len()).map_err(at)?;
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
@@ -85,9 +121,13 @@ impl File {
                     configurations.push(configuration);
                     networks.push(network);
                 }
-                // The same mistake in every combination is one.
-                Err(problem) if problems.contains(&problem) => {}
-                Err(problem) => problems.push(problem),
+                Err(problem) => {
+                    let problem = problem.to_string();
+                    // The same mistake in every combination is one.
+                    if !problems.contains(&problem) {
+                        problems.push(problem);
+                    }
+                }
             }
         }
         if problems.is_empty() {
@@ -98,41 +138,32 @@ impl File {
     }
 
     /// Checks that so many configurations make no more runs than there may be, before any is planned.
-    fn bounded(&self, configurations: usize) -> Result<(), String> {
+    fn bounded(&self, configurations: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
         let runs = configurations as u64 * u64::from(repeats);
-        if runs <= matrix::MOST as u64 {
-            return Ok(());
-        }
-        Err(format!("experiment.repeats: so many repeats make {runs} runs; there may be {}", matrix::MOST))
+        if runs <= matrix::MOST as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
     }
 
-    fn parse(mut document: Table, path: &Path) -> Result<Self, String> {
+    fn parse(mut document: Table, path: &Path) -> Result<Self, FileError> {
         if let Some(key) =
             document.keys().find(|key| !OWN.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
         {
-            return Err(format!(
-                "{key}: an experiment has no such table; there is {} and {}",
-                OWN.join(", "),
-                AGENT.join(", ")
-            ));
+            return Err(FileError::UnknownTable(key.clone()));
         }
         let axes = document.remove("axis").unwrap_or_else(|| Value::Array(Vec::new()));
-        let tables: Vec<AxisTable> = typed(axes).map_err(|error| format!("axis{error}"))?;
+        let tables: Vec<AxisTable> = typed(axes).map_err(FileError::Axes)?;
         let experiment = document.get("experiment").cloned();
-        let experiment = experiment.ok_or_else(|| "there is no table [experiment]".to_owned())?;
-        let experiment = typed(experiment).map_err(|error| format!("experiment.{error}"))?;
+        let experiment = experiment.ok_or(FileError::NoExperiment)?;
+        let experiment = typed(experiment).map_err(FileError::Experiment)?;
         let mut axes: Vec<Axis> = Vec::new();
         for (index, table) in tables.into_iter().enumerate() {
-            let axis = Axis::read(table).map_err(|error| format!("axis[{index}]: {error}"))?;
+            let axis = Axis::read(table).map_err(|source| FileError::Axis { index, source })?;
             if axes.iter().any(|other| other.name == axis.name) {
-                return Err(format!("axis[{index}].name: there is an axis {} already", axis.name));
+                return Err(FileError::SameName { index, name: axis.name });
             }
             if let Some(other) = axes.iter().find(|other| axis.overwrites(other)) {
-                return Err(format!(
-                    "axis[{index}]: {} overwrites what {} sets; an axis may change a part of what one before it sets, so put {} first or give each its own fields",
-                    axis.name, other.name, axis.name
-                ));
+                let earlier = other.name.clone();
+                return Err(FileError::Overwrites { index, name: axis.name, earlier });
             }
             axes.push(axis);
         }
@@ -140,10 +171,10 @@ impl File {
     }
 }
 
-/// A value as what it is meant to be; an error begins with the path of the key.
-fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, String> {
+/// A value as what it is meant to be.
+fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, KeyError> {
     serde_path_to_error::deserialize(value.into())
-        .map_err(|error| format!("{}: {}", error.path(), told(error.inner())).replace(".: ", ": "))
+        .map_err(|error| KeyError { path: error.path().to_string(), source: error.into_inner() })
 }
 
 #[cfg(test)]

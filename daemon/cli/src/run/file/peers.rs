@@ -2,43 +2,58 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use peernet_networks::Address;
 use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;
+use crate::exit::Failure;
 use crate::published::addresses;
 use crate::run::origin::origin;
 
 /// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
 #[derive(Default)]
-pub(super) struct Files(BTreeMap<PathBuf, Result<Devices, String>>);
+pub(super) struct Files(BTreeMap<PathBuf, Result<Devices, Arc<Failure>>>);
 
 /// The addresses of the devices, and the file.
 type Devices = (BTreeMap<String, Address>, NetworkConfig);
 
+/// A peer whose address is not known; the text begins with the key.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(super) enum PeerError {
+    #[error("network.config: {0}; {origin}", origin = origin())]
+    NoSuchFile(Arc<Failure>),
+    #[error("network.config: {0}")]
+    File(Arc<Failure>),
+    #[error(
+        "pipeline.placement.peer: {0:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
+    )]
+    NotAnAddress(String),
+    #[error("pipeline.placement.peer: {} has no device {peer}; there is {}", .file.display(), .known.join(", "))]
+    UnknownDevice { file: PathBuf, peer: String, known: Vec<String> },
+}
+
 impl Files {
-    fn read(&mut self, path: &Path) -> Result<&Devices, String> {
-        let read = || {
-            addresses(path).map_err(|failure| match path.is_relative() && !path.exists() {
-                true => format!("network.config: {failure}; {}", origin()),
-                false => format!("network.config: {failure}"),
-            })
-        };
-        self.0.entry(path.to_owned()).or_insert_with(read).as_ref().map_err(Clone::clone)
+    fn read(&mut self, path: &Path) -> Result<&Devices, PeerError> {
+        let read = self.0.entry(path.to_owned()).or_insert_with(|| addresses(path).map_err(Arc::new));
+        read.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
+            true => PeerError::NoSuchFile(Arc::clone(failure)),
+            false => PeerError::File(Arc::clone(failure)),
+        })
     }
 }
 
 /// Puts the address in the place of a device's name in `pipeline.placement.peer`, and returns the file that has it.
 ///
 /// # Errors
-/// A sentence with its key, when there is no such device.
+/// When the file cannot be read or has no such device.
 pub(super) fn resolve(
     pipeline: &mut Table,
     network: Option<&Network>,
     files: &mut Files,
-) -> Result<Option<NetworkConfig>, String> {
+) -> Result<Option<NetworkConfig>, PeerError> {
     let placement = pipeline.get_mut("placement").and_then(Value::as_table_mut);
     let Some(Value::String(peer)) = placement.and_then(|placement| placement.get_mut("peer")) else {
         return Ok(None);
@@ -47,18 +62,13 @@ pub(super) fn resolve(
         return Ok(None);
     }
     let Some(network) = network else {
-        return Err(format!(
-            "pipeline.placement.peer: {peer:?} is no address; write tcp://host:5551, or name the file of the devices: [network] config = \"net_config.yaml\""
-        ));
+        return Err(PeerError::NotAnAddress(peer.clone()));
     };
     let (devices, file) = files.read(&network.config)?;
-    let address = devices.get(peer.as_str()).ok_or_else(|| {
-        let known: Vec<&str> = devices.keys().map(String::as_str).collect();
-        format!(
-            "pipeline.placement.peer: {} has no device {peer}; there is {}",
-            network.config.display(),
-            known.join(", ")
-        )
+    let address = devices.get(peer.as_str()).ok_or_else(|| PeerError::UnknownDevice {
+        file: network.config.clone(),
+        peer: peer.clone(),
+        known: devices.keys().cloned().collect(),
     })?;
     *peer = address.to_string();
     Ok(Some(file.clone()))

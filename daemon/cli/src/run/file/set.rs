@@ -5,7 +5,7 @@ use std::num::IntErrorKind;
 use toml::{Table, Value};
 
 use super::axis::Axis;
-use super::field::Field;
+use super::field::{Field, FieldError};
 
 /// A field and what it is to be.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,26 +14,37 @@ pub(in crate::run) struct Set {
     value: Value,
 }
 
+/// A value of `--set` that cannot be put into the file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::run) enum SetError {
+    #[error("write FIELD=VALUE, such as experiment.iterations=100")]
+    Form,
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    #[error("axes are changed in the file; --only does some of the runs")]
+    Axis,
+    #[error("the number is too large; the largest is {}, the smallest {}", i64::MAX, i64::MIN)]
+    Number,
+    /// Each value of an axis sets the field itself.
+    #[error("{field} has no effect: the axis {axis} sets it in all runs; change it in the file")]
+    Ineffective { field: Field, axis: String },
+}
+
 impl Set {
     /// Reads `FIELD=VALUE`; a value that is no TOML is a text, so that shells need no second pair of quotes.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
-    pub(in crate::run) fn read(text: &str) -> Result<Self, String> {
-        let (field, value) =
-            text.split_once('=').ok_or("write FIELD=VALUE, such as experiment.iterations=100")?;
+    /// When it is none, or its field cannot be set.
+    pub(in crate::run) fn read(text: &str) -> Result<Self, SetError> {
+        let (field, value) = text.split_once('=').ok_or(SetError::Form)?;
         let field = Field::read(field.trim())?;
         if field.table() == "axis" {
-            return Err("axes are changed in the file; --only does some of the runs".to_owned());
+            return Err(SetError::Axis);
         }
         let value = value.trim();
         let document = format!("value = {value}").parse::<Table>().ok();
         if document.is_none() && is_beyond(value) {
-            return Err(format!(
-                "the number is too large; the largest is {}, the smallest {}",
-                i64::MAX,
-                i64::MIN
-            ));
+            return Err(SetError::Number);
         }
         // More than one key: the text held a line feed.
         let read =
@@ -44,19 +55,20 @@ impl Set {
     /// Puts the value into the document.
     ///
     /// # Errors
-    /// A sentence that says where the path leads nowhere.
-    pub(super) fn apply(&self, document: &mut Table) -> Result<(), String> {
-        self.field.set(document, self.value.clone())
+    /// When the path leads nowhere.
+    pub(super) fn apply(&self, document: &mut Table) -> Result<(), SetError> {
+        Ok(self.field.set(document, self.value.clone())?)
     }
 
-    /// Why it changes nothing, if it does not: each value of an axis sets the field itself.
-    pub(super) fn in_vain(&self, axes: &[Axis]) -> Option<String> {
-        let axis = axes.iter().find(|axis| axis.always_covers(&self.field))?;
-        let Self { field, .. } = self;
-        Some(format!(
-            "{field} has no effect: the axis {} sets it in all runs; change it in the file",
-            axis.name
-        ))
+    /// Checks that it changes something.
+    ///
+    /// # Errors
+    /// When each value of an axis sets the field itself.
+    pub(super) fn check(&self, axes: &[Axis]) -> Result<(), SetError> {
+        match axes.iter().find(|axis| axis.always_covers(&self.field)) {
+            Some(axis) => Err(SetError::Ineffective { field: self.field.clone(), axis: axis.name.clone() }),
+            None => Ok(()),
+        }
     }
 }
 
@@ -90,7 +102,7 @@ mod tests {
             ("a.b=-99_999_999_999_999_999_999", "too large"),
         ] {
             let error = Set::read(text).expect_err(text);
-            assert!(error.contains(told), "{error}");
+            assert!(error.to_string().contains(told), "{error}");
         }
     }
 }

@@ -12,10 +12,9 @@ sensor = { kind = 'synthetic', size_bytes = 1000 }
 placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551', model = 'echo' }
 ";
 
-fn configurations(text: &str) -> Result<Vec<Configuration>, String> {
-    let document = text.parse().map_err(|error: toml::de::Error| error.to_string())?;
-    let file = File::parse(document, Path::new("e.toml"))?;
-    file.configurations(&[]).map(|found| found.0).map_err(|failure| failure.to_string())
+fn configurations(text: &str) -> anyhow::Result<Vec<Configuration>> {
+    let file = File::parse(text.parse()?, Path::new("e.toml"))?;
+    file.configurations(&[]).map(|found| found.0).map_err(|failure| failure.error)
 }
 
 fn read(more: &str) -> Vec<Configuration> {
@@ -23,7 +22,7 @@ fn read(more: &str) -> Vec<Configuration> {
 }
 
 fn wrong(more: &str) -> String {
-    configurations(&format!("{COMMON}{more}")).expect_err("something is wrong")
+    configurations(&format!("{COMMON}{more}")).expect_err("something is wrong").to_string()
 }
 
 fn labels(configuration: &Configuration) -> String {
@@ -74,7 +73,7 @@ fn exclusions_leave_out_what_all_their_labels_fit() {
         ("[{}]", "names no axis"),
         ("[{ A = [1, 2, 3] }]", "no combination is left"),
     ] {
-        let error = configurations(&with(exclude)).expect_err(exclude);
+        let error = configurations(&with(exclude)).expect_err(exclude).to_string();
         assert!(error.contains(told), "{error}");
     }
 }
@@ -132,11 +131,12 @@ fn what_is_wrong_is_told_with_file_key_and_axis() {
         both.agent.pipelines[0].placement,
         PlacementConfig::Local { model: "n".parse().expect("a name") }
     );
-    let error = configurations("[pipeline]\n").expect_err("no experiment");
+    let error = configurations("[pipeline]\n").expect_err("no experiment").to_string();
     assert!(error.contains("no table [experiment]"), "{error}");
-    let error = configurations("[experiment]\nname = 'e'\niterations = 1\n").expect_err("no pipeline");
+    let error =
+        configurations("[experiment]\nname = 'e'\niterations = 1\n").expect_err("no pipeline").to_string();
     assert!(error.contains("no table [pipeline]"), "{error}");
-    assert!(configurations("[experiment\n").expect_err("no TOML").contains("line 1"));
+    assert!(configurations("[experiment\n").expect_err("no TOML").to_string().contains("line 1"));
 }
 
 #[test]
@@ -147,7 +147,7 @@ fn a_run_of_warm_up_alone_is_refused() {
         "episodes = 9\nepisode_steps = 1",
         "episodes = 2\nepisode_steps = 2\nwarm_up = { iterations = 4 }",
     ] {
-        let error = with(limits).expect_err(limits);
+        let error = with(limits).expect_err(limits).to_string();
         assert!(error.contains("experiment.warm_up: all iterations"), "{error}");
     }
     assert!(with("episodes = 2\nepisode_steps = 2").is_ok());
@@ -175,18 +175,21 @@ fn peers_can_be_devices_of_the_published_file() {
         panic!("it is remote")
     };
     assert_eq!(remote.peer.to_string(), "tcp://10.0.0.7:6000");
-    let unknown = configurations(&text("desktop", &network)).expect_err("not there");
+    let unknown = configurations(&text("desktop", &network)).expect_err("not there").to_string();
     assert!(unknown.contains("no device desktop; there is cluster, edge"), "{unknown}");
-    let nameless = configurations(&text("desktop", "")).expect_err("no names");
+    let nameless = configurations(&text("desktop", "")).expect_err("no names").to_string();
     assert!(
         nameless.contains("pipeline.placement.peer") && nameless.contains("[network] config"),
         "{nameless}"
     );
-    let missing = configurations(&text("cluster", "[network]\nconfig = '/nowhere'\n")).expect_err("no file");
+    let missing = configurations(&text("cluster", "[network]\nconfig = '/nowhere'\n"))
+        .expect_err("no file")
+        .to_string();
     assert!(missing.contains("network.config") && missing.contains("/nowhere"), "{missing}");
     assert!(!missing.contains("relative paths"), "{missing}");
-    let elsewhere =
-        configurations(&text("cluster", "[network]\nconfig = 'no/such.yaml'\n")).expect_err("no file");
+    let elsewhere = configurations(&text("cluster", "[network]\nconfig = 'no/such.yaml'\n"))
+        .expect_err("no file")
+        .to_string();
     let here = std::env::current_dir().expect("a folder").display().to_string();
     assert!(elsewhere.contains("no/such.yaml") && elsewhere.contains(&here), "{elsewhere}");
 }
@@ -212,7 +215,7 @@ fn only_seeds_that_the_file_leaves_open_are_filled_in() {
 fn numbers_beyond_all_measure_are_refused_with_their_key() {
     let of_experiment = |more: &str| {
         let text = COMMON.replace("iterations = 10", &format!("iterations = 10\n{more}"));
-        configurations(&text).expect_err(more)
+        configurations(&text).expect_err(more).to_string()
     };
     let error = of_experiment("repeats = 4000000000");
     assert!(error.contains("e.toml: experiment.repeats: so many repeats make 4000000000 runs"), "{error}");

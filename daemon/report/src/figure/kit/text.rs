@@ -1,5 +1,6 @@
 //! How wide text is, and making it fit.
 
+use peernet_sample::printable_line;
 use plotters::element::{Rectangle, Text};
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -7,7 +8,6 @@ use plotters::style::{Color, TextStyle, WHITE};
 
 use super::canvas::{Drawn, Paper, register, style};
 use super::colour::INK;
-use crate::table::in_one_line;
 
 /// Ground on both sides of text, pixels.
 const AROUND: i32 = 8;
@@ -22,7 +22,7 @@ pub(in crate::figure) fn text<DB: DrawingBackend>(
     // The middle of a line's height is above the middle of its digits.
     let lower =
         if matches!(style.pos.v_pos, VPos::Center) { (style.font.get_size() / 9.0) as i32 } else { 0 };
-    paper.draw(&Text::new(in_one_line(&words.into()), (x, y + lower), style))
+    paper.draw(&Text::new(printable_line(&words.into()).into_owned(), (x, y + lower), style))
 }
 
 /// Draws text as [`text`] does, on ground of the paper's colour: what is below it, such as a grid, does not cross it.
@@ -52,7 +52,7 @@ pub(in crate::figure) fn text_on_ground<DB: DrawingBackend>(
 /// Width of text of a height, pixels.
 pub(in crate::figure) fn width(text: &str, height: i32) -> i32 {
     register();
-    let size = style(height, INK, HPos::Left, VPos::Top).font.box_size(&in_one_line(text));
+    let size = style(height, INK, HPos::Left, VPos::Top).font.box_size(&printable_line(text));
     // Without a font nothing is drawn either; a guess keeps the layout whole.
     size.map_or_else(|_| text.chars().count() as i32 * height / 2, |(width, _)| width as i32)
 }

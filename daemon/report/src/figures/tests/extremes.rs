@@ -47,5 +47,5 @@ fn what_is_larger_than_anything_measured_is_left_out_and_told() {
     assert!(scaling.notes.iter().any(|note| note.contains("±10¹⁸")), "{:?}", scaling.notes);
     let all = odd(1e308, 1);
     let refused = histograms::drawings(&all, Some("upload")).expect_err("there is none");
-    assert_eq!(refused, "no iteration that counts has a number that can be drawn in the column upload");
+    assert_eq!(refused, MissingData::Column("upload".to_owned()));
 }

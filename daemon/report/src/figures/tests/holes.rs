@@ -24,7 +24,10 @@ fn labels_that_are_no_classes_are_told_in_the_figure_of_accuracy() {
     let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
     assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
     let none = accuracy::drawings(&[foreign(0)]).expect_err("nothing is scored");
-    assert!(none.ends_with(&format!("has a top-1; 94 iterations cannot have one, {why}")), "{none}");
+    assert!(
+        none.to_string().ends_with(&format!("has a top-1; 94 iterations cannot have one, {why}")),
+        "{none}"
+    );
 }
 
 #[test]

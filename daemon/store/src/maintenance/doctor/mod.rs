@@ -15,8 +15,9 @@ pub use self::report::{
 use super::{Contents, free_bytes, reading};
 use crate::column::count;
 use crate::database::MIGRATIONS;
+use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
-use crate::integrity::{PageCheck, is_damage, remembered};
+use crate::integrity::{PageCheck, remembered};
 
 /// A disk with less room is as good as full.
 const LITTLE_ROOM: u64 = 512 << 20;
@@ -41,7 +42,7 @@ pub enum DoctorError {
         /// The file.
         path: PathBuf,
         /// SQLite's or the system's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
 }
 
@@ -62,7 +63,10 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     if !database.is_file() {
         return Err(DoctorError::Missing(database.to_owned()));
     }
-    let cannot_open = |source| DoctorError::Open { path: database.to_owned(), source };
+    let cannot_open = |error: sqlx::Error| DoctorError::Open {
+        path: database.to_owned(),
+        source: DatabaseError::new(error),
+    };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
     // Before SQLite has it open: see `PageFile`.
     refuse_foreign_log_of(database)?;

@@ -22,9 +22,10 @@ use self::rows::{CopiedTable, Table, Value, values};
 use self::tree::{Item, Walk};
 use super::{BUSY, free_bytes};
 use crate::database::MIGRATIONS;
+use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, mark, refuse_foreign_log};
 use crate::integrity::pages::PageFile;
-use crate::integrity::{forget, is_damage, remembered, sqlite_finds};
+use crate::integrity::{forget, remembered, sqlite_finds};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
@@ -85,7 +86,7 @@ pub enum RepairError {
         /// The new file.
         path: PathBuf,
         /// SQLite's own words.
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// What was written is not whole.
     #[error("{} is damaged, too: {what}; the disk or the memory of this machine fails", path.display())]
@@ -143,7 +144,7 @@ pub async fn repair(
     let without_log = !take_over_log(&path).await?;
     let found = sqlite_finds(&path, &CancellationToken::new())
         .await
-        .map_err(|source| RepairError::Write { path: path.clone(), source })?;
+        .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
     if found.is_none() && !without_log {
         if remembered.is_some() {
             forget(&path).map_err(|source| file_error(&path, source))?;
@@ -230,7 +231,9 @@ async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
     match taken.await {
         Ok(()) => {}
         Err(error) if is_damage(&error) => {}
-        Err(source) => return Err(RepairError::Write { path: path.to_owned(), source }),
+        Err(error) => {
+            return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
+        }
     }
     Ok(fs::metadata(beside(path, "-wal")).map_or(true, |log| log.len() == 0))
 }
@@ -248,7 +251,8 @@ async fn salvage(
     if free < needed {
         return Err(RepairError::NoRoom { folder, needed, free });
     }
-    let failed = |source| RepairError::Write { path: new.to_owned(), source };
+    let failed =
+        |error: sqlx::Error| RepairError::Write { path: new.to_owned(), source: DatabaseError::new(error) };
     let options = SqliteConnectOptions::new()
         .filename(new)
         .create_if_missing(true)

@@ -4,7 +4,7 @@ use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
 use peernet_stream::{Iteration, Outcome, OutcomeCounts};
 
-use super::{AnchorRow, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
+use super::{AnchorRow, BatchError, IterationRow, NodeRow, Preparing, RunPart, Step, TransitRow};
 use crate::extent::Extent;
 use crate::rollups::Quantity;
 
@@ -13,12 +13,12 @@ const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl Preparing {
     /// Adds an iteration; returns when it began.
-    pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, String> {
-        let number = i64::try_from(iteration.number)
-            .map_err(|_| format!("iteration number {} is too large", iteration.number))?;
+    pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, BatchError> {
+        let number =
+            i64::try_from(iteration.number).map_err(|_| BatchError::IterationNumber(iteration.number))?;
         let tree = &iteration.tree;
         let [edge, others @ ..] = tree.anchors() else {
-            return Err(format!("iteration {number} has no host"));
+            return Err(BatchError::NoHost(number));
         };
         let run = self.run(iteration, edge.wall);
         let at = self.batch.iterations.len() as u32;

@@ -12,7 +12,8 @@ use std::collections::{BTreeSet, HashMap, HashSet};
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{BatchHead, Claim, Event, OutcomeCounts, codec};
+use peernet_stream::codec::{self, CodecError};
+use peernet_stream::{BatchHead, Claim, Event, OutcomeCounts};
 
 use self::names::LocalNames;
 pub(super) use self::names::NameKey;
@@ -78,12 +79,29 @@ pub(super) struct RunPart {
     pub(super) seconds: Extent,
 }
 
+/// The reason why a batch can never be stored, whatever the database holds.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum BatchError {
+    /// Its events cannot be read.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// The database has no such numbers.
+    #[error("iteration number {0} is too large")]
+    IterationNumber(u64),
+    /// The tree of an iteration is empty.
+    #[error("iteration {0} has no host")]
+    NoHost(i64),
+    /// An event is about something that another host measured.
+    #[error("an event was measured on another host, {0}")]
+    OtherHost(HostId),
+}
+
 impl Prepared {
     /// Makes rows and statistics of the events of a batch.
     ///
     /// # Errors
-    /// In words, when they cannot be read or cannot be stored, whatever the database holds.
-    pub(crate) fn new(head: BatchHead, body: Bytes) -> Result<Self, String> {
+    /// When they cannot be read or cannot be stored.
+    pub(crate) fn new(head: BatchHead, body: Bytes) -> Result<Self, BatchError> {
         Self::without(head, body, &HashSet::new())
     }
 
@@ -92,8 +110,8 @@ impl Prepared {
         head: BatchHead,
         body: Bytes,
         stored: &HashSet<(RunId, i64)>,
-    ) -> Result<Self, String> {
-        let events = codec::events(&body, head.events).map_err(|error| error.to_string())?;
+    ) -> Result<Self, BatchError> {
+        let events = codec::events(&body, head.events)?;
         let mut preparing = Preparing::of(Self::empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
@@ -156,13 +174,13 @@ impl Preparing {
         }
     }
 
-    fn add(&mut self, mut event: Event) -> Result<(), String> {
+    fn add(&mut self, mut event: Event) -> Result<(), BatchError> {
         if let Event::Gap(gap) = &mut event {
             gap.count = gap.count.min(MOST_MISSING);
         }
         let Claim { run, reporter } = event.claim();
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
-            return Err(format!("an event was measured on another host, {other}"));
+            return Err(BatchError::OtherHost(other));
         }
         self.batch.claimed.extend(run);
         let at = match &event {

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use peernet_stream::{Chain, StreamId};
 
-use super::super::task::{Done, Order, SpoolTask};
+use super::super::error::Trouble;
+use super::super::task::{Done, Order, SpoolTask, SpoolTaskError};
 use super::*;
 
 const HOUR: Duration = Duration::from_secs(3600);
@@ -50,8 +51,9 @@ async fn trouble_is_told_in_words() {
     std::fs::rename(place.path(), place.folder.path().join("away")).expect("moved");
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(words))) = task.done().await else { panic!("fails") };
-    assert!(words.contains("spool.sqlite"), "{words}");
+    let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
+    assert!(matches!(error, SpoolTaskError::File(Trouble::Moved(_))), "{error}");
+    assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
 
 #[tokio::test]
@@ -70,8 +72,8 @@ async fn a_file_that_turns_out_to_be_broken_is_put_aside_at_the_next_start() {
     let mut task = SpoolTask::start(file, HOUR);
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(words))) = task.done().await else { panic!("fails") };
-    assert!(words.contains("puts the file aside"), "{words}");
+    let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
+    assert!(error.to_string().contains("puts the file aside"), "{error}");
     drop(task.close().await);
     let aside = place.open().await.expect("opens").aside.expect("put aside");
     assert!(aside.reason.contains("append"), "{}", aside.reason);

@@ -1,0 +1,64 @@
+//! Texts of somebody else, made harmless for terminals, logs, tables and pages.
+
+use std::borrow::Cow;
+
+/// Returns the text in one printable line: each character that would control a terminal, break the line or reorder what
+/// follows becomes a space. The number of characters stays the same.
+pub fn printable_line(text: &str) -> Cow<'_, str> {
+    replaced(text, is_unprintable)
+}
+
+/// As [`printable_line`], but line feeds stay: for texts of several lines such as tracebacks.
+pub fn printable_lines(text: &str) -> Cow<'_, str> {
+    replaced(text, |char| char != '\n' && is_unprintable(char))
+}
+
+fn replaced(text: &str, is_wrong: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_wrong) {
+        return Cow::Borrowed(text);
+    }
+    Cow::Owned(text.chars().map(|char| if is_wrong(char) { ' ' } else { char }).collect())
+}
+
+fn is_unprintable(char: char) -> bool {
+    match char {
+        // Separators of lines and paragraphs.
+        '\u{2028}' | '\u{2029}' => true,
+        // Embeddings, overrides and isolates of the Unicode Bidirectional Algorithm: what follows one of them may be
+        // shown in another order. The marks of direction, which change no other character, stay.
+        '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
+        _ => char.is_control(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn printable_text_is_not_copied() {
+        for text in ["", "a label with ünïcode, 日本語 and \u{200f}marks"] {
+            assert!(matches!(printable_line(text), Cow::Borrowed(same) if same == text));
+            assert!(matches!(printable_lines(text), Cow::Borrowed(same) if same == text));
+        }
+    }
+
+    #[test]
+    fn controls_become_spaces() {
+        let text = "one\ttwo\r\n\u{1b}[31mthrée\u{9b}4m\u{7}";
+        assert_eq!(printable_line(text), "one two   [31mthrée 4m ");
+        assert_eq!(printable_lines(text), "one two \n [31mthrée 4m ");
+    }
+
+    #[test]
+    fn separators_and_overrides_become_spaces() {
+        assert_eq!(printable_line("a\u{2028}b\u{2029}c\u{202e}d\u{2066}e\u{2069}f"), "a b c d e f");
+    }
+
+    #[test]
+    fn nothing_of_all_characters_is_a_control() {
+        let all: String = ('\0'..=char::MAX).collect();
+        assert!(!printable_line(&all).contains(char::is_control));
+        assert_eq!(printable_line(&all).chars().count(), all.chars().count());
+    }
+}
