@@ -1,10 +1,13 @@
 //! Where a peer is found.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr};
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+
+use super::NetworkKind;
 
 /// The address of a peer or of a listener: `tcp://host:port`.
 ///
@@ -13,9 +16,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
+    scheme: Scheme,
     host: Host,
     port: u16,
 }
+
+/// What stands before `://`: that of a [`NetworkKind`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Scheme(&'static str);
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Host {
@@ -25,7 +33,7 @@ enum Host {
 
 /// A text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is not an address: {problem}; write tcp://host:port, IPv6 hosts in brackets")]
+#[error("{text:?} is not an address: {problem}; write {}, IPv6 hosts in brackets", forms())]
 pub struct InvalidAddress {
     /// What was given.
     pub text: String,
@@ -34,9 +42,9 @@ pub struct InvalidAddress {
 }
 
 impl Address {
-    /// The address of an IP address and a port.
+    /// The address of an IP address and a port: `tcp://…`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { host: Host::Ip(ip), port }
+        Self { scheme: Scheme("tcp"), host: Host::Ip(ip), port }
     }
 
     /// The host, without brackets.
@@ -82,9 +90,10 @@ fn parse(text: &str) -> Result<Address, String> {
     let Some((scheme, rest)) = text.split_once("://") else {
         return Err("the scheme is missing".into());
     };
-    if scheme != "tcp" {
+    let Some(scheme) = NetworkKind::ALL.iter().map(|kind| kind.scheme()).find(|known| *known == scheme)
+    else {
         return Err(format!("unknown scheme {scheme:?}"));
-    }
+    };
     let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
         let (host, after) = bracketed.split_once(']').ok_or("the closing bracket is missing")?;
         let ip: Ipv6Addr = host.parse().map_err(|_| format!("{host:?} is not an IPv6 address"))?;
@@ -98,7 +107,14 @@ fn parse(text: &str) -> Result<Address, String> {
         return Err(format!("{port:?} is not a port"));
     }
     let port = port.parse().map_err(|_| format!("port {port} is above 65535"))?;
-    Ok(Address { host, port })
+    Ok(Address { scheme: Scheme(scheme), host, port })
+}
+
+/// How addresses are written, for messages: `tcp://host:port`.
+fn forms() -> String {
+    let forms: BTreeSet<String> =
+        NetworkKind::ALL.iter().map(|kind| format!("{}://host:port", kind.scheme())).collect();
+    forms.into_iter().collect::<Vec<_>>().join(" or ")
 }
 
 /// A name or an IPv4 address; what looks like an IPv4 address must be one.
@@ -127,7 +143,7 @@ fn parse_host(host: &str) -> Result<Host, String> {
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "tcp://{}", self.authority())
+        write!(f, "{}://{}", self.scheme.0, self.authority())
     }
 }
 
