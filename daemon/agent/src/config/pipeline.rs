@@ -3,10 +3,10 @@
 use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::time::Duration;
 
-use peernet_actuators::ActuatorConfig;
+use peernet_actuators::{ActuatorConfig, ActuatorKind};
 use peernet_logger::Slug;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
-use peernet_sensors::{SensorConfig, TransformConfig};
+use peernet_sensors::{SensorConfig, SensorKind, TransformConfig};
 use peernet_stream::ExperimentPlace;
 use serde::{Deserialize, Serialize};
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_actuators::{Actuator, ActuatorConfig};
+use peernet_actuators::{Actuator, ActuatorConfig, ActuatorKind};
 use peernet_clock::SharedClock;
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
@@ -23,7 +23,7 @@ impl Acting {
     /// # Errors
     /// A sentence that says what could not be set up.
     pub(super) fn new(config: &ActuatorConfig, clock: &SharedClock) -> Result<Option<Self>, String> {
-        if *config == (ActuatorConfig::None {}) {
+        if !config.acts() {
             return Ok(None);
         }
         let actuator = config.build(clock).map_err(|error| error.to_string())?;

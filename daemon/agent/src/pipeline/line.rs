@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use peernet_actuators::ActuatorKind;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::FingerprintKey;
-use peernet_sensors::{Transform, build_transform};
+use peernet_sensors::{SensorKind, Transform, TransformKind};
 
 use super::acting::Acting;
 use super::alarm::Alarm;
@@ -40,8 +41,8 @@ impl Line {
         clock: SharedClock,
         fingerprints: &FingerprintKey,
     ) -> Result<Self, String> {
-        let sensor = peernet_sensors::open(&config.sensor, &clock).map_err(|error| error.to_string())?;
-        let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>();
+        let sensor = config.sensor.open(&clock).map_err(|error| error.to_string())?;
+        let transforms = config.transforms.iter().map(TransformKind::build).collect::<Result<Vec<_>, _>>();
         let transforms = transforms.map_err(|error| error.to_string())?;
         let mut facts = sensor.facts();
         facts.extend(config.sensor.arguments(fingerprints));
