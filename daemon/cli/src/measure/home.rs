@@ -72,8 +72,7 @@ impl Home {
 
 /// Whether the agent runs programs of the user's own.
 fn has_programs(config: &AgentConfig) -> bool {
-    let is_program = |model: &ModelConfig| matches!(model, ModelConfig::Exec(_));
-    config.models.iter().any(is_program)
+    config.models.iter().any(ModelConfig::is_program)
         || config
             .pipelines
             .iter()

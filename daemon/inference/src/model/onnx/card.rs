@@ -283,7 +283,7 @@ pub(super) mod tests {
     use super::*;
 
     /// A card for grey pictures of 2 × 1 pixels.
-    pub(in crate::onnx) const SMALL: &str = r#"
+    pub(in crate::model::onnx) const SMALL: &str = r#"
 name = "small"
 task = "classification"
 [input]
@@ -303,7 +303,7 @@ activation = "softmax"
 labels = ["a", "b"]
 "#;
 
-    pub(in crate::onnx) fn changed(from: &str, to: &str) -> Result<Card, String> {
+    pub(in crate::model::onnx) fn changed(from: &str, to: &str) -> Result<Card, String> {
         assert!(SMALL.contains(from), "{from}");
         Card::parse(&SMALL.replace(from, to))
     }
