@@ -80,7 +80,7 @@ pub enum ActuatorConfig {
     /// Does nothing.
     None(none::NoneConfig),
     /// Writes each answer to the log.
-    Log(log::LogConfig),
+    Log(log::LogActuatorConfig),
     /// Hands each answer to a program of your own: docs/external-programs.md.
     Exec(exec::ExecConfig),
 }

@@ -10,9 +10,9 @@ use crate::{Actuator, ActuatorError, ActuatorKind};
 /// `{ kind = "log" }`
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct LogConfig {}
+pub struct LogActuatorConfig {}
 
-impl ActuatorKind for LogConfig {
+impl ActuatorKind for LogActuatorConfig {
     fn build(&self, _clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         Ok(Box::new(Log))
     }
@@ -79,7 +79,7 @@ mod tests {
     fn logged(answer: &Sample) -> String {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
         let clock: SharedClock = Arc::new(clock);
-        let mut actuator = LogConfig {}.build(&clock).expect("needs nothing");
+        let mut actuator = LogActuatorConfig {}.build(&clock).expect("needs nothing");
         let mut log = Recorder::begin(clock, HostId::random());
         let lines = Lines::default();
         let writer = lines.clone();
