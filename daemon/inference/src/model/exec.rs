@@ -40,18 +40,25 @@ impl ModelKind for ExecConfig {
 
     fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         // The program's own check, which does not run it.
-        Self::check(self).map_err(|reason| failed(self, shared, ExchangeError::Command(reason)))
+        Self::check(&on_device(self, shared))
+            .map_err(|reason| failed(self, shared, ExchangeError::Command(reason)))
     }
 
     /// Starts one process.
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        let mut config = self.clone();
-        config.env.insert(DEVICE.to_owned(), shared.device.clone());
+        let config = on_device(self, shared);
         let (shared, clock) = (shared.clone(), SharedClock::clone(context.clock));
         let facts = config.facts(Role::Model);
         let first = Mutex::new(Some(start(&config, &shared, &clock)?));
         Ok(Arc::new(Exec { config, shared, clock, facts, first }))
     }
+}
+
+/// The program, told its device.
+fn on_device(config: &ExecConfig, shared: &SharedKeys) -> ExecConfig {
+    let mut config = config.clone();
+    config.env.insert(DEVICE.to_owned(), shared.device.clone());
+    config
 }
 
 /// A program, once for each worker.

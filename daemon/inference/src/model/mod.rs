@@ -62,6 +62,7 @@ pub trait ModelKind {
     fn hide_secrets(&mut self) {}
 
     /// Takes out keys that are not told when they have their defaults.
+    // Settings of runs are compared as texts: a default that earlier versions did not tell would be a difference.
     fn leave_out_defaults(&self, _keys: &mut Keys) {}
 
     /// Finds what is wrong without loading the model or running a user's code.
