@@ -1,25 +1,49 @@
 //! `exec`: hands each answer to a program of the user's own.
 
 use peernet_clock::SharedClock;
-use peernet_external::exec::{ExchangeError, ExecConfig, Program, Request, Role};
+pub use peernet_external::exec::ExecConfig;
+use peernet_external::exec::{ExchangeError, FingerprintKey, Program, Request, Role};
+use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
-use crate::{Actuator, ActuatorError};
+use crate::{Actuator, ActuatorError, ActuatorKind};
 
 /// A program that is told each answer, and says when it has acted.
-pub(crate) struct Exec {
+struct Exec {
     command: String,
     program: Program,
 }
 
-impl Exec {
-    pub(crate) fn start(config: &ExecConfig, clock: &SharedClock) -> Result<Self, ActuatorError> {
-        let command = config.command.to_string();
-        match Program::start(config, Role::Actuator, &format!("actuator {command}"), clock) {
-            Ok(program) => Ok(Self { command, program }),
+impl ActuatorKind for ExecConfig {
+    fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        let command = self.command.to_string();
+        match Program::start(self, Role::Actuator, &format!("actuator {command}"), clock) {
+            Ok(program) => Ok(Box::new(Exec { command, program })),
             Err(error) => Err(failed(&command, &error)),
         }
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        Self::facts(self, Role::Actuator)
+    }
+
+    fn is_program(&self) -> bool {
+        true
+    }
+
+    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments(self, Role::Actuator, key)
+    }
+
+    fn hide_secrets(&mut self) {
+        hide_values(&mut self.env);
+    }
+
+    fn check(&self) -> Result<(), ActuatorError> {
+        // The program's own check, which does not run it.
+        Self::check(self)
+            .map_err(|reason| ActuatorError(format!("the program of an exec actuator: {reason}")))
     }
 }
 

@@ -1,13 +1,29 @@
 //! `log`: writes each answer to the log.
 
+use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
 use peernet_sample::{MediaType, Sample};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
-use crate::{Actuator, ActuatorError};
+use crate::{Actuator, ActuatorError, ActuatorKind};
+
+/// `{ kind = "log" }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LogActuatorConfig {}
+
+impl ActuatorKind for LogActuatorConfig {
+    fn build(&self, _clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        Ok(Box::new(Log))
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        vec![("Actuator".to_owned(), "log".to_owned())]
+    }
+}
 
 /// One line per answer: a classification with its label and score, anything else by its size.
-pub(crate) struct Log;
+struct Log;
 
 /// What is read of a classifier's answer.
 #[derive(Debug, PartialEq, Deserialize)]
@@ -40,12 +56,11 @@ mod tests {
     use std::io::{self, Write};
     use std::sync::{Arc, Mutex};
 
-    use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::HostId;
     use peernet_sample::Description;
 
     use super::*;
-    use crate::ActuatorConfig;
 
     #[derive(Clone, Default)]
     struct Lines(Arc<Mutex<Vec<u8>>>);
@@ -64,7 +79,7 @@ mod tests {
     fn logged(answer: &Sample) -> String {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c"));
         let clock: SharedClock = Arc::new(clock);
-        let mut actuator = ActuatorConfig::Log {}.build(&clock).expect("needs nothing");
+        let mut actuator = LogActuatorConfig {}.build(&clock).expect("needs nothing");
         let mut log = Recorder::begin(clock, HostId::random());
         let lines = Lines::default();
         let writer = lines.clone();

@@ -1,11 +1,38 @@
 //! `none`: does nothing.
 
+use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
+use serde::{Deserialize, Serialize};
 
-use crate::{Actuator, ActuatorError};
+use crate::{Actuator, ActuatorConfig, ActuatorError, ActuatorKind};
 
-pub(crate) struct Idle;
+/// `{ kind = "none" }`, the default.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoneConfig {}
+
+impl Default for ActuatorConfig {
+    fn default() -> Self {
+        NoneConfig {}.into()
+    }
+}
+
+impl ActuatorKind for NoneConfig {
+    fn build(&self, _clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        Ok(Box::new(Idle))
+    }
+
+    fn acts(&self) -> bool {
+        false
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+}
+
+struct Idle;
 
 impl Actuator for Idle {
     fn act(&mut self, _source: &str, _answer: &Sample, _log: &mut Recorder) -> Result<(), ActuatorError> {

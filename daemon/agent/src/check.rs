@@ -10,11 +10,12 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use peernet_actuators::ActuatorConfig;
+use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_networks::SessionSettings;
+use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
 use rustix::fs::{Access, access};
 
@@ -180,9 +181,9 @@ fn check_pipeline(
     models: &[Slug],
     clock: &SharedClock,
 ) {
-    report.unless_ok(format!("{at}.sensor"), peernet_sensors::check(&pipeline.sensor, clock));
+    report.unless_ok(format!("{at}.sensor"), pipeline.sensor.check(clock));
     for (index, transform) in pipeline.transforms.iter().enumerate() {
-        report.unless_ok(format!("{at}.transforms[{index}]"), peernet_sensors::build_transform(transform));
+        report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
     }
     report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
     report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
@@ -218,7 +219,7 @@ fn check_pipeline(
             format!("{seconds:?} is not a number of seconds above 0 and at most {LONGEST_RUN_S}"),
         );
     }
-    if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator != (ActuatorConfig::None {}) {
+    if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {
         report
             .add(format!("{at}.actuator"), "a sensor alone has no answers to act upon; remove the actuator");
     }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_inference::{Bank, Done, Job, ModelConfig, OnnxRuntimeConfig};
+use peernet_inference::{Bank, BankConfig, Done, Job, OnnxRuntimeConfig};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_sample::{Description, MediaType, Sample};
 
@@ -25,11 +25,7 @@ fn main() {
 
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let name: Slug = "bench".parse().expect("is a name");
-    let table = toml::toml! { kind = "onnx" name = "bench" path = "" };
-    let mut config: ModelConfig = table.try_into().expect("is complete");
-    if let ModelConfig::Onnx(config) = &mut config {
-        config.path = folder;
-    }
+    let config = BankConfig::default().model(&name, &folder, "cpu");
     let bank = Bank::new(vec![config], OnnxRuntimeConfig::default(), Arc::clone(&clock));
     let pool = bank.load(&name, None).expect("the model loads");
     let bytes = std::fs::read(&picture).expect("the picture is readable").into();

@@ -18,14 +18,10 @@ use peernet_clock::{SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 
-use crate::echo::Echo;
-use crate::exec::Exec;
 use crate::litter::Litter;
-use crate::onnx::Onnx;
+use crate::model::LoadContext;
 use crate::pool::Sizes;
-use crate::python::Python;
-use crate::sleep::Sleep;
-use crate::{LoadError, Model, ModelConfig, OnnxRuntimeConfig, Pool};
+use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool};
 
 use shelf::Shelf;
 use stock::Stock;
@@ -190,13 +186,7 @@ impl Bank {
             if let Err(error) = config.check_limits() {
                 errors.push((index, error));
             }
-            let checked = match config {
-                ModelConfig::Onnx(config) => Onnx::check(config, &self.runtime),
-                ModelConfig::Python(config) => Python::check(config, &self.clock),
-                ModelConfig::Exec(config) => Exec::check(config),
-                _ => Ok(()),
-            };
-            if let Err(error) = checked {
+            if let Err(error) = config.check(&self.context()) {
                 errors.push((index, error));
             }
         }
@@ -255,16 +245,14 @@ impl Bank {
         left.into_iter().map(|(_, name)| name).collect()
     }
 
+    fn context(&self) -> LoadContext<'_> {
+        LoadContext { runtime: &self.runtime, litter: &self.litter, clock: &self.clock }
+    }
+
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
         let begun = self.clock.mono();
-        let model: Arc<dyn Model> = match config {
-            ModelConfig::Onnx(config) => Arc::new(Onnx::load(config, &self.runtime, &self.litter)?),
-            ModelConfig::Python(config) => Arc::new(Python::load(config, &self.clock)?),
-            ModelConfig::Exec(config) => Arc::new(Exec::load(config, &self.clock)?),
-            ModelConfig::Echo(config) => Arc::new(Echo::new(config.clone())),
-            ModelConfig::Sleep(config) => Arc::new(Sleep::new(config.clone())),
-        };
+        let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
         Ok(pool.telling(config.facts(self.fingerprints.as_ref())))

@@ -3,33 +3,24 @@
 //! [`Bank`] is the list of models that a host offers and the only way to one. Asked for a model it loads it,
 //! once, and hands out its [`Pool`]: jobs go in by [`Pool::submit`], each comes back through its own `reply`.
 //!
-//! A new kind is one file or folder here plus one variant of [`ModelConfig`].
+//! A new kind is one file or folder in [`model`], registered in the `mod.rs` there.
 
 pub mod bank;
-mod config;
-mod defaults;
-mod echo;
 mod error;
-mod exec;
-mod facts;
 mod job;
 mod litter;
-mod onnx;
+pub mod model;
 mod pool;
-mod python;
 mod queue;
 mod scratch;
-mod sleep;
 mod thread;
 
 pub use bank::{Bank, BankConfig};
-pub use config::{EchoConfig, ModelConfig, OnnxConfig, OnnxRuntimeConfig, SleepConfig};
 pub use error::{InferenceError, LibraryError, LoadError};
-pub use exec::ExecModelConfig;
 pub use job::{Done, Job, Refused};
-pub use onnx::{CardSummary, MODEL_HASH, UNKNOWN_LABEL};
+pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
+pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
-pub use python::PythonModelConfig;
 pub use scratch::Scratch;
 
 use peernet_logger::Recorder;

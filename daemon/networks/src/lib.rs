@@ -5,22 +5,20 @@
 //! carry the same frames ([`NetworkKind`] lists them), and one session logic serves them all: state machines
 //! without I/O in `session/{client,server}.rs`, their drivers in `session/{edge,cloud}.rs`.
 
-mod address;
 pub mod descriptors;
 mod figures;
-mod kind;
 mod message;
 mod session;
 mod settings;
 mod transport;
 
-pub use address::{Address, AddressProblem, InvalidAddress};
 pub use figures::NetworkFigures;
-pub use kind::NetworkKind;
 pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session,
 };
 pub use settings::{InvalidSettings, SessionSettings};
-pub use transport::{Arrival, BindFailure, ConnectionId, Frames, Peer, SendFailure, zmtp};
+pub use transport::{
+    Address, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, NetworkKind, Peer, SendFailure, zmtp,
+};

@@ -1,16 +1,14 @@
 //! Sensors, which yield samples, and transforms, which change them before they are sent or computed on.
 //!
-//! A new kind is one file here plus one variant of [`SensorConfig`] or [`TransformConfig`].
+//! A new kind is one file in [`sensor`] or [`transform`], registered in the `mod.rs` beside it.
 
-mod config;
 mod error;
-mod sensor;
-mod transform;
+pub mod sensor;
+pub mod transform;
 
-pub use config::{Format, Order, SensorConfig, TransformConfig};
 pub use error::SensorError;
-pub use sensor::{check, open};
-pub use transform::build_transform;
+pub use sensor::{SensorConfig, SensorKind};
+pub use transform::{TransformConfig, TransformKind};
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;

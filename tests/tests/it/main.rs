@@ -9,6 +9,7 @@ mod documentation;
 mod documented;
 mod durability;
 mod experiments;
+mod extension_points;
 mod external;
 mod figures;
 mod fixtures;

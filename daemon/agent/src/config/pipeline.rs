@@ -3,10 +3,10 @@
 use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::time::Duration;
 
-use peernet_actuators::ActuatorConfig;
+use peernet_actuators::{ActuatorConfig, ActuatorKind};
 use peernet_logger::Slug;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
-use peernet_sensors::{SensorConfig, TransformConfig};
+use peernet_sensors::{SensorConfig, SensorKind, TransformConfig};
 use peernet_stream::ExperimentPlace;
 use serde::{Deserialize, Serialize};
 
@@ -86,7 +86,7 @@ pub struct RemoteConfig {
     /// Address of the peer's `[serve] listen`: `tcp://host:port`.
     pub peer: Address,
     /// Kind of network. Default: `zmq-tcp`.
-    #[serde(default = "zmq_tcp")]
+    #[serde(default)]
     pub network: NetworkKind,
     /// Name of one of the peer's models. Default: the only one that the peer offers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -215,10 +215,6 @@ impl PipelineConfig {
     pub fn timeout(&self) -> Duration {
         Duration::from_millis(self.timeout_ms.get())
     }
-}
-
-pub(super) const fn zmq_tcp() -> NetworkKind {
-    NetworkKind::ZmqTcp
 }
 
 const fn four() -> NonZeroUsize {

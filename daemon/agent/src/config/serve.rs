@@ -5,8 +5,6 @@ use std::net::{IpAddr, Ipv4Addr};
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use serde::{Deserialize, Serialize};
 
-use super::pipeline::zmq_tcp;
-
 /// `[serve]`: where peers may ask for this host's models.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -27,7 +25,7 @@ impl Default for ServeConfig {
     fn default() -> Self {
         Self {
             listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551),
-            network: zmq_tcp(),
+            network: NetworkKind::default(),
             calibration: true,
             session: SessionSettings::default(),
         }

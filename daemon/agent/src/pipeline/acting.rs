@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_actuators::{Actuator, ActuatorConfig, ActuatorError};
+use peernet_actuators::{Actuator, ActuatorConfig, ActuatorError, ActuatorKind};
 use peernet_clock::SharedClock;
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
@@ -34,7 +34,7 @@ impl Acting {
     /// # Errors
     /// When the actuator cannot be set up.
     pub(super) fn new(config: &ActuatorConfig, clock: &SharedClock) -> Result<Option<Self>, ActuatorError> {
-        if *config == (ActuatorConfig::None {}) {
+        if !config.acts() {
             return Ok(None);
         }
         let actuator = config.build(clock)?;

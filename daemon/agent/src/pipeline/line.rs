@@ -3,10 +3,10 @@
 use std::io;
 use std::sync::Arc;
 
-use peernet_actuators::ActuatorError;
+use peernet_actuators::{ActuatorError, ActuatorKind};
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::FingerprintKey;
-use peernet_sensors::{SensorError, Transform, build_transform};
+use peernet_sensors::{SensorError, SensorKind, Transform, TransformKind};
 use tokio::task::JoinError;
 
 use super::acting::Acting;
@@ -63,8 +63,8 @@ impl Line {
         clock: SharedClock,
         fingerprints: &FingerprintKey,
     ) -> Result<Self, AssembleError> {
-        let sensor = peernet_sensors::open(&config.sensor, &clock)?;
-        let transforms = config.transforms.iter().map(build_transform).collect::<Result<Vec<_>, _>>()?;
+        let sensor = config.sensor.open(&clock)?;
+        let transforms = config.transforms.iter().map(TransformKind::build).collect::<Result<Vec<_>, _>>()?;
         let mut facts = sensor.facts();
         facts.extend(config.sensor.arguments(fingerprints));
         if !transforms.is_empty() {

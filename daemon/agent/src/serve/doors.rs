@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_inference::{EchoConfig, ModelConfig};
+use peernet_inference::ModelConfig;
 use peernet_logger::Slug;
 use peernet_networks::{Address, Listener, PeerClock};
 use peernet_probes::Reflector;
@@ -65,7 +65,7 @@ pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
     let wanted = config.serve.as_ref().is_some_and(|serve| serve.calibration);
     let name: Slug = CALIBRATION.parse().ok()?;
     let free = config.models.iter().all(|model| *model.name() != name);
-    (wanted && free).then_some(ModelConfig::Echo(EchoConfig { name, answer_bytes: None }))
+    (wanted && free).then(|| ModelConfig::echo(name))
 }
 
 /// What peers are told of this host's clock.

@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
-    #[arg(long, default_value = "zmq-tcp", value_parser = network)]
+    #[arg(long, default_value_t, value_parser = network)]
     pub(super) network: NetworkKind,
     /// Do not show the progress.
     #[arg(long, short)]

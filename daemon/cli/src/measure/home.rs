@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use anyhow::{Context, anyhow};
-use peernet_actuators::ActuatorConfig;
+use peernet_actuators::ActuatorKind;
 use peernet_agent::config::HostConfig;
 use peernet_agent::{AgentConfig, share_argument_key};
 use peernet_inference::{ModelConfig, Scratch};
-use peernet_sensors::SensorConfig;
+use peernet_sensors::SensorKind;
 
 use super::spools;
 
@@ -72,12 +72,11 @@ impl Home {
 
 /// Whether the agent runs programs of the user's own.
 fn has_programs(config: &AgentConfig) -> bool {
-    let is_program = |model: &ModelConfig| matches!(model, ModelConfig::Exec(_));
-    config.models.iter().any(is_program)
-        || config.pipelines.iter().any(|pipeline| {
-            matches!(pipeline.sensor, SensorConfig::Exec(_))
-                || matches!(pipeline.actuator, ActuatorConfig::Exec(_))
-        })
+    config.models.iter().any(ModelConfig::is_program)
+        || config
+            .pipelines
+            .iter()
+            .any(|pipeline| pipeline.sensor.is_program() || pipeline.actuator.is_program())
 }
 
 /// The folder of this user for what outlives a run.

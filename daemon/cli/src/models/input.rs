@@ -7,7 +7,7 @@ use peernet_clock::SharedClock;
 use peernet_inference::bank::Found;
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, PixelFormat, Sample};
-use peernet_sensors::{Order, SensorConfig};
+use peernet_sensors::{SensorConfig, SensorKind};
 
 /// The folder of test pictures in a model's folder.
 const PICTURES: &str = "pictures";
@@ -51,8 +51,7 @@ impl Input {
 fn read(path: PathBuf, clock: &SharedClock) -> Result<Input, Failure> {
     let unusable = |error| Failure::new(Exit::NoInput, error);
     let what = path.display().to_string();
-    let config = SensorConfig::Images { path, order: Order::default(), seed: 1, repeat: false, labels: None };
-    let mut sensor = peernet_sensors::open(&config, clock).map_err(unusable)?;
+    let mut sensor = SensorConfig::pictures_once(path).open(clock).map_err(unusable)?;
     let mut log = Recorder::begin(std::sync::Arc::clone(clock), HostId::random());
     let mut samples = Vec::new();
     while let Some(sample) = sensor.sample(&mut log).map_err(unusable)? {

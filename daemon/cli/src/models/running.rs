@@ -7,7 +7,7 @@ use crate::clock;
 use crate::exit::{Exit, Failure};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::bank::Found;
-use peernet_inference::{Bank, InferenceError, Job, ModelConfig, OnnxRuntimeConfig, Pool};
+use peernet_inference::{Bank, BankConfig, InferenceError, Job, OnnxRuntimeConfig, Pool};
 use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::Sample;
 
@@ -36,10 +36,9 @@ impl Running {
     pub(super) fn load(found: &Found, options: &Options) -> Result<Self, Failure> {
         let clock =
             clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-        let mut config = found.configuration(&options.device);
-        config.intra_threads = options.intra_threads;
-        let bank =
-            Bank::new(vec![ModelConfig::Onnx(config)], OnnxRuntimeConfig::default(), Arc::clone(&clock));
+        let settings = BankConfig { intra_threads: options.intra_threads, ..BankConfig::default() };
+        let config = settings.model(&found.name, &found.folder, &options.device);
+        let bank = Bank::new(vec![config], OnnxRuntimeConfig::default(), Arc::clone(&clock));
         if let Some((_, error)) = bank.check().into_iter().next() {
             return Err(failure(error));
         }

@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
     /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
-    #[arg(long, default_value = "zmq-tcp", value_parser = network)]
+    #[arg(long, default_value_t, value_parser = network)]
     pub(super) network: NetworkKind,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` the name of the one that
     /// serves, and if it is to be another than 5551, `start_port:`.

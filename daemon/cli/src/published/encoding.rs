@@ -36,12 +36,9 @@ impl Encoding {
     /// What is done with each picture.
     pub(super) fn transforms(self) -> Vec<TransformConfig> {
         match self {
-            Self::Pixels => vec![TransformConfig::Decode {}],
+            Self::Pixels => vec![TransformConfig::to_pixels()],
             Self::File => Vec::new(),
-            Self::Jpeg(quality) => {
-                let format = peernet_sensors::Format::Jpeg;
-                vec![TransformConfig::Encode { format, quality: Some(quality) }]
-            }
+            Self::Jpeg(quality) => vec![TransformConfig::to_jpeg(quality)],
         }
     }
 }
@@ -52,7 +49,10 @@ mod tests {
 
     #[test]
     fn pixels_are_the_published_way() {
-        assert_eq!(Encoding::read("pixels").map(Encoding::transforms), Ok(vec![TransformConfig::Decode {}]));
+        assert_eq!(
+            Encoding::read("pixels").map(Encoding::transforms),
+            Ok(vec![TransformConfig::to_pixels()])
+        );
         assert_eq!(Encoding::read("file").map(Encoding::transforms), Ok(Vec::new()));
         assert_eq!(Encoding::read("jpeg:85"), Ok(Encoding::Jpeg(85)));
         for wrong in ["jpeg", "jpeg:", "jpeg:0", "jpeg:101", "png", ""] {

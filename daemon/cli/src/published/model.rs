@@ -46,7 +46,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         None => {
             let found = Folders::search(&arguments.models_dir).find(wanted);
             let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;
-            return Ok(ModelConfig::Onnx(found.configuration(device)));
+            return Ok(found.configuration(device));
         }
     };
     if given.is_some() {

@@ -4,7 +4,7 @@ use crate::clock;
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_clock::ClockIdentity;
-use peernet_sensors::{SensorConfig, SensorError, TransformConfig};
+use peernet_sensors::{SensorConfig, SensorError, SensorKind, TransformConfig};
 use serde_json::{Value, json};
 
 use super::Arguments;
@@ -78,7 +78,7 @@ pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformCo
 fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    peernet_sensors::check(&config, &clock).map_err(|error| {
+    config.check(&clock).map_err(|error| {
         let is_typed = error.is_misnamed() || matches!(error, SensorError::Config(_));
         let exit = if is_typed { Exit::Usage } else { Exit::NoInput };
         Failure::new(exit, error)

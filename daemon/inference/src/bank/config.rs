@@ -7,7 +7,7 @@ use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
 use super::INSTALLED;
-use crate::{ModelConfig, OnnxConfig};
+use crate::{ModelConfig, SharedKeys};
 
 /// `[bank]`: folders of models that are offered beside the `[[model]]`s, each by the name of its folder, loaded when
 /// somebody asks.
@@ -53,15 +53,9 @@ impl BankConfig {
     pub(super) const MOST_LOADED: usize = 64;
 
     /// A model of the folders, as a `[[model]]` would have it.
-    pub(super) fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {
-        ModelConfig::Onnx(OnnxConfig {
-            name: name.clone(),
-            path: folder.to_owned(),
-            device: device.to_owned(),
-            workers: self.workers,
-            queue: self.queue,
-            intra_threads: self.intra_threads,
-            inter_threads: self.inter_threads,
-        })
+    pub fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {
+        let (workers, queue) = (self.workers, self.queue);
+        let shared = SharedKeys { name: name.clone(), device: device.to_owned(), workers, queue };
+        ModelConfig::onnx(shared, folder.to_owned(), [self.intra_threads, self.inter_threads])
     }
 }

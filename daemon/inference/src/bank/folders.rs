@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use peernet_logger::Slug;
 
-use crate::onnx::{self, CardSummary};
-use crate::{LoadError, OnnxConfig};
+use super::BankConfig;
+use crate::model::onnx::{self, CardSummary};
+use crate::{LoadError, ModelConfig};
 
 /// Where the package and `peernet models` look for models by default.
 pub const INSTALLED: &str = "/var/lib/peernet/models";
@@ -119,8 +120,8 @@ impl Found {
     }
 
     /// The model on this device with one worker, as a `[[model]]` would have it; every other key at its default.
-    pub fn configuration(&self, device: &str) -> OnnxConfig {
-        OnnxConfig::new(self.name.clone(), self.folder.clone(), device)
+    pub fn configuration(&self, device: &str) -> ModelConfig {
+        BankConfig::default().model(&self.name, &self.folder, device)
     }
 
     /// SHA-256 of `model.onnx`, in hexadecimal.

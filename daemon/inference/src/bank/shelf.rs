@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 
-use crate::onnx::{CARD, MODEL};
+use crate::model::onnx::{CARD, MODEL};
 use crate::{LoadError, ModelConfig, Pool};
 
 /// One model on one device: the lock is held while it loads, so that it loads once and others are not held up.

@@ -96,7 +96,7 @@ impl Stock {
             errors.push((key, LoadError::TooMuch { key, value, most }));
         }
         for device in &self.config.devices {
-            if let Err(error) = crate::onnx::check_device(device) {
+            if let Err(error) = crate::model::onnx::check_device(device) {
                 errors.push(("devices", error));
             }
         }

@@ -7,7 +7,8 @@ use peernet_logger::{HostId, Recorder, stage};
 use peernet_sample::{Description, Sample};
 
 use super::*;
-use crate::{EchoConfig, Worker, echo::Echo};
+use crate::Worker;
+use crate::model::echo::{Echo, EchoConfig};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
@@ -201,8 +202,7 @@ fn the_last_handle_may_go_on_a_thread_of_the_pool() {
 
 #[test]
 fn echo_answers_on_the_callers_thread_before_submit_returns() {
-    let config = EchoConfig { name: "echo".parse().expect("is a name"), answer_bytes: None };
-    let pool = start(Arc::new(Echo::new(config)), Sizes { workers: 1, queue: 1 }, clock());
+    let pool = start(Arc::new(Echo::new(EchoConfig::default())), Sizes { workers: 1, queue: 1 }, clock());
     let caller = thread::current().id();
     let (sender, receiver) = sync_channel(1);
     let reply = move |done: Done| sender.send((thread::current().id(), done)).expect("has room");

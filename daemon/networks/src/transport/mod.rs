@@ -1,9 +1,12 @@
 //! What a transport is: whole messages of several frames, to and from peers that come and go.
 //!
-//! A new transport is one file here with a `dial` and a `bind`, plus one line in the registry (`kind.rs`).
+//! A new transport is one file here with a `dial` and a `bind`, registered in [`NetworkKind`].
 
-pub(crate) mod zmq_tcp;
+mod address;
+mod zmq_tcp;
 pub mod zmtp;
+
+pub use address::{Address, InvalidAddress};
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -11,8 +14,64 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use futures::future::BoxFuture;
+use serde::{Deserialize, Serialize};
 
-use crate::Address;
+use crate::SessionSettings;
+
+/// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`.
+macro_rules! networks {
+    ($($(#[$about:meta])* $variant:ident = $name:literal at $scheme:literal in $module:ident;)*) => {
+        /// The networks a sample can travel over.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        pub enum NetworkKind {
+            $($(#[$about])* #[serde(rename = $name)] $variant,)*
+        }
+
+        impl NetworkKind {
+            /// Every kind, in the order of declaration.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// The name used in configurations, in storage and on the pages.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name),* }
+            }
+
+            /// How the addresses of its peers begin: `tcp` of `tcp://host:port`.
+            pub const fn scheme(self) -> &'static str {
+                match self { $(Self::$variant => $scheme),* }
+            }
+
+            pub(crate) async fn dial(
+                self,
+                address: &Address,
+                settings: &SessionSettings,
+            ) -> Result<Dialled, DialFailure> {
+                match self { $(Self::$variant => $module::dial(address, settings).await),* }
+            }
+
+            pub(crate) async fn bind(
+                self,
+                address: &Address,
+                settings: &SessionSettings,
+            ) -> Result<Bound, BindFailure> {
+                match self { $(Self::$variant => $module::bind(address, settings).await),* }
+            }
+        }
+    };
+}
+
+// A new transport is registered here.
+networks! {
+    /// ZMTP over TCP: any ZeroMQ library can be the peer (DEALER on the edge, ROUTER on the cloud).
+    #[default]
+    ZmqTcp = "zmq-tcp" at "tcp" in zmq_tcp;
+}
+
+impl fmt::Display for NetworkKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
 
 /// The frames of one message, in order.
 pub type Frames = Vec<Bytes>;

@@ -1,17 +1,20 @@
 //! `exec`: a program of the user's own.
 
 use peernet_clock::{MonoTime, SharedClock};
-use peernet_external::exec::{ExchangeError, ExecConfig, Notes, Program, Request, Role, Said};
+pub use peernet_external::exec::ExecConfig;
+use peernet_external::exec::{ExchangeError, FingerprintKey, Notes, Program, Request, Role, Said};
+use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
+use super::SensorKind;
 use crate::{Sensor, SensorError};
 
 /// Samples that the program took and did not give, by the gaps in its numbers.
 const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// A program that is asked for each sample.
-pub(super) struct Exec {
+struct Exec {
     command: String,
     facts: Vec<(String, String)>,
     program: Program,
@@ -19,21 +22,35 @@ pub(super) struct Exec {
     last: Option<u64>,
 }
 
-/// Checks the command without running it.
-pub(super) fn check(config: &ExecConfig) -> Result<(), SensorError> {
-    config.check().map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
+impl SensorKind for ExecConfig {
+    fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
+        let command = self.command.to_string();
+        let facts = self.facts(Role::Sensor);
+        let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
+            .map_err(|error| SensorError::Program { command: command.clone(), error })?;
+        Ok(Box::new(Exec { command, facts, program, last: None }))
+    }
+
+    fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
+        // The program's own check, which does not run it.
+        Self::check(self)
+            .map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
+    }
+
+    fn is_program(&self) -> bool {
+        true
+    }
+
+    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments(self, Role::Sensor, key)
+    }
+
+    fn hide_secrets(&mut self) {
+        hide_values(&mut self.env);
+    }
 }
 
 impl Exec {
-    /// Starts the program.
-    pub(super) fn open(config: &ExecConfig, clock: &SharedClock) -> Result<Self, SensorError> {
-        let command = config.command.to_string();
-        let facts = config.facts(Role::Sensor);
-        let program = Program::start(config, Role::Sensor, &format!("sensor {command}"), clock)
-            .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Self { command, facts, program, last: None })
-    }
-
     fn failed(&self, error: ExchangeError) -> SensorError {
         SensorError::Program { command: self.command.clone(), error }
     }

@@ -1,50 +1,86 @@
-//! The sensors, one file per kind.
+//! The sensors: one file or folder for each kind, and the registration of each in [`SensorConfig`].
 
-mod data_set;
-mod exec;
-mod folder;
-mod images;
-mod labels;
-mod python;
-mod synthetic;
-mod text;
+pub mod exec;
+pub mod images;
+pub mod python;
+pub mod synthetic;
+pub mod text;
 
+use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
-use peernet_external::python::PythonObject;
+use peernet_external::exec::FingerprintKey;
+use serde::{Deserialize, Serialize};
 
-use crate::{Sensor, SensorConfig, SensorError};
-use exec::Exec;
-use images::Images;
-use python::Python;
-use synthetic::Synthetic;
-use text::Text;
+use crate::{Sensor, SensorError};
 
-/// Checks what can be checked of a sensor without running a user's code.
-///
-/// # Errors
-/// When the configuration contradicts itself, or what it names is not there.
-pub fn check(config: &SensorConfig, clock: &SharedClock) -> Result<(), SensorError> {
-    match config {
-        SensorConfig::Exec(config) => exec::check(config),
-        SensorConfig::Python(config) => Ok(PythonObject::check(config, clock)?),
-        config => open(config, clock).map(drop),
+/// A kind of sensor, implemented by its configuration.
+#[enum_dispatch]
+pub trait SensorKind {
+    /// Opens the sensor; `clock` is what its deadlines are taken from.
+    ///
+    /// # Errors
+    /// When the configuration contradicts itself, or what it names is not there.
+    fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError>;
+
+    /// Checks what can be checked without running a user's code.
+    ///
+    /// # Errors
+    /// When the configuration contradicts itself, or what it names is not there.
+    fn check(&self, clock: &SharedClock) -> Result<(), SensorError> {
+        self.open(clock).map(drop)
     }
+
+    /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
+    fn is_program(&self) -> bool {
+        false
+    }
+
+    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
+        None
+    }
+
+    /// Takes out what may not be published: the values of `env`.
+    fn hide_secrets(&mut self) {}
 }
 
-/// Opens the sensor that a configuration describes; `clock` is what its deadlines are taken from.
-///
-/// # Errors
-/// When the configuration contradicts itself, or what it names is not there.
-pub fn open(config: &SensorConfig, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
-    Ok(match config {
-        SensorConfig::Images { path, order, seed, repeat, labels } => {
-            Box::new(Images::open(path, *order, *seed, *repeat, labels.as_deref())?)
+/// `sensor` in the configuration of a pipeline. A new kind is registered here.
+#[enum_dispatch(SensorKind)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum SensorConfig {
+    /// Pictures from files, sent as they are.
+    Images(images::ImagesConfig),
+    /// Random letters and digits.
+    Text(text::TextConfig),
+    /// A program of your own: docs/external-programs.md.
+    Exec(exec::ExecConfig),
+    /// A Python object of your own with `sample()`: docs/python.md.
+    Python(python::PythonConfig),
+    /// Random bytes.
+    Synthetic(synthetic::SyntheticConfig),
+}
+
+/// Default of the key `seed`, which several kinds have.
+const fn default_seed() -> u64 {
+    1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_key_is_refused_by_name() {
+        for text in [
+            "kind = 'images'\npath = 'p'\nzz = 1",
+            "kind = 'text'\nlength = 3\nzz = 1",
+            "kind = 'exec'\ncommand = 'x'\nzz = 1",
+            "kind = 'python'\nobject = 'a::b'\nzz = 1",
+            "kind = 'synthetic'\nzz = 1",
+        ] {
+            let error = toml::from_str::<SensorConfig>(text).expect_err("has an unknown key").to_string();
+            assert!(error.contains("unknown field `zz`, expected "), "{error}");
         }
-        SensorConfig::Text { length, seed } => Box::new(Text::open(*length, *seed)?),
-        SensorConfig::Exec(config) => Box::new(Exec::open(config, clock)?),
-        SensorConfig::Python(config) => Box::new(Python::open(config, clock)?),
-        SensorConfig::Synthetic { size_bytes, sizes_bytes, seed } => {
-            Box::new(Synthetic::open(*size_bytes, sizes_bytes, *seed)?)
-        }
-    })
+    }
 }

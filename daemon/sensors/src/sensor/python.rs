@@ -1,24 +1,35 @@
 //! `python`: an object of the user's own with `sample()`.
 
 use peernet_clock::SharedClock;
-use peernet_external::python::{PythonConfig, PythonObject, Role};
+use peernet_external::hide_values;
+pub use peernet_external::python::PythonConfig;
+use peernet_external::python::{PythonObject, Role};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
+use super::SensorKind;
 use crate::{Sensor, SensorError};
 
 /// A Python object that is asked for each sample.
-pub(super) struct Python {
+struct Python {
     name: String,
     object: PythonObject,
 }
 
-impl Python {
+impl SensorKind for PythonConfig {
     /// Starts its process and makes the object.
-    pub(super) fn open(config: &PythonConfig, clock: &SharedClock) -> Result<Self, SensorError> {
-        let name = format!("sensor {}", config.object);
-        let object = PythonObject::start(config, Role::Sensor, &name, None, clock)?;
-        Ok(Self { name: config.object.clone(), object })
+    fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
+        let name = format!("sensor {}", self.object);
+        let object = PythonObject::start(self, Role::Sensor, &name, None, clock)?;
+        Ok(Box::new(Python { name: self.object.clone(), object }))
+    }
+
+    fn check(&self, clock: &SharedClock) -> Result<(), SensorError> {
+        Ok(PythonObject::check(self, clock)?)
+    }
+
+    fn hide_secrets(&mut self) {
+        hide_values(&mut self.env);
     }
 }
 

@@ -1,33 +1,43 @@
 //! `synthetic`: random bytes.
 
 use bytes::Bytes;
+use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, Sample};
 use rand::rngs::StdRng;
 use rand::{RngCore, SeedableRng};
+use serde::{Deserialize, Serialize};
 
+use super::{SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
 /// The largest payload: 1 GiB.
 const MAX_BYTES: usize = 1 << 30;
 
-/// Payloads of given sizes in turn, all of them the beginning of one random buffer.
-pub(super) struct Synthetic {
-    payloads: Vec<Bytes>,
-    next: usize,
+/// `{ kind = "synthetic", … }`: made once per size, so that a sample costs nothing.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SyntheticConfig {
+    /// Payload of every sample, in bytes. Give this or `sizes_bytes`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub size_bytes: Option<usize>,
+    /// Payloads of successive samples, in bytes, over and over: a size sweep.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sizes_bytes: Vec<usize>,
+    /// What the bytes follow from.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
 }
 
-impl Synthetic {
-    pub(super) fn open(size: Option<usize>, sizes: &[usize], seed: u64) -> Result<Self, SensorError> {
+impl SensorKind for SyntheticConfig {
+    fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let wrong = |reason: &str| Err(SensorError::Config(format!("a synthetic sensor {reason}")));
-        let one;
-        let sizes = match size {
-            Some(_) if !sizes.is_empty() => return wrong("takes size_bytes or sizes_bytes, not both"),
-            Some(size) => {
-                one = [size];
-                &one
+        let sizes = match self.size_bytes {
+            Some(_) if !self.sizes_bytes.is_empty() => {
+                return wrong("takes size_bytes or sizes_bytes, not both");
             }
-            None => sizes,
+            Some(ref size) => std::slice::from_ref(size),
+            None => &self.sizes_bytes,
         };
         let largest = match sizes.iter().max() {
             Some(&largest) if largest <= MAX_BYTES => largest,
@@ -35,10 +45,17 @@ impl Synthetic {
             None => return wrong("needs size_bytes or sizes_bytes"),
         };
         let mut buffer = vec![0; largest];
-        StdRng::seed_from_u64(seed).fill_bytes(&mut buffer);
+        StdRng::seed_from_u64(self.seed).fill_bytes(&mut buffer);
         let buffer = Bytes::from(buffer);
-        Ok(Self { payloads: sizes.iter().map(|size| buffer.slice(..*size)).collect(), next: 0 })
+        let payloads = sizes.iter().map(|size| buffer.slice(..*size)).collect();
+        Ok(Box::new(Synthetic { payloads, next: 0 }))
     }
+}
+
+/// Payloads of given sizes in turn, all of them the beginning of one random buffer.
+struct Synthetic {
+    payloads: Vec<Bytes>,
+    next: usize,
 }
 
 impl Sensor for Synthetic {

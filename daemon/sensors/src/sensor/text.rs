@@ -1,31 +1,45 @@
 //! `text`: random letters and digits.
 
+use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MediaType, Sample};
 use rand::SeedableRng;
 use rand::distr::{Alphanumeric, SampleString};
 use rand::rngs::StdRng;
+use serde::{Deserialize, Serialize};
 
+use super::{SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
 /// The longest text: 64 MiB. It is made anew each time.
 const MAX_LENGTH: usize = 64 << 20;
 
-/// Letters and digits, as many as asked for, another text each time.
-pub(super) struct Text {
-    length: usize,
-    random: StdRng,
+/// `{ kind = "text", … }`: another text each time, what was published as "random string".
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextConfig {
+    /// Characters of every sample, one byte each.
+    pub length: usize,
+    /// What the text follows from.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
 }
 
-impl Text {
-    pub(super) fn open(length: usize, seed: u64) -> Result<Self, SensorError> {
-        if length > MAX_LENGTH {
+impl SensorKind for TextConfig {
+    fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
+        if self.length > MAX_LENGTH {
             return Err(SensorError::Config(format!(
                 "a text sensor gives at most {MAX_LENGTH} characters a sample: lower its length"
             )));
         }
-        Ok(Self { length, random: StdRng::seed_from_u64(seed) })
+        Ok(Box::new(Text { length: self.length, random: StdRng::seed_from_u64(self.seed) }))
     }
+}
+
+/// Letters and digits, as many as asked for, another text each time.
+struct Text {
+    length: usize,
+    random: StdRng,
 }
 
 impl Sensor for Text {

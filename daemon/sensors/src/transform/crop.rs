@@ -3,19 +3,38 @@
 use peernet_imaging::{Crop, Picture, crop, read_part};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
+use serde::{Deserialize, Serialize};
 
-use super::{change, channels};
+use super::{TransformKind, change, channels, check_size};
 use crate::{SensorError, Transform};
 
-pub(super) struct Cut {
-    crop: Crop,
-    picture: Picture,
+/// `{ kind = "crop", … }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CropConfig {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// Left edge in pixels; without it the rectangle is centred.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub x: Option<u32>,
+    /// Upper edge in pixels; without it the rectangle is centred.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y: Option<u32>,
 }
 
-impl Cut {
-    pub(super) fn new(crop: Crop) -> Self {
-        Self { crop, picture: Picture::default() }
+impl TransformKind for CropConfig {
+    fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
+        let &Self { width, height, x, y } = self;
+        check_size(width, height, "crop")?;
+        Ok(Box::new(Cut { crop: Crop { width, height, x, y }, picture: Picture::default() }))
     }
+}
+
+struct Cut {
+    crop: Crop,
+    picture: Picture,
 }
 
 impl Transform for Cut {

@@ -3,11 +3,30 @@
 use peernet_imaging::{Picture, read_part};
 use peernet_logger::Recorder;
 use peernet_sample::{MediaType, Sample};
+use serde::{Deserialize, Serialize};
 
-use super::{change, channels};
+use super::{TransformConfig, TransformKind, change, channels};
 use crate::{SensorError, Transform};
 
-pub(super) struct Decode;
+/// `{ kind = "decode" }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DecodeConfig {}
+
+impl TransformKind for DecodeConfig {
+    fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
+        Ok(Box::new(Decode))
+    }
+}
+
+impl TransformConfig {
+    /// Decodes pictures into pixels.
+    pub fn to_pixels() -> Self {
+        DecodeConfig {}.into()
+    }
+}
+
+struct Decode;
 
 impl Transform for Decode {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {

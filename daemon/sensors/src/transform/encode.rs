@@ -3,19 +3,56 @@
 use peernet_imaging::{Encoding, Picture, encode, read_part};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
+use serde::{Deserialize, Serialize};
 
-use super::{change, channels};
+use super::{TransformConfig, TransformKind, change, channels};
 use crate::{SensorError, Transform};
 
-pub(super) struct Encode {
-    encoding: Encoding,
-    picture: Picture,
+/// `{ kind = "encode", … }`
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EncodeConfig {
+    /// Into which kind of file.
+    pub format: Format,
+    /// 1 to 100, of JPEG alone; 85 unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<u8>,
 }
 
-impl Encode {
-    pub(super) fn new(encoding: Encoding) -> Self {
-        Self { encoding, picture: Picture::default() }
+/// Formats of picture files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Format {
+    /// Lossy, small.
+    Jpeg,
+    /// Lossless.
+    Png,
+}
+
+impl TransformKind for EncodeConfig {
+    fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
+        let wrong = |reason: &str| Err(SensorError::Config(reason.to_owned()));
+        let encoding = match (self.format, self.quality) {
+            (Format::Jpeg, None) => Encoding::Jpeg { quality: 85 },
+            (Format::Jpeg, Some(quality @ 1..=100)) => Encoding::Jpeg { quality },
+            (Format::Jpeg, Some(_)) => return wrong("the quality of a jpeg goes from 1 to 100"),
+            (Format::Png, None) => Encoding::Png,
+            (Format::Png, Some(_)) => return wrong("a png is lossless and takes no quality"),
+        };
+        Ok(Box::new(Encode { encoding, picture: Picture::default() }))
     }
+}
+
+impl TransformConfig {
+    /// Compresses pictures as JPEG files of this quality, 1 to 100.
+    pub fn to_jpeg(quality: u8) -> Self {
+        EncodeConfig { format: Format::Jpeg, quality: Some(quality) }.into()
+    }
+}
+
+struct Encode {
+    encoding: Encoding,
+    picture: Picture,
 }
 
 impl Transform for Encode {

@@ -1,53 +1,52 @@
-//! The transforms, one file per kind.
+//! The transforms: one file for each kind, and the registration of each in [`TransformConfig`].
 
-mod crop;
-mod decode;
-mod encode;
-mod resize;
+pub mod crop;
+pub mod decode;
+pub mod encode;
+pub mod resize;
 
-use peernet_imaging::{Encoding, ImageError};
+use enum_dispatch::enum_dispatch;
+use peernet_imaging::ImageError;
 use peernet_sample::{MediaType, Part, PixelFormat, Sample};
+use serde::{Deserialize, Serialize};
 
-use crate::{Format, SensorError, Transform, TransformConfig};
+use crate::{SensorError, Transform};
 
-/// The transform that a configuration describes.
-///
-/// # Errors
-/// When the configuration contradicts itself.
-pub fn build_transform(config: &TransformConfig) -> Result<Box<dyn Transform>, SensorError> {
-    Ok(match config {
-        &TransformConfig::Resize { width, height, filter } => {
-            check(width, height, "resize")?;
-            Box::new(resize::Resize::new(width, height, filter))
-        }
-        &TransformConfig::Crop { width, height, x, y } => {
-            check(width, height, "crop")?;
-            Box::new(crop::Cut::new(peernet_imaging::Crop { width, height, x, y }))
-        }
-        TransformConfig::Encode { format, quality } => {
-            Box::new(encode::Encode::new(encoding(*format, *quality)?))
-        }
-        TransformConfig::Decode {} => Box::new(decode::Decode),
-    })
+/// A kind of transform, implemented by its configuration.
+#[enum_dispatch]
+pub trait TransformKind {
+    /// Builds the transform.
+    ///
+    /// # Errors
+    /// When the configuration contradicts itself.
+    fn build(&self) -> Result<Box<dyn Transform>, SensorError>;
 }
 
-fn check(width: u32, height: u32, what: &str) -> Result<(), SensorError> {
+/// One of `transforms` in the configuration of a pipeline; they are applied in their order. A new kind is registered here.
+///
+/// `resize`, `crop` and `decode` leave decoded pixels (of a file: in colour): put an `encode` after them to send a
+/// small file again. Each changes every picture of the sample and leaves its other parts as they are.
+#[enum_dispatch(TransformKind)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum TransformConfig {
+    /// Scales a picture to exactly this size, decoding it first where needed.
+    Resize(resize::ResizeConfig),
+    /// Cuts a rectangle out of a picture, decoding it first where needed.
+    Crop(crop::CropConfig),
+    /// Compresses a picture; one that is a file already is decoded first and compressed anew.
+    Encode(encode::EncodeConfig),
+    /// Decodes a picture into pixels.
+    Decode(decode::DecodeConfig),
+}
+
+/// Checks that a picture of this size has a pixel.
+fn check_size(width: u32, height: u32, what: &str) -> Result<(), SensorError> {
     if width == 0 || height == 0 {
         let reason = format!("{what} needs a width and a height of at least 1, not {width} × {height}");
         return Err(SensorError::Config(reason));
     }
     Ok(())
-}
-
-fn encoding(format: Format, quality: Option<u8>) -> Result<Encoding, SensorError> {
-    let wrong = |reason: &str| Err(SensorError::Config(reason.to_owned()));
-    match (format, quality) {
-        (Format::Jpeg, None) => Ok(Encoding::Jpeg { quality: 85 }),
-        (Format::Jpeg, Some(quality @ 1..=100)) => Ok(Encoding::Jpeg { quality }),
-        (Format::Jpeg, Some(_)) => wrong("the quality of a jpeg goes from 1 to 100"),
-        (Format::Png, None) => Ok(Encoding::Png),
-        (Format::Png, Some(_)) => wrong("a png is lossless and takes no quality"),
-    }
 }
 
 /// Changes every picture of a sample and leaves its other parts; a sample without a picture is an error.
@@ -79,5 +78,23 @@ fn channels(part: &Part) -> PixelFormat {
     match part.description.media {
         MediaType::Pixels(format) => format,
         _ => PixelFormat::Rgb8,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_key_is_refused_by_name() {
+        for text in [
+            "kind = 'resize'\nwidth = 1\nheight = 1\nzz = 1",
+            "kind = 'crop'\nwidth = 1\nheight = 1\nzz = 1",
+            "kind = 'encode'\nformat = 'png'\nzz = 1",
+            "kind = 'decode'\nzz = 1",
+        ] {
+            let error = toml::from_str::<TransformConfig>(text).expect_err("has an unknown key").to_string();
+            assert!(error.contains("unknown field `zz`"), "{error}");
+        }
     }
 }

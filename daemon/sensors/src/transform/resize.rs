@@ -3,27 +3,40 @@
 use peernet_imaging::{Filter, Picture, Resizer, read_part};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
+use serde::{Deserialize, Serialize};
 
-use super::{change, channels};
+use super::{TransformKind, change, channels, check_size};
 use crate::{SensorError, Transform};
 
-pub(super) struct Resize {
-    width: u32,
-    height: u32,
-    filter: Filter,
+/// `{ kind = "resize", … }`
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResizeConfig {
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// How pixels are combined.
+    #[serde(default)]
+    pub filter: Filter,
+}
+
+impl TransformKind for ResizeConfig {
+    fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
+        check_size(self.width, self.height, "resize")?;
+        Ok(Box::new(Resize { to: *self, resizer: Resizer::new(), picture: Picture::default() }))
+    }
+}
+
+struct Resize {
+    to: ResizeConfig,
     resizer: Resizer,
     picture: Picture,
 }
 
-impl Resize {
-    pub(super) fn new(width: u32, height: u32, filter: Filter) -> Self {
-        Self { width, height, filter, resizer: Resizer::new(), picture: Picture::default() }
-    }
-}
-
 impl Transform for Resize {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
-        let Self { width, height, filter, resizer, picture } = self;
+        let Self { to: ResizeConfig { width, height, filter }, resizer, picture } = self;
         change(sample, "resize", |part| {
             read_part(part, channels(part), picture)?;
             let mut small = Picture::default();
@@ -33,6 +46,6 @@ impl Transform for Resize {
     }
 
     fn describe(&self) -> String {
-        format!("resize to {} × {}", self.width, self.height)
+        format!("resize to {} × {}", self.to.width, self.to.height)
     }
 }

@@ -1,5 +1,5 @@
 use peernet_external::exec::{CommandLine, ExecConfig};
-use peernet_sensors::{SensorConfig, check, open};
+use peernet_sensors::{SensorConfig, SensorKind};
 
 use super::{real_clock, recorder};
 
@@ -13,7 +13,7 @@ fn samples_labels_and_drops_come_from_the_program() {
     let script = "for n in 5 6 9 1; do read -r next; \
                   printf 'sequence %d\\nlabel cat %d\\nsource n%d\\nvalue gain 2 dB\\nanswer 2 text/plain\\n%02d' $n $n $n $n; \
                   done; read -r next; echo end; cat";
-    let mut sensor = open(&config(script), &real_clock()).expect("sh is there");
+    let mut sensor = config(script).open(&real_clock()).expect("sh is there");
     assert!(sensor.blocks());
     // A command may hold secrets: facts name the program alone.
     assert!(sensor.facts().iter().all(|(_, fact)| !fact.contains("for n in")), "{:?}", sensor.facts());
@@ -36,7 +36,7 @@ fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
     let mark = folder.path().join("mark");
     let script =
         format!("if [ -e {0} ]; then read -r x; echo answer 0; cat; fi; touch {0}; exit 7", mark.display());
-    let mut sensor = open(&config(&script), &real_clock()).expect("sh is there");
+    let mut sensor = config(&script).open(&real_clock()).expect("sh is there");
     let mut log = recorder();
     let error = sensor.sample(&mut log).expect_err("it ends").to_string();
     assert!(error.contains("exit status 7") && error.contains("the program sh:"), "{error}");
@@ -48,9 +48,9 @@ fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
 fn a_check_runs_nothing() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
-    check(&config(&format!("touch {}", mark.display())), &real_clock()).expect("is well formed");
+    config(&format!("touch {}", mark.display())).check(&real_clock()).expect("is well formed");
     assert!(!mark.exists());
     let missing = ExecConfig::of(CommandLine::Words(vec!["./no-such-program".to_owned()]));
-    let error = check(&SensorConfig::Exec(missing), &real_clock()).expect_err("is not there").to_string();
+    let error = SensorConfig::Exec(missing).check(&real_clock()).expect_err("is not there").to_string();
     assert!(error.contains("./no-such-program"), "{error}");
 }

@@ -2,7 +2,8 @@ use std::fs;
 use std::path::Path;
 
 use peernet_sample::MediaType;
-use peernet_sensors::{Order, Sensor, SensorConfig, SensorError, open};
+use peernet_sensors::sensor::images::{ImagesConfig, Order};
+use peernet_sensors::{Sensor, SensorError, SensorKind};
 
 use super::{clock, next, sources};
 
@@ -17,7 +18,7 @@ fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
 }
 
 fn images(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Box<dyn Sensor>, SensorError> {
-    open(&SensorConfig::Images { path: path.to_owned(), order, seed, repeat, labels: None }, &clock())
+    ImagesConfig { path: path.to_owned(), order, seed, repeat, labels: None }.open(&clock())
 }
 
 fn refused(path: &Path) -> String {
@@ -158,7 +159,7 @@ fn labels_may_lie_in_a_file_anywhere() {
     ]);
     let open_with = |file: &str| {
         let (path, labels) = (pictures.path().to_owned(), Some(elsewhere.path().join(file)));
-        open(&SensorConfig::Images { path, order: Order::Name, seed: 1, repeat: true, labels }, &clock())
+        ImagesConfig { path, order: Order::Name, seed: 1, repeat: true, labels }.open(&clock())
     };
     let mut sensor = open_with("of-all.csv").expect("more labels than pictures are fine");
     let labels: Vec<_> =

@@ -1,7 +1,7 @@
 use std::fs;
 
 use peernet_external::python::PythonConfig;
-use peernet_sensors::{SensorConfig, check, open};
+use peernet_sensors::{SensorConfig, SensorKind};
 
 use super::{real_clock, recorder};
 
@@ -23,11 +23,11 @@ fn samples_come_from_the_object_until_it_stops() {
         let folder = Some(folder.path().to_owned());
         SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of(object) })
     };
-    check(&of("own::Own"), &real_clock()).expect("is there");
-    let missing = check(&of("nowhere::Own"), &real_clock()).expect_err("is not there").to_string();
+    of("own::Own").check(&real_clock()).expect("is there");
+    let missing = of("nowhere::Own").check(&real_clock()).expect_err("is not there").to_string();
     assert!(missing.contains("nowhere.py"), "{missing}");
 
-    let mut sensor = open(&of("own::Own"), &real_clock()).expect("is there");
+    let mut sensor = of("own::Own").open(&real_clock()).expect("is there");
     assert!(sensor.blocks() && sensor.facts()[0].1.starts_with("the Python class own::Own"));
     let (name, file) = &sensor.facts()[2];
     assert!(name == "Sensor files" && file.contains("/own.py SHA-256 "), "{file}");
@@ -55,7 +55,7 @@ class Own:
     fs::write(folder.path().join("own.py"), source).expect("can be written");
     let folder = Some(folder.path().to_owned());
     let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of("own::Own") });
-    let mut sensor = open(&config, &real_clock()).expect("is there");
+    let mut sensor = config.open(&real_clock()).expect("is there");
     // Each process gives two and dies.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
         let mut log = recorder();

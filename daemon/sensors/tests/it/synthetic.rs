@@ -1,11 +1,12 @@
 use bytes::Bytes;
 use peernet_sample::MediaType;
-use peernet_sensors::{Sensor, SensorConfig, SensorError, open};
+use peernet_sensors::sensor::synthetic::SyntheticConfig;
+use peernet_sensors::{Sensor, SensorError, SensorKind};
 
 use super::{clock, next};
 
 fn synthetic(size: Option<usize>, sizes: &[usize], seed: u64) -> Result<Box<dyn Sensor>, SensorError> {
-    open(&SensorConfig::Synthetic { size_bytes: size, sizes_bytes: sizes.to_vec(), seed }, &clock())
+    SyntheticConfig { size_bytes: size, sizes_bytes: sizes.to_vec(), seed }.open(&clock())
 }
 
 fn payload(sensor: &mut dyn Sensor) -> Bytes {

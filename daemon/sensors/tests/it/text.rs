@@ -1,10 +1,11 @@
 use peernet_sample::MediaType;
-use peernet_sensors::{Sensor, SensorConfig, SensorError, open};
+use peernet_sensors::sensor::text::TextConfig;
+use peernet_sensors::{Sensor, SensorError, SensorKind};
 
 use super::{clock, next};
 
 fn text(length: usize, seed: u64) -> Result<Box<dyn Sensor>, SensorError> {
-    open(&SensorConfig::Text { length, seed }, &clock())
+    TextConfig { length, seed }.open(&clock())
 }
 
 fn sample(sensor: &mut dyn Sensor) -> String {

@@ -1,6 +1,9 @@
 use peernet_imaging::{Encoding, Filter, Header, Picture, encode, probe_part};
 use peernet_sample::{Description, MediaType, Part, PixelFormat, Sample};
-use peernet_sensors::{Format, SensorError, TransformConfig, build_transform};
+use peernet_sensors::transform::crop::CropConfig;
+use peernet_sensors::transform::encode::{EncodeConfig, Format};
+use peernet_sensors::transform::resize::ResizeConfig;
+use peernet_sensors::{SensorError, TransformConfig, TransformKind};
 
 use super::recorder;
 
@@ -13,17 +16,17 @@ fn photograph(width: u32, height: u32) -> Sample {
 
 fn apply(sample: Sample, transforms: &[TransformConfig]) -> Result<Sample, SensorError> {
     let mut log = recorder();
-    transforms
-        .iter()
-        .try_fold(sample, |sample, transform| build_transform(transform)?.apply(sample, &mut log))
+    transforms.iter().try_fold(sample, |sample, transform| transform.build()?.apply(sample, &mut log))
 }
 
 fn header(sample: &Sample) -> Header {
     probe_part(&sample.parts[0]).expect("is a picture")
 }
 
-const RESIZE: TransformConfig = TransformConfig::Resize { width: 32, height: 24, filter: Filter::Bilinear };
-const ENCODE: TransformConfig = TransformConfig::Encode { format: Format::Jpeg, quality: Some(80) };
+const RESIZE: TransformConfig =
+    TransformConfig::Resize(ResizeConfig { width: 32, height: 24, filter: Filter::Bilinear });
+const ENCODE: TransformConfig =
+    TransformConfig::Encode(EncodeConfig { format: Format::Jpeg, quality: Some(80) });
 
 #[test]
 fn resized_pictures_stay_pixels_until_they_are_encoded() {
@@ -41,8 +44,8 @@ fn resized_pictures_stay_pixels_until_they_are_encoded() {
 
 #[test]
 fn a_crop_is_where_it_should_be() {
-    let crop = |x, y| TransformConfig::Crop { width: 2, height: 1, x, y };
-    let pixels = apply(photograph(16, 8), &[TransformConfig::Decode {}]).expect("decodes");
+    let crop = |x, y| TransformConfig::from(CropConfig { width: 2, height: 1, x, y });
+    let pixels = apply(photograph(16, 8), &[TransformConfig::to_pixels()]).expect("decodes");
     let corner = apply(pixels.clone(), &[crop(Some(0), Some(0))]).expect("fits");
     assert_eq!(corner.parts[0].bytes[..], pixels.parts[0].bytes[..6]);
     let centre = apply(pixels.clone(), &[crop(None, None)]).expect("fits");
@@ -70,22 +73,22 @@ fn what_is_no_picture_fails_alone() {
     assert!(error.to_string().contains("plain bytes, not a picture"), "{error}");
     let mut broken = photograph(64, 48);
     broken.parts[0].bytes.truncate(700);
-    let error = apply(broken, &[TransformConfig::Decode {}]).expect_err("is cut off").to_string();
+    let error = apply(broken, &[TransformConfig::to_pixels()]).expect_err("is cut off").to_string();
     assert!(error.contains("cannot decode sample \"photograph.jpg\""), "{error}");
 }
 
 #[test]
 fn impossible_settings_are_refused_when_built() {
-    let encode = |format, quality| TransformConfig::Encode { format, quality };
+    let encode = |format, quality| TransformConfig::from(EncodeConfig { format, quality });
     for wrong in [
-        TransformConfig::Resize { width: 0, height: 5, filter: Filter::Bilinear },
-        TransformConfig::Crop { width: 5, height: 0, x: None, y: None },
+        ResizeConfig { width: 0, height: 5, filter: Filter::Bilinear }.into(),
+        CropConfig { width: 5, height: 0, x: None, y: None }.into(),
         encode(Format::Jpeg, Some(0)),
         encode(Format::Jpeg, Some(101)),
         encode(Format::Png, Some(80)),
     ] {
-        assert!(matches!(build_transform(&wrong), Err(SensorError::Config(_))), "{wrong:?}");
+        assert!(matches!(wrong.build(), Err(SensorError::Config(_))), "{wrong:?}");
     }
-    assert!(build_transform(&encode(Format::Png, None)).is_ok());
-    assert_eq!(build_transform(&RESIZE).expect("is right").describe(), "resize to 32 × 24");
+    assert!(encode(Format::Png, None).build().is_ok());
+    assert_eq!(RESIZE.build().expect("is right").describe(), "resize to 32 × 24");
 }

@@ -2,7 +2,7 @@
 //! cycles.
 
 mod cycles;
-mod modules;
+pub(crate) mod modules;
 
 use std::collections::BTreeMap;
 

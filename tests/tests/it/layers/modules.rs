@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::Visit;
-use syn::{Attribute, Item, ItemUse, UseTree, Visibility};
+use syn::{Attribute, Item, ItemImpl, ItemUse, Type, UseTree, Visibility};
 
 /// For each top-level module those that it names, each with the first file where it does.
 pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
 
 /// A path as it is written in a module: `["super", "time", "Span"]`.
-type Segments = Vec<String>;
+pub(crate) type Segments = Vec<String>;
 
 /// Paths that one module names.
 struct SourceFile {
@@ -83,6 +83,7 @@ impl Reader {
 
     fn items(&mut self, items: &[Item], path: &Path, module: &[String], folder: &Path) {
         let mut names = Names::default();
+        let is_inside = |path: &Segments| ["crate", "super", "self"].contains(&path[0].as_str());
         for item in items.iter().filter(|item| !is_for_tests(attributes(item))) {
             match item {
                 Item::Mod(inner) => {
@@ -104,7 +105,8 @@ impl Reader {
                 item => names.visit_item(item),
             }
         }
-        self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names: names.0 });
+        let names = names.paths.into_iter().filter(is_inside).collect();
+        self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names });
     }
 
     /// Records the names that the root re-exports.
@@ -121,14 +123,21 @@ impl Reader {
     }
 }
 
-/// All paths of some items that begin inside the crate.
+/// All paths of some items that have more than one name, without those of items for tests.
 #[derive(Default)]
-struct Names(Vec<Segments>);
+pub(crate) struct Names {
+    pub(crate) paths: Vec<Segments>,
+    /// What `Self` is in the current `impl`.
+    this: Option<String>,
+}
 
 impl Names {
-    fn add(&mut self, path: Segments) {
-        if matches!(path.first().map(String::as_str), Some("crate" | "self" | "super")) && path.len() > 1 {
-            self.0.push(path);
+    fn add(&mut self, mut path: Segments) {
+        if let (Some("Self"), Some(this)) = (path.first().map(String::as_str), &self.this) {
+            path[0].clone_from(this);
+        }
+        if path.len() > 1 {
+            self.paths.push(path);
         }
     }
 
@@ -164,6 +173,16 @@ impl<'ast> Visit<'ast> for Names {
         if !is_for_tests(attributes(item)) {
             syn::visit::visit_item(self, item);
         }
+    }
+
+    fn visit_item_impl(&mut self, item: &'ast ItemImpl) {
+        let this = match &*item.self_ty {
+            Type::Path(named) => named.path.segments.last().map(|segment| segment.ident.to_string()),
+            _ => None,
+        };
+        let outer = std::mem::replace(&mut self.this, this);
+        syn::visit::visit_item_impl(self, item);
+        self.this = outer;
     }
 
     fn visit_item_use(&mut self, used: &'ast ItemUse) {

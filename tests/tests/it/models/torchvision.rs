@@ -5,7 +5,7 @@ use std::sync::mpsc::sync_channel;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_inference::bank::Folders;
-use peernet_inference::{Bank, Job, ModelConfig, OnnxRuntimeConfig, Pool};
+use peernet_inference::{Bank, Job, OnnxRuntimeConfig, Pool};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 use serde_json::Value;
@@ -94,8 +94,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     std::fs::write(folder.join("model.toml"), card.to_string()).expect("written");
     std::os::unix::fs::symlink(found.folder.join("model.onnx"), folder.join("model.onnx")).expect("linked");
     let model = Folders::of([models.path().to_owned()]).find(NAME).expect("is complete");
-    let bank =
-        Bank::new(vec![ModelConfig::Onnx(model.configuration("cpu"))], OnnxRuntimeConfig::default(), clock());
+    let bank = Bank::new(vec![model.configuration("cpu")], OnnxRuntimeConfig::default(), clock());
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
 }
 

@@ -82,7 +82,7 @@ fn folders_are_named_after_number_labels_and_repeat() {
 fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
     let plan = plan(FILE, None);
     let seed = |run: &Run, user| match plan.pipeline(run, user, "id").expect("a pipeline").sensor {
-        SensorConfig::Text { seed, .. } => seed,
+        SensorConfig::Text(text) => text.seed,
         other => panic!("{other:?}"),
     };
     let run = |configuration, repeat| {
@@ -93,11 +93,10 @@ fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
     assert_ne!(seed(run(0, 0), 0), seed(run(0, 1), 0));
     assert_ne!(seed(run(1, 0), 0), seed(run(1, 0), 1));
     let other = super::tests::plan(FILE, Some(8));
-    let SensorConfig::Text { seed: others, .. } =
-        other.pipeline(&other.runs[0], 0, "id").expect("a pipeline").sensor
-    else {
+    let SensorConfig::Text(text) = other.pipeline(&other.runs[0], 0, "id").expect("a pipeline").sensor else {
         panic!("it is a text")
     };
+    let others = text.seed;
     assert_ne!(others, seed(run(other.runs[0].configuration, 0), 0));
     assert!(others < 1 << 53);
 }

@@ -8,8 +8,9 @@ use ort::LoadDynamicError;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 
+use super::OnnxRuntimeConfig;
 use super::search::{Candidate, Surroundings};
-use crate::{LibraryError, OnnxRuntimeConfig};
+use crate::LibraryError;
 
 /// The loaded library: one per process, for as long as the process lives.
 pub(super) struct Runtime {

@@ -1,23 +1,81 @@
 //! `images`: pictures from files, as they are.
 
+mod data_set;
+mod folder;
+mod labels;
+
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
+use peernet_clock::SharedClock;
 use peernet_external::identified;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MediaType, Sample, examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
 
-use super::{data_set, folder, labels};
-use crate::{Order, Sensor, SensorError};
+use super::{SensorConfig, SensorKind, default_seed};
+use crate::{Sensor, SensorError};
+
+/// `{ kind = "images", … }`
+///
+/// The labels of pictures come from the file `labels`, otherwise from `labels.csv` in the folder where there is one, otherwise
+/// from the name of the folder below `path` that a picture lies in.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImagesConfig {
+    /// A picture, or a folder that is searched with all folders below it for `.jpg`, `.jpeg` and `.png`.
+    pub path: PathBuf,
+    /// In which order.
+    #[serde(default)]
+    pub order: Order,
+    /// What the order `shuffled` follows from.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+    /// Begin again after the last picture; when shuffled, in a new order.
+    #[serde(default = "yes")]
+    pub repeat: bool,
+    /// A file of labels, wherever it lies: comma-separated, with the columns `file` (below `path`) and `label`. It may
+    /// hold more files than there are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labels: Option<PathBuf>,
+}
+
+/// Order of the pictures of a folder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Order {
+    /// By path, as bytes.
+    #[default]
+    Name,
+    /// As the seed decides, anew each round.
+    Shuffled,
+}
+
+const fn yes() -> bool {
+    true
+}
+
+impl SensorKind for ImagesConfig {
+    fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
+        Ok(Box::new(Images::open(self)?))
+    }
+}
+
+impl SensorConfig {
+    /// The picture, or each picture of the folder once, by name.
+    pub fn pictures_once(path: PathBuf) -> Self {
+        ImagesConfig { path, order: Order::Name, seed: default_seed(), repeat: false, labels: None }.into()
+    }
+}
 
 /// A list of pictures, read one by one when they are asked for.
-pub(super) struct Images {
+struct Images {
     path: PathBuf,
     pictures: Vec<Picture>,
     /// The file that their labels were read from.
@@ -37,13 +95,8 @@ struct Picture {
 }
 
 impl Images {
-    pub(super) fn open(
-        path: &Path,
-        order: Order,
-        seed: u64,
-        repeat: bool,
-        labels: Option<&Path>,
-    ) -> Result<Self, SensorError> {
+    fn open(config: &ImagesConfig) -> Result<Self, SensorError> {
+        let (path, labels) = (config.path.as_path(), config.labels.as_deref());
         let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
         let (pictures, labels) =
             if about.is_dir() { of_folder(path, labels)? } else { single(path, labels)? };
@@ -52,8 +105,8 @@ impl Images {
             pictures,
             labels,
             next: 0,
-            shuffle: (order == Order::Shuffled).then(|| StdRng::seed_from_u64(seed)),
-            repeat,
+            shuffle: (config.order == Order::Shuffled).then(|| StdRng::seed_from_u64(config.seed)),
+            repeat: config.repeat,
         };
         images.shuffle();
         Ok(images)

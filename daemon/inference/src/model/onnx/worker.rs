@@ -14,6 +14,17 @@ use super::preprocess::Preprocessor;
 use super::{Plan, UNKNOWN_LABEL};
 use crate::{InferenceError, LoadError, Worker};
 
+/// Why a run of the session gave no output that fits the card.
+#[derive(Debug, thiserror::Error)]
+enum RunError {
+    /// What ONNX Runtime said.
+    #[error(transparent)]
+    Runtime(#[from] ort::Error),
+    /// Another number of outputs than of labels.
+    #[error("it gave {actual} numbers for {expected} labels")]
+    Length { actual: usize, expected: usize },
+}
+
 pub(super) struct OnnxWorker {
     plan: Arc<Plan>,
     session: Session,
@@ -28,21 +39,21 @@ impl OnnxWorker {
     pub(super) fn warm(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
         let preprocessor = Preprocessor::new(&plan.card);
         let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };
-        worker.run().map_err(|reason| LoadError::Session {
+        worker.run().map_err(|error| LoadError::Session {
             file: worker.plan.file.clone(),
             device: worker.plan.device.to_string(),
-            reason,
+            reason: error.to_string(),
         })?;
         Ok(worker)
     }
 
     /// From the preprocessor's tensor to `numbers`.
-    fn run(&mut self) -> Result<(), String> {
+    fn run(&mut self) -> Result<(), RunError> {
         let Self { plan, session, preprocessor, numbers } = self;
-        compute(&plan.card, session, preprocessor.tensor(), numbers).map_err(|error| error.to_string())?;
+        compute(&plan.card, session, preprocessor.tensor(), numbers)?;
         let (actual, expected) = (numbers.len(), plan.card.output.labels.len());
         if actual != expected {
-            return Err(format!("it gave {actual} numbers for {expected} labels"));
+            return Err(RunError::Length { actual, expected });
         }
         Ok(())
     }
@@ -65,21 +76,21 @@ impl Worker for OnnxWorker {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         {
             let _stage = log.time(stage::PREPROCESSING);
-            self.preprocessor.fill(sample).map_err(|reason| InferenceError::Input {
+            self.preprocessor.fill(sample).map_err(|error| InferenceError::Input {
                 model: self.plan.name.to_string(),
                 sample: sample.source.clone(),
-                reason,
+                reason: error.to_string(),
             })?;
         }
         let failed = |plan: &Plan, reason| InferenceError::Failed { model: plan.name.to_string(), reason };
         {
             let _stage = log.time(stage::INFERENCE);
-            self.run().map_err(|reason| failed(&self.plan, reason))?;
+            self.run().map_err(|error| failed(&self.plan, error.to_string()))?;
         }
         let json = {
             let _stage = log.time(stage::POSTPROCESSING);
             classify(&self.plan.card.output, &mut self.numbers)
-                .map_err(|reason| failed(&self.plan, reason))?
+                .map_err(|error| failed(&self.plan, error.to_string()))?
         };
         if sample.label.as_ref().is_some_and(|label| !self.plan.classes.contains(&plain_label(label))) {
             log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);

@@ -1,10 +1,47 @@
 //! `echo`: answers with what it was given, at once.
 
-use bytes::Bytes;
-use peernet_logger::{Recorder, stage};
-use peernet_sample::{Description, Sample};
+use std::sync::Arc;
 
-use crate::{EchoConfig, InferenceError, LoadError, Model, Worker};
+use bytes::Bytes;
+use peernet_logger::{Recorder, Slug, stage};
+use peernet_sample::{Description, Sample};
+use serde::{Deserialize, Serialize};
+
+use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use crate::{InferenceError, LoadError, Model, Worker};
+
+/// Largest fixed answer: 1 GiB.
+const MAX_ANSWER_BYTES: usize = 1 << 30;
+
+/// `kind = "echo"`. It runs on the thread of its caller.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EchoConfig {
+    /// Answer with this many bytes instead of the payload.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub answer_bytes: Option<usize>,
+}
+
+impl ModelKind for EchoConfig {
+    fn shared_keys() -> &'static [&'static str] {
+        &["name"]
+    }
+
+    fn limits(&self) -> Vec<(&'static str, usize, usize)> {
+        vec![("answer_bytes", self.answer_bytes.unwrap_or(0), MAX_ANSWER_BYTES)]
+    }
+
+    fn load(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        Ok(Arc::new(Echo::new(self.clone())))
+    }
+}
+
+impl ModelConfig {
+    /// A model that answers with what it was given.
+    pub fn echo(name: Slug) -> Self {
+        ModelTable { shared: SharedKeys::of(name), own: EchoConfig::default() }.into()
+    }
+}
 
 /// Answers without computing: what remains to be measured is everything around a model.
 pub(crate) struct Echo {

@@ -1,55 +1,68 @@
-//! `python`: an object of the user's own with `infer(x)`.
+//! `python`: an object of the user's own with `infer(x)`, each worker in a process of its own.
 
-mod config;
-
-pub use config::PythonModelConfig;
-
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
+use peernet_external::hide_values;
+pub use peernet_external::python::PythonConfig;
 use peernet_external::python::{PythonError, PythonObject, Role, Stage};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
+use super::{Keys, LoadContext, ModelKind, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
+impl ModelKind for PythonConfig {
+    fn untold_keys(&self) -> &'static [&'static str] {
+        &["object", "folder", "python"]
+    }
+
+    fn hide_secrets(&mut self) {
+        hide_values(&mut self.env);
+    }
+
+    fn leave_out_defaults(&self, keys: &mut Keys) {
+        let default = Self::of(&self.object);
+        if self.timeout_ms == default.timeout_ms {
+            keys.remove("timeout_ms");
+        }
+        if self.start_timeout_ms == default.start_timeout_ms {
+            keys.remove("start_timeout_ms");
+        }
+    }
+
+    fn check(&self, _shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        Ok(PythonObject::check(self, context.clock)?)
+    }
+
+    /// Starts one process.
+    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let (config, shared, clock) = (self.clone(), shared.clone(), SharedClock::clone(context.clock));
+        let object = start(&config, &shared, &clock)?;
+        let facts = object.about().facts("Model");
+        Ok(Arc::new(Python { config, shared, clock, facts, first: Mutex::new(Some(object)) }))
+    }
+}
+
 /// A Python object, once for each worker.
-pub(crate) struct Python {
-    config: PythonModelConfig,
+struct Python {
+    config: PythonConfig,
+    shared: SharedKeys,
     clock: SharedClock,
     facts: Vec<(String, String)>,
     /// The first one, which was started to see whether it can be.
     first: Mutex<Option<PythonObject>>,
 }
 
-impl Python {
-    /// Everything that can be found wrong without running the user's code.
-    pub(crate) fn check(config: &PythonModelConfig, clock: &SharedClock) -> Result<(), LoadError> {
-        Ok(PythonObject::check(&config.process(), clock)?)
-    }
-
-    /// Starts one process.
-    pub(crate) fn load(config: &PythonModelConfig, clock: &SharedClock) -> Result<Self, LoadError> {
-        let object = start(config, clock)?;
-        let facts = object.about().facts("Model");
-        Ok(Self {
-            config: config.clone(),
-            clock: SharedClock::clone(clock),
-            facts,
-            first: Mutex::new(Some(object)),
-        })
-    }
-}
-
 impl Model for Python {
     fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let object = first.map_or_else(|| start(&self.config, &self.clock), Ok)?;
-        Ok(Box::new(PythonWorker { model: self.config.name.to_string(), object }))
+        let object = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
+        Ok(Box::new(PythonWorker { model: self.shared.name.to_string(), object }))
     }
 
     fn device(&self) -> String {
-        self.config.device.clone()
+        self.shared.device.clone()
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -57,9 +70,13 @@ impl Model for Python {
     }
 }
 
-fn start(config: &PythonModelConfig, clock: &SharedClock) -> Result<PythonObject, PythonError> {
-    let name = format!("model {}", config.name);
-    PythonObject::start(&config.process(), Role::Model, &name, Some(&config.device), clock)
+fn start(
+    config: &PythonConfig,
+    shared: &SharedKeys,
+    clock: &SharedClock,
+) -> Result<PythonObject, PythonError> {
+    let name = format!("model {}", shared.name);
+    PythonObject::start(config, Role::Model, &name, Some(&shared.device), clock)
 }
 
 struct PythonWorker {

@@ -6,6 +6,7 @@
 
 mod card;
 mod classify;
+mod config;
 mod device;
 mod library;
 mod preprocess;
@@ -16,6 +17,7 @@ mod shared;
 mod summary;
 mod worker;
 
+pub use config::{OnnxConfig, OnnxRuntimeConfig};
 pub use summary::CardSummary;
 pub(crate) use summary::{hash, summarise};
 
@@ -26,8 +28,8 @@ use std::sync::Arc;
 use peernet_logger::{Name, Slug};
 use peernet_sample::{examples, plain_label};
 
-use crate::litter::Litter;
-use crate::{LoadError, Model, OnnxConfig, OnnxRuntimeConfig, Worker};
+use super::{LoadContext, SharedKeys};
+use crate::{LoadError, Model, Worker};
 use card::Card;
 use device::Device;
 use library::Runtime;
@@ -61,7 +63,7 @@ pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
 }
 
 /// A loaded ONNX model.
-pub(crate) struct Onnx {
+struct Onnx {
     plan: Arc<Plan>,
     hash: String,
     card_hash: String,
@@ -85,38 +87,38 @@ struct Plan {
 
 impl Onnx {
     /// Finds what is wrong without loading the model: the device, the files, the card, the library.
-    pub(crate) fn check(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(), LoadError> {
-        Self::plan(config, runtime).map(drop)
+    fn check(config: &OnnxConfig, shared: &SharedKeys, runtime: &OnnxRuntimeConfig) -> Result<(), LoadError> {
+        Self::plan(config, shared, runtime).map(drop)
     }
 
     /// Loads what all workers share.
-    pub(crate) fn load(
-        config: &OnnxConfig,
-        runtime: &OnnxRuntimeConfig,
-        litter: &Litter,
-    ) -> Result<Self, LoadError> {
-        let (plan, runtime) = Self::plan(config, runtime)?;
+    fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
+        let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
         let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
-        let shared = Shared::prepare(&plan, &runtime, litter)?;
+        let shared = Shared::prepare(&plan, &runtime, context.litter)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
 
-    fn plan(config: &OnnxConfig, runtime: &OnnxRuntimeConfig) -> Result<(Plan, Arc<Runtime>), LoadError> {
-        let device: Device = config.device.parse()?;
+    fn plan(
+        config: &OnnxConfig,
+        shared: &SharedKeys,
+        runtime: &OnnxRuntimeConfig,
+    ) -> Result<(Plan, Arc<Runtime>), LoadError> {
+        let device: Device = shared.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         let file = config.path.join(MODEL);
         if let Err(error) = regular::open(&file) {
             return Err(LoadError::File { file, reason: error.to_string() });
         }
         let runtime = Runtime::get(runtime)?;
-        device.check(&config.name, runtime.library())?;
+        device.check(&shared.name, runtime.library())?;
         let plan = Plan {
-            name: config.name.clone(),
+            name: shared.name.clone(),
             file,
             classes: card.output.labels.iter().map(|label| plain_label(label)).collect(),
             card,
             device,
-            workers: config.workers.get(),
+            workers: shared.workers.get(),
             intra_threads: config.intra_threads.get(),
             inter_threads: config.inter_threads.get(),
         };

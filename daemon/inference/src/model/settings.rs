@@ -1,23 +1,19 @@
 //! What a model was told, for whoever is to offer it again elsewhere.
 
 use peernet_external::environment;
-use peernet_external::exec::{FingerprintKey, Role};
+use peernet_external::exec::FingerprintKey;
 use serde_json::Value;
 
-use crate::ModelConfig;
+use super::{ModelConfig, Table};
 
-/// Keys that stand elsewhere in a run's description, or tell where things are on this host, which is nobody's business.
-const ELSEWHERE: [&str; 7] = ["name", "device", "path", "object", "command", "folder", "python"];
-/// The key whose values may be secret.
-const VARIABLES: &str = "env";
+/// Shared keys that stand elsewhere in a run's description.
+const ELSEWHERE: [&str; 2] = ["name", "device"];
 
 impl ModelConfig {
     /// Its settings and the environment that it runs in, as pairs for people.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        if let (Self::Exec(config), Some(key)) = (self, key) {
-            facts.extend(config.process().arguments(Role::Model, key));
-        }
+        facts.extend(key.and_then(|key| self.own().arguments(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }
@@ -25,10 +21,12 @@ impl ModelConfig {
     /// The keys of its table with their values, the defaults as well: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
+        let untold = [&ELSEWHERE, self.own().untold_keys()].concat();
         let keys = table.as_object().into_iter().flatten();
         let told = |(key, value): (&String, &Value)| match value {
-            _ if ELSEWHERE.contains(&key.as_str()) => None,
-            Value::Object(variables) if key == VARIABLES => {
+            _ if untold.contains(&key.as_str()) => None,
+            // Environment variables, whose values may be secret.
+            Value::Object(variables) => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();
                 Some(format!("{key} with {}", names.join(" ")))
             }

@@ -19,22 +19,36 @@ struct Ranked<'a> {
     score: f32,
 }
 
+/// Why an output is no answer.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum OutputError {
+    /// A number that ranks nothing.
+    #[error("its output contains {0}")]
+    NotFinite(f32),
+    /// A card without labels.
+    #[error("it has no classes")]
+    NoClasses,
+    /// The answer cannot be written.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+}
+
 /// Scores the model's numbers, one for each label, and writes the answer. The numbers become the scores.
 ///
 /// # Errors
 /// When a number is not finite: such an output ranks nothing.
-pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Vec<u8>, String> {
+pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
-        return Err(format!("its output contains {number}"));
+        return Err(OutputError::NotFinite(*number));
     }
     activate(output.activation, numbers);
     let ranked = |(label, score): (&'a String, &f32)| Ranked { label, score: *score };
     let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
     top.truncate(output.top_k);
-    let best = top.first().ok_or("it has no classes")?;
+    let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
-    serde_json::to_vec(&answer).map_err(|error| error.to_string())
+    Ok(serde_json::to_vec(&answer)?)
 }
 
 fn activate(activation: Activation, numbers: &mut [f32]) {

@@ -1,10 +1,13 @@
 //! Where a peer is found.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr};
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+
+use super::NetworkKind;
 
 /// The address of a peer or of a listener: `tcp://host:port`.
 ///
@@ -13,9 +16,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
+    scheme: Scheme,
     host: Host,
     port: u16,
 }
+
+/// What stands before `://`: that of a [`NetworkKind`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Scheme(&'static str);
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Host {
@@ -25,7 +33,7 @@ enum Host {
 
 /// A text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is not an address: {problem}; write tcp://host:port, IPv6 hosts in brackets")]
+#[error("{text:?} is not an address: {problem}; write {}, IPv6 hosts in brackets", forms())]
 pub struct InvalidAddress {
     /// What was given.
     pub text: String,
@@ -72,9 +80,9 @@ pub enum AddressProblem {
 }
 
 impl Address {
-    /// The address of an IP address and a port.
+    /// The address of an IP address and a port: `tcp://…`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { host: Host::Ip(ip), port }
+        Self { scheme: Scheme("tcp"), host: Host::Ip(ip), port }
     }
 
     /// The host, without brackets.
@@ -120,9 +128,10 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
     let Some((scheme, rest)) = text.split_once("://") else {
         return Err(AddressProblem::NoScheme);
     };
-    if scheme != "tcp" {
+    let Some(scheme) = NetworkKind::ALL.iter().map(|kind| kind.scheme()).find(|known| *known == scheme)
+    else {
         return Err(AddressProblem::UnknownScheme(scheme.to_owned()));
-    }
+    };
     let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
         let (host, after) = bracketed.split_once(']').ok_or(AddressProblem::NoClosingBracket)?;
         let ip: Ipv6Addr = host.parse().map_err(|_| AddressProblem::InvalidIpv6(host.to_owned()))?;
@@ -136,7 +145,14 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
         return Err(AddressProblem::InvalidPort(port.to_owned()));
     }
     let port = port.parse().map_err(|_| AddressProblem::PortTooLarge(port.to_owned()))?;
-    Ok(Address { host, port })
+    Ok(Address { scheme: Scheme(scheme), host, port })
+}
+
+/// How addresses are written, for messages: `tcp://host:port`.
+fn forms() -> String {
+    let forms: BTreeSet<String> =
+        NetworkKind::ALL.iter().map(|kind| format!("{}://host:port", kind.scheme())).collect();
+    forms.into_iter().collect::<Vec<_>>().join(" or ")
 }
 
 /// A name or an IPv4 address; what looks like an IPv4 address must be one.
@@ -165,7 +181,7 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "tcp://{}", self.authority())
+        write!(f, "{}://{}", self.scheme.0, self.authority())
     }
 }
 

@@ -171,6 +171,35 @@ pub(super) enum Activation {
     Sigmoid,
 }
 
+/// What is wrong with the text of a card.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum CardError {
+    /// It is no TOML, or a key is missing, unknown or of another type.
+    #[error("{}", .0.to_string().trim_end())]
+    Toml(#[from] toml::de::Error),
+    /// More than one picture at a time.
+    #[error("input.shape begins with a batch of {0}, only 1 is possible")]
+    Batch(usize),
+    /// The shape contradicts the colours.
+    #[error("input.shape has {channels} channels, {colour:?} has {expected}")]
+    Channels { channels: usize, colour: Colour, expected: usize },
+    /// Not one number for each channel.
+    #[error("preprocessing.{key} has {count} numbers for {channels} channels")]
+    Numbers { key: &'static str, count: usize, channels: usize },
+    /// A number that nothing can be computed with.
+    #[error("preprocessing needs finite numbers and no std of 0")]
+    NotFinite,
+    /// A size that depends on the picture.
+    #[error("preprocessing.resize to the shortest side needs a crop after it")]
+    NoCrop,
+    /// Width and height that the preprocessing makes, and those of the input.
+    #[error("preprocessing makes {} × {} pixels, input.shape wants {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
+    Size { made: (u32, u32), wanted: (usize, usize) },
+    /// Nothing to answer.
+    #[error("output needs at least one label and a top_k of at least 1")]
+    NoLabels,
+}
+
 fn text(file: &Path) -> io::Result<String> {
     let mut file = regular::open(file)?;
     let length = file.metadata()?.len();
@@ -187,55 +216,50 @@ impl Card {
     pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
         let text = text(file).map_err(|error| wrong(error.to_string()))?;
-        Self::parse(&text).map_err(wrong)
+        Self::parse(&text).map_err(|error| wrong(error.to_string()))
     }
 
-    fn parse(text: &str) -> Result<Self, String> {
-        let card: Self = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
+    fn parse(text: &str) -> Result<Self, CardError> {
+        let card: Self = toml::from_str(text)?;
         card.check()?;
         Ok(card)
     }
 
     /// What the types alone do not rule out.
-    fn check(&self) -> Result<(), String> {
+    fn check(&self) -> Result<(), CardError> {
         let Self { input, preprocessing, output, .. } = self;
         let (batch, channels, height, width) = input.dimensions();
         if batch != 1 {
-            return Err(format!("input.shape begins with a batch of {batch}, only 1 is possible"));
+            return Err(CardError::Batch(batch));
         }
         let expected = input.colour.channels();
         if channels != expected {
-            return Err(format!("input.shape has {channels} channels, {:?} has {expected}", input.colour));
+            return Err(CardError::Channels { channels, colour: input.colour, expected });
         }
         for (key, values) in [("mean", &preprocessing.mean), ("std", &preprocessing.std)] {
             if values.len() != channels {
-                return Err(format!(
-                    "preprocessing.{key} has {} numbers for {channels} channels",
-                    values.len()
-                ));
+                return Err(CardError::Numbers { key, count: values.len(), channels });
             }
         }
         let numbers = || preprocessing.mean.iter().chain(&preprocessing.std).chain([&preprocessing.scale]);
         if !numbers().all(|number| number.is_finite()) || preprocessing.std.contains(&0.0) {
-            return Err("preprocessing needs finite numbers and no std of 0".to_owned());
+            return Err(CardError::NotFinite);
         }
         let result = match (preprocessing.resize, preprocessing.crop) {
             (_, Some(Centre { width, height, .. })) => Some((height, width)),
             (Some(Resize::Exact { width, height, .. }), None) => Some((height, width)),
             (Some(Resize::Shortest { .. }), None) => {
-                return Err("preprocessing.resize to the shortest side needs a crop after it".to_owned());
+                return Err(CardError::NoCrop);
             }
             (None, None) => None,
         };
         if let Some((rows, columns)) = result
             && (rows as usize, columns as usize) != (height, width)
         {
-            return Err(format!(
-                "preprocessing makes {columns} × {rows} pixels, input.shape wants {width} × {height}"
-            ));
+            return Err(CardError::Size { made: (columns, rows), wanted: (width, height) });
         }
         if output.labels.is_empty() || output.top_k == 0 {
-            return Err("output needs at least one label and a top_k of at least 1".to_owned());
+            return Err(CardError::NoLabels);
         }
         Ok(())
     }
@@ -283,7 +307,7 @@ pub(super) mod tests {
     use super::*;
 
     /// A card for grey pictures of 2 × 1 pixels.
-    pub(in crate::onnx) const SMALL: &str = r#"
+    pub(in crate::model::onnx) const SMALL: &str = r#"
 name = "small"
 task = "classification"
 [input]
@@ -303,7 +327,7 @@ activation = "softmax"
 labels = ["a", "b"]
 "#;
 
-    pub(in crate::onnx) fn changed(from: &str, to: &str) -> Result<Card, String> {
+    pub(in crate::model::onnx) fn changed(from: &str, to: &str) -> Result<Card, CardError> {
         assert!(SMALL.contains(from), "{from}");
         Card::parse(&SMALL.replace(from, to))
     }
@@ -342,7 +366,7 @@ labels = ["a", "b"]
             ("dtype = \"float32\"", "dtype = \"float16\"", "float32"),
             ("scale = 0.5", "scale = 0.5\nmeans = [1.0]", "means"),
         ] {
-            let error = changed(from, to).expect_err(to);
+            let error = changed(from, to).expect_err(to).to_string();
             assert!(error.contains(named), "{to}: {error}");
         }
     }

@@ -3,23 +3,52 @@
 use peernet_imaging::{Crop, ImageError, Picture, Resizer, Scaling, crop, read_part};
 use peernet_sample::{PixelFormat, Sample};
 
-use super::card::{Card, Centre, Colour, Layout, Resize};
+use super::card::{Card, Centre, Colour, Layout, Preprocessing, Resize};
+
+/// Why a sample cannot become the model's input.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum InputError {
+    /// It has no part.
+    #[error("it has no payload")]
+    NoPayload,
+    /// Its first part is no picture, or one that cannot be decoded, resized or cropped.
+    #[error(transparent)]
+    Picture(#[from] ImageError),
+    /// The picture has another size, and nothing is said of resizing.
+    #[error("it has {} × {} pixels, the model wants {} × {} and its card has no resize", .has.0, .has.1, .wanted.0, .wanted.1)]
+    Size {
+        /// Width and height of the picture, in pixels.
+        has: (u32, u32),
+        /// Width and height of the input, in pixels.
+        wanted: (u32, u32),
+    },
+}
 
 /// Decodes, resizes, crops and normalises as a card says; keeps all buffers from one sample to the next.
 pub(super) struct Preprocessor {
-    format: PixelFormat,
-    resize: Option<Resize>,
-    crop: Option<Centre>,
-    width: u32,
-    height: u32,
-    layout: Layout,
-    /// For each channel of the tensor: the channel of the picture, and factor and offset of its bytes.
-    channels: Vec<Channel>,
+    geometry: Geometry,
+    normalisation: Normalisation,
     resizer: Resizer,
     decoded: Picture,
     resized: Picture,
     cropped: Picture,
     tensor: Vec<f32>,
+}
+
+/// What becomes of a picture's size.
+struct Geometry {
+    resize: Option<Resize>,
+    crop: Option<Centre>,
+    /// Width and height that the model wants, in pixels.
+    wanted: (u32, u32),
+}
+
+/// What becomes of a picture's bytes.
+struct Normalisation {
+    format: PixelFormat,
+    layout: Layout,
+    /// For each channel of the tensor: the channel of the picture, and factor and offset of its bytes.
+    channels: Vec<Channel>,
 }
 
 #[derive(Clone, Copy)]
@@ -32,21 +61,10 @@ struct Channel {
 impl Preprocessor {
     pub(super) fn new(card: &Card) -> Self {
         let (_, count, height, width) = card.input.dimensions();
-        let preprocessing = &card.preprocessing;
-        let channel = |(to, (mean, std)): (usize, (&f64, &f64))| Channel {
-            from: if card.input.colour == Colour::Bgr { count - 1 - to } else { to },
-            // (byte × scale − mean) / std as one multiplication and one addition.
-            factor: (preprocessing.scale / std) as f32,
-            offset: (-mean / std) as f32,
-        };
+        let Preprocessing { resize, crop, .. } = card.preprocessing;
         Self {
-            format: if card.input.colour == Colour::Grey { PixelFormat::Grey8 } else { PixelFormat::Rgb8 },
-            resize: preprocessing.resize,
-            crop: preprocessing.crop,
-            width: width as u32,
-            height: height as u32,
-            layout: card.input.layout,
-            channels: preprocessing.mean.iter().zip(&preprocessing.std).enumerate().map(channel).collect(),
+            geometry: Geometry { resize, crop, wanted: (width as u32, height as u32) },
+            normalisation: Normalisation::new(card),
             resizer: Resizer::new(),
             decoded: Picture::default(),
             resized: Picture::default(),
@@ -61,32 +79,27 @@ impl Preprocessor {
     }
 
     /// Makes the picture in a sample's first part the model's input.
-    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), String> {
-        let part = sample.parts.first().ok_or("it has no payload")?;
-        let error = |error: ImageError| error.to_string();
-        read_part(part, self.format, &mut self.decoded).map_err(error)?;
+    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), InputError> {
+        let part = sample.parts.first().ok_or(InputError::NoPayload)?;
+        let Geometry { resize, crop: centre, wanted } = self.geometry;
+        read_part(part, self.normalisation.format, &mut self.decoded)?;
         let mut picture = &self.decoded;
-        if let Some(resize) = self.resize {
+        if let Some(resize) = resize {
             let (width, height, scaling) = target(resize, picture);
             if (width, height) != (picture.width(), picture.height()) {
-                self.resizer.resize(picture, width, height, scaling, &mut self.resized).map_err(error)?;
+                self.resizer.resize(picture, width, height, scaling, &mut self.resized)?;
                 picture = &self.resized;
             }
         }
-        if let Some(centre) = self.crop {
-            crop(picture, rectangle(centre, picture), &mut self.cropped).map_err(error)?;
+        if let Some(centre) = centre {
+            crop(picture, rectangle(centre, picture), &mut self.cropped)?;
             picture = &self.cropped;
         }
-        if (picture.width(), picture.height()) != (self.width, self.height) {
-            return Err(format!(
-                "it has {} × {} pixels, the model wants {} × {} and its card has no resize",
-                picture.width(),
-                picture.height(),
-                self.width,
-                self.height
-            ));
+        let has = (picture.width(), picture.height());
+        if has != wanted {
+            return Err(InputError::Size { has, wanted });
         }
-        normalise(picture.pixels(), self.layout, &self.channels, &mut self.tensor);
+        self.normalisation.apply(picture.pixels(), &mut self.tensor);
         Ok(())
     }
 }
@@ -110,23 +123,42 @@ fn target(resize: Resize, picture: &Picture) -> (u32, u32, Scaling) {
     }
 }
 
-/// Bytes of interleaved channels to normalised numbers, in one pass for each channel (which vectorises) or, where the
-/// layout stays interleaved, in one pass over all.
-fn normalise(pixels: &[u8], layout: Layout, channels: &[Channel], tensor: &mut [f32]) {
-    let count = channels.len();
-    match layout {
-        Layout::Nchw => {
-            let plane = tensor.len() / count;
-            for (numbers, channel) in tensor.chunks_exact_mut(plane).zip(channels) {
-                for (number, pixel) in numbers.iter_mut().zip(pixels.chunks_exact(count)) {
-                    *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+impl Normalisation {
+    fn new(card: &Card) -> Self {
+        let (_, count, _, _) = card.input.dimensions();
+        let preprocessing = &card.preprocessing;
+        let channel = |(to, (mean, std)): (usize, (&f64, &f64))| Channel {
+            from: if card.input.colour == Colour::Bgr { count - 1 - to } else { to },
+            // (byte × scale − mean) / std as one multiplication and one addition.
+            factor: (preprocessing.scale / std) as f32,
+            offset: (-mean / std) as f32,
+        };
+        Self {
+            format: if card.input.colour == Colour::Grey { PixelFormat::Grey8 } else { PixelFormat::Rgb8 },
+            layout: card.input.layout,
+            channels: preprocessing.mean.iter().zip(&preprocessing.std).enumerate().map(channel).collect(),
+        }
+    }
+
+    /// Bytes of interleaved channels to normalised numbers, in one pass for each channel (which vectorises) or, where the
+    /// layout stays interleaved, in one pass over all.
+    fn apply(&self, pixels: &[u8], tensor: &mut [f32]) {
+        let channels = &self.channels[..];
+        let count = channels.len();
+        match self.layout {
+            Layout::Nchw => {
+                let plane = tensor.len() / count;
+                for (numbers, channel) in tensor.chunks_exact_mut(plane).zip(channels) {
+                    for (number, pixel) in numbers.iter_mut().zip(pixels.chunks_exact(count)) {
+                        *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+                    }
                 }
             }
-        }
-        Layout::Nhwc => {
-            for (numbers, pixel) in tensor.chunks_exact_mut(count).zip(pixels.chunks_exact(count)) {
-                for (number, channel) in numbers.iter_mut().zip(channels) {
-                    *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+            Layout::Nhwc => {
+                for (numbers, pixel) in tensor.chunks_exact_mut(count).zip(pixels.chunks_exact(count)) {
+                    for (number, channel) in numbers.iter_mut().zip(channels) {
+                        *number = f32::from(pixel[channel.from]) * channel.factor + channel.offset;
+                    }
                 }
             }
         }
@@ -190,15 +222,17 @@ mod tests {
         let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "");
         let mut preprocessor = Preprocessor::new(&card.expect("is right"));
         assert!(preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
-        let error = preprocessor.fill(&pixels(PixelFormat::Grey8, 1, 1, &[1])).expect_err("is too small");
+        let error =
+            preprocessor.fill(&pixels(PixelFormat::Grey8, 1, 1, &[1])).expect_err("is too small").to_string();
         assert!(error.contains("1 × 1") && error.contains("2 × 1"), "{error}");
     }
 
     #[test]
     fn what_is_no_picture_is_named() {
         let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
-        let fill =
-            |preprocessor: &mut Preprocessor, sample: &Sample| preprocessor.fill(sample).expect_err("wrong");
+        let fill = |preprocessor: &mut Preprocessor, sample: &Sample| {
+            preprocessor.fill(sample).expect_err("wrong").to_string()
+        };
         let nothing = Sample { parts: Vec::new(), source: String::new(), label: None };
         assert_eq!(fill(&mut preprocessor, &nothing), "it has no payload");
         let plain = Sample::of(Description::bytes(), vec![0; 4].into());

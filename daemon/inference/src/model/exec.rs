@@ -1,0 +1,120 @@
+//! `exec`: a program of the user's own, one process for each worker.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::SharedClock;
+pub use peernet_external::exec::ExecConfig;
+use peernet_external::exec::{ExchangeError, FingerprintKey, Program, Request, Role, Said};
+use peernet_external::hide_values;
+use peernet_logger::{Name, Recorder, Unit};
+use peernet_sample::Sample;
+
+use super::{Keys, LoadContext, ModelKind, SharedKeys};
+use crate::{InferenceError, LoadError, Model, Worker};
+
+/// The variable in which the program finds its device.
+const DEVICE: &str = "PEERNET_DEVICE";
+
+impl ModelKind for ExecConfig {
+    fn untold_keys(&self) -> &'static [&'static str] {
+        &["command", "folder"]
+    }
+
+    fn is_program(&self) -> bool {
+        true
+    }
+
+    fn arguments(&self, key: &FingerprintKey) -> Option<(String, String)> {
+        Self::arguments(self, Role::Model, key)
+    }
+
+    fn hide_secrets(&mut self) {
+        hide_values(&mut self.env);
+    }
+
+    fn leave_out_defaults(&self, keys: &mut Keys) {
+        if self.timeout_ms == Self::of(self.command.clone()).timeout_ms {
+            keys.remove("timeout_ms");
+        }
+    }
+
+    fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
+        // The program's own check, which does not run it.
+        Self::check(&on_device(self, shared))
+            .map_err(|reason| failed(self, shared, ExchangeError::Command(reason)))
+    }
+
+    /// Starts one process.
+    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let config = on_device(self, shared);
+        let (shared, clock) = (shared.clone(), SharedClock::clone(context.clock));
+        let facts = config.facts(Role::Model);
+        let first = Mutex::new(Some(start(&config, &shared, &clock)?));
+        Ok(Arc::new(Exec { config, shared, clock, facts, first }))
+    }
+}
+
+/// The program, told its device.
+fn on_device(config: &ExecConfig, shared: &SharedKeys) -> ExecConfig {
+    let mut config = config.clone();
+    config.env.insert(DEVICE.to_owned(), shared.device.clone());
+    config
+}
+
+/// A program, once for each worker.
+struct Exec {
+    config: ExecConfig,
+    shared: SharedKeys,
+    clock: SharedClock,
+    facts: Vec<(String, String)>,
+    /// The first one, which was started to see whether it can be.
+    first: Mutex<Option<Program>>,
+}
+
+impl Model for Exec {
+    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        let first = self.first.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let program = first.map_or_else(|| start(&self.config, &self.shared, &self.clock), Ok)?;
+        Ok(Box::new(ExecWorker { model: self.shared.name.to_string(), program }))
+    }
+
+    fn device(&self) -> String {
+        self.shared.device.clone()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        self.facts.clone()
+    }
+}
+
+fn start(config: &ExecConfig, shared: &SharedKeys, clock: &SharedClock) -> Result<Program, LoadError> {
+    Program::start(config, Role::Model, &format!("model {}", shared.name), clock)
+        .map_err(|error| failed(config, shared, error))
+}
+
+fn failed(config: &ExecConfig, shared: &SharedKeys, error: ExchangeError) -> LoadError {
+    LoadError::Program { model: shared.name.to_string(), command: config.command.to_string(), error }
+}
+
+struct ExecWorker {
+    model: String,
+    program: Program,
+}
+
+impl Worker for ExecWorker {
+    fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+        let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
+        let exchange =
+            self.program.ask(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
+        for stage in exchange.stages().map_err(|error| failed(error.to_string()))? {
+            log.timed(Name::from(stage.name), stage.from, stage.to);
+        }
+        for (name, value, unit) in &exchange.notes.values {
+            log.value(Name::from(name.as_str()), *value, Unit::new(unit));
+        }
+        match exchange.said {
+            Said::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
+            other => Err(failed(format!("it answered as a model does not: {other:?}"))),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! `kind = "onnx"` and `[onnxruntime]` in the configuration.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::Onnx;
+use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
+use crate::{LoadError, Model};
+
+/// Most threads within or across the operators of a model.
+const MAX_THREADS: usize = 1024;
+
+/// `kind = "onnx"`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnnxConfig {
+    /// The folder with `model.onnx` and its card `model.toml`.
+    pub path: PathBuf,
+    /// Threads of each worker within one operator of the model; the worker's own thread counts.
+    #[serde(default = "one")]
+    pub intra_threads: NonZeroUsize,
+    /// Threads of each worker across independent operators; above 1 they run in parallel.
+    #[serde(default = "one")]
+    pub inter_threads: NonZeroUsize,
+}
+
+const fn one() -> NonZeroUsize {
+    NonZeroUsize::MIN
+}
+
+impl ModelKind for OnnxConfig {
+    fn untold_keys(&self) -> &'static [&'static str] {
+        &["path"]
+    }
+
+    fn limits(&self) -> Vec<(&'static str, usize, usize)> {
+        vec![
+            ("intra_threads", self.intra_threads.get(), MAX_THREADS),
+            ("inter_threads", self.inter_threads.get(), MAX_THREADS),
+        ]
+    }
+
+    fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        Onnx::check(self, shared, context.runtime)
+    }
+
+    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        Ok(Arc::new(Onnx::load(self, shared, context)?))
+    }
+}
+
+impl ModelConfig {
+    /// The ONNX model in a folder, with these threads within an operator and across operators.
+    pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
+        let [intra_threads, inter_threads] = threads;
+        ModelTable { shared, own: OnnxConfig { path, intra_threads, inter_threads } }.into()
+    }
+}
+
+/// `[onnxruntime]`: which library runs the models of kind `onnx`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnnxRuntimeConfig {
+    /// The library file, or the folder that holds `libonnxruntime.so`. Without it `ORT_DYLIB_PATH`, the folder
+    /// `onnxruntime/lib` and the system's library path are searched, in this order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub library: Option<PathBuf>,
+}

@@ -1,0 +1,99 @@
+//! `sleep`: takes the time it is told to.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_logger::{Recorder, stage};
+use peernet_sample::{Description, Sample};
+use serde::{Deserialize, Serialize};
+
+use super::{LoadContext, ModelKind, SharedKeys};
+use crate::{InferenceError, LoadError, Model, Worker};
+
+/// Longest stage: a day. Milliseconds.
+const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
+
+/// `kind = "sleep"`. Each worker sleeps over a sample of its own.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SleepConfig {
+    /// Milliseconds of `preprocessing`.
+    #[serde(default = "ten_ms")]
+    pub preprocessing_ms: u32,
+    /// Milliseconds of `inference`.
+    #[serde(default = "eighty_ms")]
+    pub inference_ms: u32,
+    /// Milliseconds of `postprocessing`.
+    #[serde(default = "ten_ms")]
+    pub postprocessing_ms: u32,
+}
+
+const fn ten_ms() -> u32 {
+    10
+}
+
+const fn eighty_ms() -> u32 {
+    80
+}
+
+impl ModelKind for SleepConfig {
+    fn shared_keys() -> &'static [&'static str] {
+        &["name", "workers", "queue"]
+    }
+
+    fn limits(&self) -> Vec<(&'static str, usize, usize)> {
+        vec![
+            ("preprocessing_ms", self.preprocessing_ms as usize, MAX_STAGE_MS),
+            ("inference_ms", self.inference_ms as usize, MAX_STAGE_MS),
+            ("postprocessing_ms", self.postprocessing_ms as usize, MAX_STAGE_MS),
+        ]
+    }
+
+    fn load(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        Ok(Arc::new(Sleep { config: self.clone() }))
+    }
+}
+
+/// A model of known latency: three stages that each take a configured time.
+struct Sleep {
+    config: SleepConfig,
+}
+
+impl Model for Sleep {
+    fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        let SleepConfig { preprocessing_ms, inference_ms, postprocessing_ms } = self.config;
+        let stages = [
+            (stage::PREPROCESSING, preprocessing_ms),
+            (stage::INFERENCE, inference_ms),
+            (stage::POSTPROCESSING, postprocessing_ms),
+        ];
+        Ok(Box::new(SleepWorker {
+            stages: stages.map(|(name, ms)| (name, Duration::from_millis(u64::from(ms)))),
+        }))
+    }
+
+    fn device(&self) -> String {
+        "cpu".to_owned()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let SleepConfig { preprocessing_ms: before, inference_ms: during, postprocessing_ms: after } =
+            self.config;
+        vec![("Model".to_owned(), format!("sleep, {before} + {during} + {after} ms"))]
+    }
+}
+
+struct SleepWorker {
+    stages: [(peernet_logger::Name, Duration); 3],
+}
+
+impl Worker for SleepWorker {
+    fn infer(&mut self, _sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
+        for (name, duration) in &self.stages {
+            let _stage = log.time(name.clone());
+            std::thread::sleep(*duration);
+        }
+        Ok(Sample::of(Description::bytes(), Bytes::new()))
+    }
+}

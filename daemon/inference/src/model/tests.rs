@@ -1,0 +1,103 @@
+use super::*;
+
+fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
+    toml::from_str(text)
+}
+
+#[test]
+fn the_short_forms_have_sensible_defaults() {
+    let onnx = read("name = \"q\"\nkind = \"onnx\"\npath = \"models/q\"").expect("reads");
+    assert_eq!((onnx.device(), onnx.workers(), onnx.queue()), ("cpu", 1, 16));
+    let ModelConfig::Sleep(sleep) = read("name = \"s\"\nkind = \"sleep\"").expect("reads") else {
+        panic!("kind = sleep is a sleep");
+    };
+    let sleep = sleep.own;
+    assert_eq!((sleep.preprocessing_ms, sleep.inference_ms, sleep.postprocessing_ms), (10, 80, 10));
+}
+
+#[test]
+fn a_key_of_another_kind_or_a_misspelt_one_is_refused() {
+    let error = read("name = \"e\"\nkind = \"echo\"\nworkers = 2").expect_err("echo has no workers");
+    assert!(error.to_string().contains("workers"), "{error}");
+    let error = read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworker = 2").expect_err("misspelt");
+    assert!(error.to_string().contains("worker"), "{error}");
+    assert!(read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworkers = 0").is_err());
+}
+
+#[test]
+fn every_number_has_an_upper_limit() {
+    for (kind, key, most) in [
+        ("'onnx'\npath = 'x'", "workers", 256_u64),
+        ("'onnx'\npath = 'x'", "queue", 65_536),
+        ("'onnx'\npath = 'x'", "intra_threads", 1024),
+        ("'onnx'\npath = 'x'", "inter_threads", 1024),
+        ("'echo'", "answer_bytes", 1 << 30),
+        ("'python'\nobject = 'a::b'", "workers", 256),
+        ("'exec'\ncommand = 'x'", "queue", 65_536),
+        ("'sleep'", "workers", 256),
+        ("'sleep'", "queue", 65_536),
+        ("'sleep'", "inference_ms", 86_400_000),
+    ] {
+        let with = |value| {
+            let text = format!("name = 'm'\nkind = {kind}\n{key} = {value}");
+            read(&text).expect("reads").check_limits()
+        };
+        assert!(with(most).is_ok(), "{key}");
+        let error = with(most + 1).expect_err(key);
+        assert!(matches!(error, LoadError::TooMuch { key: k, .. } if k == key), "{error}");
+        assert!(error.to_string().contains(&most.to_string()), "{error}");
+    }
+}
+
+#[test]
+fn unknown_key_is_answered_with_all_keys_of_the_kind() {
+    for (kind, known) in [
+        ("'echo'", "`name` or `answer_bytes`"),
+        (
+            "'sleep'",
+            "one of `name`, `workers`, `queue`, `preprocessing_ms`, `inference_ms`, `postprocessing_ms`",
+        ),
+        (
+            "'onnx'\npath = 'x'",
+            "one of `name`, `device`, `workers`, `queue`, `path`, `intra_threads`, `inter_threads`",
+        ),
+        (
+            "'exec'\ncommand = 'x'",
+            "one of `name`, `device`, `workers`, `queue`, `command`, `timeout_ms`, `folder`, `env`",
+        ),
+        (
+            "'python'\nobject = 'a::b'",
+            "one of `name`, `device`, `workers`, `queue`, `object`, `folder`, `python`, `env`, `pickle`, `images`, \
+             `timeout_ms`, `start_timeout_ms`",
+        ),
+    ] {
+        let error = read(&format!("name = 'm'\nkind = {kind}\nzz = 1")).expect_err("has an unknown key");
+        assert!(error.to_string().contains(&format!("unknown field `zz`, expected {known}")), "{error}");
+    }
+}
+
+#[test]
+fn table_is_written_with_the_keys_of_its_kind_in_their_order() {
+    for (text, written) in [
+        ("kind = 'echo'\nname = 'm'", r#"{"kind":"echo","name":"m"}"#),
+        (
+            "kind = 'onnx'\nname = 'm'\npath = 'x'\nqueue = 3",
+            r#"{"kind":"onnx","name":"m","device":"cpu","workers":1,"queue":3,"path":"x","intra_threads":1,"inter_threads":1}"#,
+        ),
+        (
+            "kind = 'exec'\nname = 'm'\ncommand = ['x']",
+            r#"{"kind":"exec","name":"m","device":"cpu","workers":1,"queue":16,"command":["x"]}"#,
+        ),
+        (
+            "kind = 'python'\nname = 'm'\nobject = 'a::b'\ntimeout_ms = 5",
+            r#"{"kind":"python","name":"m","device":"cpu","workers":1,"queue":16,"object":"a::b","pickle":false,"images":"pil","timeout_ms":5}"#,
+        ),
+    ] {
+        let config = read(text).expect("reads");
+        let json = serde_json::to_string(&config).expect("can be written");
+        assert_eq!(json, written);
+        assert_eq!(serde_json::from_str::<ModelConfig>(&json).expect("reads back"), config);
+        let toml = toml::to_string(&config).expect("can be written");
+        assert_eq!(read(&toml).expect("reads back"), config);
+    }
+}

@@ -1,0 +1,197 @@
+//! Kinds of sensors, transforms, models, actuators and networks: each is named in its own file and where it is registered, and
+//! nowhere else in the programs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use proc_macro2::TokenTree;
+use syn::visit::Visit;
+use syn::{GenericArgument, Item, PathArguments, Type};
+
+use crate::layers::modules::{Names, Segments};
+
+/// The enum of each extension point, and the file that declares it. The same stands in CONTRIBUTING.md.
+const REGISTRATIONS: [(&str, &str); 5] = [
+    ("SensorConfig", "daemon/sensors/src/sensor/mod.rs"),
+    ("TransformConfig", "daemon/sensors/src/transform/mod.rs"),
+    ("ModelConfig", "daemon/inference/src/model/mod.rs"),
+    ("ActuatorConfig", "daemon/actuators/src/lib.rs"),
+    ("NetworkKind", "daemon/networks/src/transport/mod.rs"),
+];
+
+/// Files that name a kind beside its own: the file or folder, the kind's module, and why.
+const EXCEPTIONS: [(&str, &str, &str); 2] = [
+    ("daemon/inference/src/bank", "onnx", "a folder of models holds ONNX models with their cards"),
+    ("daemon/inference/src/lib.rs", "onnx", "[onnxruntime] is a table of its own, and commands show cards"),
+];
+
+/// One kind of an extension point.
+struct Kind {
+    /// The enum that it is a variant of.
+    registry: &'static str,
+    variant: String,
+    /// The module above that of the kind.
+    parent: String,
+    /// The module of the kind.
+    module: String,
+    /// The configuration that the kind's own file declares.
+    config: Option<String>,
+    /// The kind's own file, or all of its folder.
+    own: PathBuf,
+    /// Where it is registered.
+    registration: PathBuf,
+}
+
+impl Kind {
+    /// Whether a path names the kind.
+    fn is_named_by(&self, path: &Segments) -> bool {
+        let pair = |first: &str, second: &str| path.windows(2).any(|two| two[0] == first && two[1] == second);
+        pair(self.registry, &self.variant)
+            || pair(&self.parent, &self.module)
+            || self.config.as_ref().is_some_and(|config| path.contains(config))
+    }
+}
+
+fn items(file: &Path) -> Vec<Item> {
+    let text = fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    syn::parse_file(&text).unwrap_or_else(|error| panic!("{}: {error}", file.display())).items
+}
+
+/// All kinds of an extension point.
+fn kinds(registry: &'static str, registration: &str) -> Vec<Kind> {
+    let registration = peernet_tests::root().join(registration);
+    let folder = registration.parent().expect("in a folder");
+    // What is right below the root is reached by the name of the crate.
+    let parent = match folder.file_name().and_then(|name| name.to_str()).expect("has a name") {
+        "src" => {
+            let name = folder.parent().and_then(Path::file_name).expect("in the folder of the crate");
+            format!("peernet_{}", name.to_str().expect("is text"))
+        }
+        name => name.to_owned(),
+    };
+    let mut found = Vec::new();
+    for item in items(&registration) {
+        match item {
+            Item::Enum(item) if item.ident == registry => {
+                for variant in item.variants {
+                    let field = variant.fields.iter().next().expect("a variant holds its configuration");
+                    let path = configuration(&field.ty);
+                    let [module, config] = &path[..] else { panic!("write module::Configuration: {path:?}") };
+                    found.push((variant.ident.to_string(), module.clone(), Some(config.clone())));
+                }
+            }
+            Item::Macro(item) if item.mac.path.is_ident("networks") => {
+                let tokens: Vec<TokenTree> = item.mac.tokens.into_iter().collect();
+                let at = |token: &TokenTree, text: &str| token.to_string() == text;
+                for line in tokens.split(|token| at(token, ";")).filter(|line| !line.is_empty()) {
+                    let after = |text| line.iter().skip_while(|token| !at(token, text)).nth(1);
+                    let before = line.iter().take_while(|token| !at(token, "=")).last();
+                    let [variant, module] =
+                        [before, after("in")].map(|token| token.expect("is there").to_string());
+                    found.push((variant, module, None));
+                }
+            }
+            _ => {}
+        }
+    }
+    let kind = |(variant, module, config): (String, String, Option<String>)| {
+        let [alone, inside] = [folder.join(format!("{module}.rs")), folder.join(&module)];
+        let own = if alone.is_file() { alone } else { inside };
+        // A configuration that several kinds share is declared elsewhere.
+        let config = config.filter(|config| declares(&own, config));
+        let (parent, registration) = (parent.clone(), registration.clone());
+        Kind { registry, variant, parent, module, config, own, registration }
+    };
+    found.into_iter().map(kind).collect()
+}
+
+/// The path of the configuration of a kind: of `ModelTable<onnx::OnnxConfig>` what is in the brackets.
+fn configuration(of: &Type) -> Segments {
+    let Type::Path(path) = of else { panic!("a configuration is named by a path") };
+    let inner = path.path.segments.iter().find_map(|segment| match &segment.arguments {
+        PathArguments::AngleBracketed(inner) => inner.args.first(),
+        _ => None,
+    });
+    match inner {
+        Some(GenericArgument::Type(inner)) => configuration(inner),
+        _ => path.path.segments.iter().map(|segment| segment.ident.to_string()).collect(),
+    }
+}
+
+/// Whether a file, or one of a folder, declares a struct.
+fn declares(own: &Path, name: &str) -> bool {
+    let is_it = |item: &Item| matches!(item, Item::Struct(item) if item.ident == name);
+    sources(own).iter().any(|file| items(file).iter().any(is_it))
+}
+
+/// The source files of a folder and of those below it, or the file itself, without those of tests.
+fn sources(at: &Path) -> Vec<PathBuf> {
+    if at.is_file() {
+        return vec![at.to_owned()];
+    }
+    let mut found = Vec::new();
+    for entry in fs::read_dir(at).unwrap_or_else(|error| panic!("{}: {error}", at.display())) {
+        let path = entry.expect("is readable").path();
+        let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
+        if name == "tests" {
+            continue;
+        }
+        if path.is_dir() || path.extension().is_some_and(|ending| ending == "rs") {
+            found.extend(sources(&path));
+        }
+    }
+    found
+}
+
+/// The source files of all programs and libraries.
+fn all_sources() -> Vec<PathBuf> {
+    let root = peernet_tests::root();
+    let crates = fs::read_dir(root.join("daemon")).expect("the crates are there");
+    let crates = crates.map(|entry| entry.expect("is readable").path()).chain([root.join("web")]);
+    crates
+        .map(|folder| folder.join("src"))
+        .filter(|folder| folder.is_dir())
+        .flat_map(|src| sources(&src))
+        .collect()
+}
+
+#[test]
+fn kind_is_named_in_its_own_file_and_where_it_is_registered() {
+    let kinds: Vec<Kind> = REGISTRATIONS.iter().flat_map(|(registry, file)| kinds(registry, file)).collect();
+    for (registry, file) in REGISTRATIONS {
+        assert!(kinds.iter().any(|kind| kind.registry == registry), "{file} registers no {registry}");
+    }
+    let root = peernet_tests::root();
+    let (mut wrong, mut needed) = (Vec::new(), Vec::new());
+    for file in all_sources() {
+        let mut names = Names::default();
+        items(&file).iter().for_each(|item| names.visit_item(item));
+        let elsewhere = |kind: &&Kind| !file.starts_with(&kind.own) && file != kind.registration;
+        for kind in kinds.iter().filter(elsewhere) {
+            let Some(path) = names.paths.iter().find(|path| kind.is_named_by(path)) else { continue };
+            let exception = EXCEPTIONS
+                .iter()
+                .find(|(at, module, _)| *module == kind.module && file.starts_with(root.join(at)));
+            match exception {
+                Some(exception) => needed.push(exception),
+                None => wrong.push(format!("{}: {}", file.display(), path.join("::"))),
+            }
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "kinds are named outside their own files; ask through the trait of the extension point:\n{}",
+        wrong.join("\n")
+    );
+    for exception in &EXCEPTIONS {
+        assert!(needed.contains(&exception), "this exception is needed no more: {exception:?}");
+    }
+}
+
+#[test]
+fn contributing_names_the_registration_file_of_each_extension_point() {
+    let text = fs::read_to_string(peernet_tests::root().join("CONTRIBUTING.md")).expect("is there");
+    for (_, file) in REGISTRATIONS {
+        assert!(text.contains(&format!("]({file})")), "CONTRIBUTING.md does not name {file}");
+    }
+}
