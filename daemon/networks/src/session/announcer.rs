@@ -2,18 +2,18 @@
 
 use std::sync::Weak;
 
-use super::cloud::Shared;
+use super::cloud::PortState;
 use crate::PeerClock;
 
 /// Tells the sessions of a [`Listener`](crate::Listener) what becomes known of the cloud's wall clock. Clones tell
 /// the same sessions; they do not keep the listener open.
 #[derive(Clone, Debug)]
 pub struct Announcer {
-    shared: Weak<Shared>,
+    shared: Weak<PortState>,
 }
 
 impl Announcer {
-    pub(crate) const fn new(shared: Weak<Shared>) -> Self {
+    pub(crate) const fn new(shared: Weak<PortState>) -> Self {
         Self { shared }
     }
 

@@ -53,7 +53,7 @@ pub enum BindError {
 /// A port at which edges open sessions.
 #[derive(Debug)]
 pub struct Listener {
-    shared: Arc<Shared>,
+    shared: Arc<PortState>,
     receiver: Box<dyn CloudReceiver>,
     address: Address,
     settings: SessionSettings,
@@ -64,7 +64,7 @@ pub struct Listener {
 /// What the listener and all answers under way have in common. Answers hold it weakly: when the listener goes,
 /// the connections go.
 #[derive(Debug)]
-pub(crate) struct Shared {
+pub(crate) struct PortState {
     machine: Mutex<Server>,
     budget: Arc<Budget>,
     sender: Box<dyn CloudSender>,
@@ -96,7 +96,7 @@ impl Listener {
             BindFailure::NotLocal => BindError::NotLocal(address.clone()),
             BindFailure::Other(reason) => BindError::Other(address.clone(), reason),
         })?;
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(PortState {
             machine: Mutex::new(Server::new(&settings)),
             budget: Budget::new(settings.max_in_flight_bytes),
             sender: bound.sender,
@@ -176,7 +176,7 @@ impl Listener {
 }
 
 /// A message arrived in this epoch of the clock: what to hand out, if anything.
-fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u32)) -> Option<Incoming> {
+fn heard(shared: &Arc<PortState>, peer: &Peer, frames: Frames, received: (Stamp, u32)) -> Option<Incoming> {
     shared.counters.received(Sizes::of(&frames).total());
     if frames.len() > MAX_FRAMES {
         shared.malformed(peer.address, "too many frames");
@@ -218,7 +218,7 @@ fn heard(shared: &Arc<Shared>, peer: &Peer, frames: Frames, received: (Stamp, u3
 }
 
 fn incoming_request(
-    shared: &Arc<Shared>,
+    shared: &Arc<PortState>,
     peer: &Peer,
     request: Request,
     frames: Frames,
@@ -262,7 +262,7 @@ enum InvalidRequest {
     Sample(#[from] HeaderError),
 }
 
-impl Shared {
+impl PortState {
     fn machine(&self) -> MutexGuard<'_, Server> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -35,7 +35,7 @@ pub struct Session {
 
 #[derive(Debug)]
 struct Inner {
-    shared: Arc<Shared>,
+    shared: Arc<SessionState>,
     accepted: SessionAccepted,
     /// Cancelled to close; the receiving task listens.
     stop: CancellationToken,
@@ -51,7 +51,7 @@ impl Drop for Inner {
 
 /// What requests and the receiving task have in common.
 #[derive(Debug)]
-pub(crate) struct Shared {
+pub(crate) struct SessionState {
     pub(crate) session: SessionId,
     machine: Mutex<Client<oneshot::Sender<Answer>>>,
     pub(crate) sender: Box<dyn EdgeSender>,
@@ -93,7 +93,7 @@ impl Session {
 
     fn start(dialled: Dialled, accepted: Accepted, settings: &SessionSettings, clock: SharedClock) -> Self {
         let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(SessionState {
             session: accepted.session,
             machine: Mutex::new(Client::new(accepted.session)),
             sender: dialled.sender,
@@ -223,7 +223,7 @@ enum UnsendableSample {
 
 /// A request under way. Giving it up is dropping it.
 struct Pending<'a> {
-    shared: &'a Shared,
+    shared: &'a SessionState,
     request: u64,
     departed: Departed,
     sizes: Sizes,
@@ -236,7 +236,7 @@ impl Drop for Pending<'_> {
     }
 }
 
-impl Shared {
+impl SessionState {
     pub(crate) fn machine(&self) -> MutexGuard<'_, Client<oneshot::Sender<Answer>>> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -7,7 +7,7 @@ use peernet_clock::Stamp;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-use super::cloud::Shared;
+use super::cloud::PortState;
 use crate::message::{SessionAccepted, SessionHello, SessionId};
 
 /// Something that arrived at a listener.
@@ -37,7 +37,7 @@ pub struct OpenRequest {
     pub session: SessionId,
     /// Where its connection comes from, if that is known.
     pub address: Option<SocketAddr>,
-    shared: Option<Weak<Shared>>,
+    shared: Option<Weak<PortState>>,
 }
 
 impl OpenRequest {
@@ -45,7 +45,7 @@ impl OpenRequest {
         hello: SessionHello,
         session: SessionId,
         address: Option<SocketAddr>,
-        shared: Weak<Shared>,
+        shared: Weak<PortState>,
     ) -> Self {
         Self { hello, session, address, shared: Some(shared) }
     }
@@ -111,11 +111,11 @@ pub(crate) struct Ticket {
 #[derive(Debug)]
 pub struct Responder {
     ticket: Ticket,
-    shared: Option<Weak<Shared>>,
+    shared: Option<Weak<PortState>>,
 }
 
 impl Responder {
-    pub(crate) const fn new(ticket: Ticket, shared: Weak<Shared>) -> Self {
+    pub(crate) const fn new(ticket: Ticket, shared: Weak<PortState>) -> Self {
         Self { ticket, shared: Some(shared) }
     }
 

@@ -8,12 +8,12 @@ use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, Heard};
-use super::edge::{Answer, Shared};
+use super::edge::{Answer, SessionState};
 use super::exchange::{Arrived, Sizes};
 use crate::message::{Goodbye, Header};
 use crate::transport::{Disconnected, EdgeReceiver, Frames};
 
-impl Shared {
+impl SessionState {
     /// A message arrived at `arrived`. Returns why the session is over, if it now is.
     fn heard(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
         self.counters.received(Sizes::of(&frames).total());
@@ -78,7 +78,7 @@ impl Shared {
 
 /// The task that takes messages from the network. However it ends, the session ends with it.
 pub(crate) struct Receiving {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) shared: Arc<SessionState>,
     /// Cancelled by those who want the session closed.
     pub(crate) stop: CancellationToken,
     /// Cancelled here when it is.

@@ -15,8 +15,9 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::connection::{Phase, ZmtpConnection};
+use super::deadlines::{Deadlines, Due};
 use super::framer::{Allowance, Framer, Piece, Stage, Violation};
-use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
+use super::limits::ListenerLimits;
 use super::listener::Delivery;
 use super::memory::{MemoryBudget, Reservation};
 use super::rejections::Rejection;
@@ -47,22 +48,23 @@ pub(super) enum End {
 /// What the task of a connection works with.
 pub(super) struct Driver {
     pub(super) connection: Arc<ZmtpConnection>,
-    reader: OwnedReadHalf,
-    framer: Framer,
-    allowance: Allowance,
-    limits: ListenerLimits,
+    input: Input,
+    deadlines: Deadlines,
     arrivals: mpsc::Sender<Delivery>,
-    pieces: Vec<Piece>,
     messages: VecDeque<(Message, Reservation)>,
     /// Whether a message was handed out.
     pub(super) has_delivered: bool,
     /// Whether the handshake succeeded.
     pub(super) is_ready: bool,
     has_output: bool,
-    phase: Phase,
-    phase_began: Instant,
-    has_received: bool,
-    last_received: Instant,
+}
+
+/// Bytes from the peer, cut into pieces that the library decodes.
+struct Input {
+    reader: OwnedReadHalf,
+    framer: Framer,
+    allowance: Allowance,
+    pieces: Vec<Piece>,
 }
 
 /// The budgets that all connections of a listener share.
@@ -87,29 +89,21 @@ impl Driver {
             unadmitted: Arc::clone(&budgets.unadmitted),
             admitted: Arc::clone(&budgets.admitted),
         };
-        let now = Instant::now();
         Self {
             connection,
-            reader,
-            framer: Framer::new(&allowance),
-            allowance,
-            limits: limits.clone(),
+            input: Input { reader, framer: Framer::new(&allowance), allowance, pieces: Vec::new() },
+            deadlines: Deadlines::new(limits, Instant::now()),
             arrivals,
-            pieces: Vec::new(),
             messages: VecDeque::new(),
             has_delivered: false,
             is_ready: false,
             has_output: true,
-            phase: Phase::Handshake,
-            phase_began: now,
-            has_received: false,
-            last_received: now,
         }
     }
 
     /// Runs until the connection ends; what arrived before has been handed out then.
     pub(super) async fn run(&mut self) -> End {
-        let mut timer = std::pin::pin!(sleep_until(self.phase_began));
+        let mut timer = std::pin::pin!(sleep_until(Instant::now()));
         loop {
             if let Some(end) = self.look_at_phase(timer.as_mut()) {
                 return end;
@@ -120,17 +114,17 @@ impl Driver {
                 return end;
             }
             let connection = Arc::clone(&self.connection);
+            let is_blocked = self.is_blocked();
             let event = tokio::select! {
                 biased;
-                read = read(&connection, &mut self.reader, &mut self.framer, &mut self.allowance, &mut self.pieces),
-                    if !self.is_blocked() => Wake::Read(read),
+                read = self.input.read(&connection), if !is_blocked => Wake::Read(read),
                 () = connection.wake.notified() => Wake::Told,
                 result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
                 () = timer.as_mut() => Wake::Timer,
             };
             match event {
                 Wake::Read(Read::Bytes) => {
-                    self.has_received = true;
+                    self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return End::Rejected(reason, text);
                     }
@@ -153,7 +147,7 @@ impl Driver {
                     if let Some(end) = self.tick() {
                         return end;
                     }
-                    timer.as_mut().reset(self.next_tick());
+                    timer.as_mut().reset(self.deadlines.next(Instant::now()));
                 }
             }
         }
@@ -167,12 +161,12 @@ impl Driver {
     /// Takes over a new phase, which another thread may have set.
     fn look_at_phase(&mut self, timer: Pin<&mut Sleep>) -> Option<End> {
         let phase = self.connection.phase();
-        if phase == self.phase {
+        if phase == self.deadlines.phase() {
             return None;
         }
-        self.phase = phase;
-        self.phase_began = Instant::now();
-        timer.reset(self.next_tick());
+        let now = Instant::now();
+        self.deadlines.enter(phase, now);
+        timer.reset(self.deadlines.next(now));
         match phase {
             Phase::Closing => Some(End::Closed),
             Phase::Replaced => {
@@ -197,7 +191,7 @@ impl Driver {
     fn decode(&mut self) -> Result<(), Violation> {
         let connection = Arc::clone(&self.connection);
         let mut codec = connection.codec();
-        for Piece { bytes, message } in self.pieces.drain(..) {
+        for Piece { bytes, message } in self.input.pieces.drain(..) {
             codec.zmtp.handle_input(bytes).map_err(|error| violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
@@ -235,28 +229,14 @@ impl Driver {
 
     /// Looks at deadlines.
     fn tick(&mut self) -> Option<End> {
-        let now = Instant::now();
-        if std::mem::take(&mut self.has_received) {
-            self.last_received = now;
+        match self.deadlines.check(Instant::now()) {
+            Due::Nothing => None,
+            Due::Ping => {
+                self.ping();
+                None
+            }
+            Due::End(reason, text) => Some(End::Rejected(reason, text)),
         }
-        let in_phase = now - self.phase_began;
-        if self.phase == Phase::Handshake {
-            return (in_phase >= HANDSHAKE_TIMEOUT)
-                .then(|| End::Rejected(Rejection::Handshake, "no ZMTP handshake in time".into()));
-        }
-        if self.phase == Phase::Unadmitted && in_phase >= self.limits.hello_timeout {
-            let text = format!("no hello was accepted within {} ms", self.limits.hello_timeout.as_millis());
-            return Some(End::Rejected(Rejection::NoHello, text));
-        }
-        let silence = now - self.last_received;
-        if silence >= self.limits.heartbeat_timeout {
-            let text = format!("the peer sent nothing for {} ms", silence.as_millis());
-            return Some(End::Rejected(Rejection::Silent, text));
-        }
-        if silence >= self.limits.heartbeat_interval {
-            self.ping();
-        }
-        None
     }
 
     fn ping(&mut self) {
@@ -271,15 +251,6 @@ impl Driver {
         }
         drop(codec);
         self.has_output = true;
-    }
-
-    fn next_tick(&self) -> Instant {
-        let heartbeat = Instant::now() + self.limits.heartbeat_interval;
-        match self.phase {
-            Phase::Handshake => self.phase_began + HANDSHAKE_TIMEOUT,
-            Phase::Unadmitted => heartbeat.min(self.phase_began + self.limits.hello_timeout),
-            _ => heartbeat,
-        }
     }
 
     /// Sends what is queued, no longer than until `deadline`, and lets the peer close.
@@ -299,9 +270,9 @@ impl Driver {
         // What is not out by then is lost, as it would be with the connection.
         let _late = tokio::time::timeout_at(deadline, flush).await;
         // A socket that is closed with unread bytes resets the connection, and the peer loses what it has not read.
-        shut_down_writing(&self.reader);
+        shut_down_writing(&self.input.reader);
         let mut scratch = vec![0; READ_BYTES];
-        let drain = async { while matches!(self.reader.read(&mut scratch).await, Ok(1..)) {} };
+        let drain = async { while matches!(self.input.reader.read(&mut scratch).await, Ok(1..)) {} };
         let _open = tokio::time::timeout_at(deadline.min(Instant::now() + CLOSE_TIMEOUT), drain).await;
     }
 }
@@ -333,20 +304,17 @@ enum Read {
     Violation(Violation),
 }
 
-/// Reads once, into the buffer of a long frame or into pieces. Dropping the future loses nothing.
-async fn read(
-    connection: &ZmtpConnection,
-    reader: &mut OwnedReadHalf,
-    framer: &mut Framer,
-    allowance: &mut Allowance,
-    pieces: &mut Vec<Piece>,
-) -> Read {
-    std::future::poll_fn(|cx| {
-        // At each poll: what follows an acceptance may be here before this task is told of it.
-        allowance.stage = stage(connection.phase());
-        poll_read(cx, reader, framer, allowance, pieces)
-    })
-    .await
+impl Input {
+    /// Reads once, into the buffer of a long frame or into pieces. Dropping the future loses nothing.
+    async fn read(&mut self, connection: &ZmtpConnection) -> Read {
+        let Self { reader, framer, allowance, pieces } = self;
+        std::future::poll_fn(|cx| {
+            // At each poll: what follows an acceptance may be here before this task is told of it.
+            allowance.stage = stage(connection.phase());
+            poll_read(cx, reader, framer, allowance, pieces)
+        })
+        .await
+    }
 }
 
 const fn stage(phase: Phase) -> Stage {

@@ -38,17 +38,17 @@ const SHORTAGE_PAUSE: Duration = Duration::from_millis(100);
 pub struct ZmtpListener {
     address: SocketAddr,
     arrivals: mpsc::Receiver<Delivery>,
-    shared: Arc<Shared>,
+    shared: Arc<ListenerState>,
 }
 
 /// The sending end; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct ZmtpSender {
-    shared: Arc<Shared>,
+    shared: Arc<ListenerState>,
 }
 
 #[derive(Debug)]
-struct Shared {
+struct ListenerState {
     table: ConnectionTable,
     limits: ListenerLimits,
     budgets: Budgets,
@@ -79,7 +79,7 @@ impl ZmtpListener {
             admitted: MemoryBudget::new(limits.unfinished_budget()),
             output: MemoryBudget::new(limits.unfinished_budget().saturating_mul(4)),
         };
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(ListenerState {
             table: ConnectionTable::new(limits.clone()),
             limits,
             budgets,
@@ -157,7 +157,7 @@ impl ZmtpSender {
     }
 }
 
-impl Shared {
+impl ListenerState {
     fn close(&self) {
         self.stop.cancel();
         for connection in self.table.all() {
@@ -193,7 +193,7 @@ fn bind_failure(error: &io::Error) -> BindFailure {
     }
 }
 
-async fn accept(listener: TcpListener, shared: Arc<Shared>, arrivals: mpsc::Sender<Delivery>) {
+async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
     let places = Arc::new(Semaphore::new(shared.limits.max_connections + CLOSING_PLACES));
     while let Some(accepted) = shared.stop.run_until_cancelled(next(&listener, &places)).await {
         let (stream, address, place) = match accepted {
@@ -256,7 +256,7 @@ fn prepare(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }
 
-async fn serve(mut driver: Driver, shared: Arc<Shared>, arrivals: mpsc::Sender<Delivery>) {
+async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
     let end = driver.run().await;
     let connection = &driver.connection;
     let (id, address) = (connection.id, connection.address);

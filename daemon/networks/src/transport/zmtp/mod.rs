@@ -9,9 +9,11 @@
 //! | unadmitted | the upper layer accepts a hello | 64 KiB | the hello timeout, a newer connection |
 //! | admitted | the session or host behind it is gone | the listener's budget | silence |
 //!
-//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections, [`driver`] is the task of one.
+//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections, [`deadlines`] keeps time,
+//! [`driver`] is the task of one.
 
 mod connection;
+mod deadlines;
 mod driver;
 mod framer;
 mod limits;

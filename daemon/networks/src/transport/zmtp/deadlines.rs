@@ -1,0 +1,122 @@
+//! How long a connection may take for what, without I/O.
+
+use tokio::time::Instant;
+
+use super::connection::Phase;
+use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
+use super::rejections::Rejection;
+
+/// The deadlines of one connection: of the phase that it is in, and of its silence.
+pub(super) struct Deadlines {
+    limits: ListenerLimits,
+    phase: Phase,
+    phase_began: Instant,
+    /// Whether bytes came since the last [`check`](Self::check).
+    pub(super) has_received: bool,
+    last_received: Instant,
+}
+
+/// What is due.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Due {
+    Nothing,
+    /// A heartbeat: the peer is silent.
+    Ping,
+    /// The end of the connection, and why.
+    End(Rejection, String),
+}
+
+impl Deadlines {
+    pub(super) fn new(limits: &ListenerLimits, now: Instant) -> Self {
+        let limits = limits.clone();
+        Self { limits, phase: Phase::Handshake, phase_began: now, has_received: false, last_received: now }
+    }
+
+    /// The phase whose deadline is kept.
+    pub(super) const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Begins the deadline of a new phase.
+    pub(super) const fn enter(&mut self, phase: Phase, now: Instant) {
+        (self.phase, self.phase_began) = (phase, now);
+    }
+
+    /// Returns what is due now.
+    pub(super) fn check(&mut self, now: Instant) -> Due {
+        if std::mem::take(&mut self.has_received) {
+            self.last_received = now;
+        }
+        let in_phase = now - self.phase_began;
+        if self.phase == Phase::Handshake {
+            if in_phase < HANDSHAKE_TIMEOUT {
+                return Due::Nothing;
+            }
+            return Due::End(Rejection::Handshake, "no ZMTP handshake in time".into());
+        }
+        if self.phase == Phase::Unadmitted && in_phase >= self.limits.hello_timeout {
+            let text = format!("no hello was accepted within {} ms", self.limits.hello_timeout.as_millis());
+            return Due::End(Rejection::NoHello, text);
+        }
+        let silence = now - self.last_received;
+        if silence >= self.limits.heartbeat_timeout {
+            let text = format!("the peer sent nothing for {} ms", silence.as_millis());
+            return Due::End(Rejection::Silent, text);
+        }
+        if silence >= self.limits.heartbeat_interval { Due::Ping } else { Due::Nothing }
+    }
+
+    /// Returns when to check next.
+    pub(super) fn next(&self, now: Instant) -> Instant {
+        let heartbeat = now + self.limits.heartbeat_interval;
+        match self.phase {
+            Phase::Handshake => self.phase_began + HANDSHAKE_TIMEOUT,
+            Phase::Unadmitted => heartbeat.min(self.phase_began + self.limits.hello_timeout),
+            _ => heartbeat,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn limits() -> ListenerLimits {
+        ListenerLimits {
+            max_connections: 1,
+            max_message_bytes: 1,
+            max_unfinished_bytes: 1,
+            hello_timeout: Duration::from_secs(5),
+            max_queued_messages: 1,
+            max_queued_bytes: 1,
+            heartbeat_interval: Duration::from_secs(1),
+            heartbeat_timeout: Duration::from_secs(10),
+        }
+    }
+
+    #[test]
+    fn each_phase_ends_after_its_own_time() {
+        let start = Instant::now();
+        let after = |seconds| start + Duration::from_secs(seconds);
+        let mut deadlines = Deadlines::new(&limits(), start);
+        assert_eq!((deadlines.check(after(1)), deadlines.next(after(1))), (Due::Nothing, after(2)));
+        assert!(matches!(deadlines.check(after(2)), Due::End(Rejection::Handshake, _)));
+        deadlines.enter(Phase::Unadmitted, after(1));
+        assert_eq!((deadlines.check(after(5)), deadlines.next(after(5))), (Due::Ping, after(6)));
+        assert!(matches!(deadlines.check(after(6)), Due::End(Rejection::NoHello, _)));
+    }
+
+    #[test]
+    fn only_silence_ends_admitted_connection() {
+        let start = Instant::now();
+        let after = |seconds| start + Duration::from_secs(seconds);
+        let mut deadlines = Deadlines::new(&limits(), start);
+        deadlines.enter(Phase::Admitted, start);
+        deadlines.has_received = true;
+        assert_eq!(deadlines.check(after(100)), Due::Nothing);
+        assert_eq!(deadlines.check(after(101)), Due::Ping);
+        assert!(matches!(deadlines.check(after(110)), Due::End(Rejection::Silent, _)));
+    }
+}
