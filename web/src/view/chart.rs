@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
 use peernet_clock::WallTime;
 use peernet_logger::stage;
+use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
 use serde::Serialize;
 
 use super::data::{JsonBlock, Short};
+use super::incidents::IncidentLine;
 use super::place;
 use super::speed::{self, Way};
 use super::stack::Stack;
@@ -30,6 +32,22 @@ pub(crate) struct Mark {
     pub host: String,
     /// The pipeline alone that it concerns, if one.
     pub pipeline: Option<String>,
+}
+
+impl Mark {
+    /// Incidents as marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
+    pub(crate) fn all(rows: &[IncidentRow]) -> Vec<Self> {
+        rows.iter()
+            .filter_map(|row| {
+                Some(Self {
+                    at: row.at.unix_nanos() / 1_000_000,
+                    sign: IncidentLine::new(row, Zone::Utc).sign,
+                    host: row.host_name.as_ref()?.to_string(),
+                    pipeline: row.pipeline.clone(),
+                })
+            })
+            .collect()
+    }
 }
 
 /// One chart with its table view.

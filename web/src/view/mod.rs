@@ -21,7 +21,6 @@ pub(crate) mod place;
 pub(crate) mod rehearsal;
 pub(crate) mod run;
 pub(crate) mod runs;
-pub(crate) mod shell;
 pub(crate) mod speed;
 pub(crate) mod stack;
 pub(crate) mod stages;
