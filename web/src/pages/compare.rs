@@ -7,12 +7,12 @@ use axum::http::HeaderMap;
 use axum::http::header::HOST;
 use axum::routing::get;
 use peernet_logger::stage;
+use peernet_statistics::number::NONE;
 use peernet_store::ExperimentSummary;
 
 use super::kind::{NavigationEntry, PageKind};
 use super::shell::Shell;
 use super::{Page, page};
-use crate::numbers::NONE;
 use crate::parameters::Parameters;
 use crate::state::App;
 use crate::svg::Scatter;

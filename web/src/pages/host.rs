@@ -8,6 +8,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{HostPicture, Picture};
+use peernet_statistics::number::{NONE, SPACE, bytes, count, fixed};
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription};
 
@@ -15,7 +16,6 @@ use super::kind::{LiveTopic, PageKind};
 use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
-use crate::numbers::{NONE, SPACE, bytes, count, fixed};
 use crate::state::{App, AppState};
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};

@@ -5,13 +5,13 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_statistics::number::{NONE, count, duration, times};
 use peernet_store::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::kind::PageKind;
 use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
-use crate::numbers::{NONE, count, duration, times};
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Lanes, Scale};
 use crate::timeline::Timeline;
@@ -171,8 +171,8 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numbers::SPACE;
     use crate::tests::samples;
+    use peernet_statistics::number::SPACE;
 
     #[test]
     fn the_title_says_how_long_how_unusual_and_why() {

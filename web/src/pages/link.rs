@@ -235,7 +235,7 @@ fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
         facts.extend(link.live.networks.iter().cloned());
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
-            let ago = crate::numbers::length((picture.at - link.last_seen).seconds().max(0.0));
+            let ago = peernet_statistics::number::length((picture.at - link.last_seen).seconds().max(0.0));
             facts.push(format!("told of {ago} ago"));
         }
     }

@@ -9,6 +9,9 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{Picture, PipelinePicture, Window};
 use peernet_logger::{Slug, stage};
+use peernet_statistics::number::{
+    NONE, SPACE, count, duration, length, percent, rate, share, short_duration,
+};
 use peernet_store::{Figures, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
@@ -18,7 +21,6 @@ use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate, share};
 use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Bar;
@@ -171,7 +173,7 @@ fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
     let time = |name, of: fn(&Figures) -> Option<f64>| {
-        let value = total.and_then(of).map(milliseconds);
+        let value = total.and_then(of).map(short_duration);
         let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
     };

@@ -4,13 +4,13 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
+use peernet_statistics::number::count;
 use peernet_store::RunFilter;
 use serde::Deserialize;
 
 use super::kind::{NavigationEntry, PageKind};
 use super::shell::Shell;
 use super::{Page, page};
-use crate::numbers::count;
 use crate::parameters::{self, Parameters};
 use crate::state::App;
 use crate::view::runs::RunLine;

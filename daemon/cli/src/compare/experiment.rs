@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::short::plain;
 use crate::small_file;
-use peernet_report::number::counted;
+use peernet_statistics::number::counted;
 use serde::Deserialize;
 
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};

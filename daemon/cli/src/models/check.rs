@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
-use peernet_report::number::{counted, fixed};
 use peernet_sample::{Sample, plain_label};
+use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
 use super::input::Input;
