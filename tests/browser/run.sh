@@ -5,6 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 
 peernetd=${1:?usage: run.sh PATH-TO-PEERNETD}
+node tests/browser/numbers.mjs
 site=$(mktemp -d)
 trap 'kill -TERM "${demo:-}" 2>/dev/null && wait "$demo" 2>/dev/null; rm -rf "$site"' EXIT
 

@@ -38,7 +38,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
             concat!($(include_str!(concat!("../assets/css/", $file, ".css"))),*).as_bytes()
         };
     }
-    let files: [(&str, &str, &'static [u8]); 11] = [
+    let files: [(&str, &str, &'static [u8]); 12] = [
         (
             "app.css",
             "text/css; charset=utf-8",
@@ -47,6 +47,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
         ("theme.js", SCRIPT, include_bytes!("../assets/js/theme.js")),
         ("app.js", SCRIPT, include_bytes!("../assets/js/app.js")),
         ("live.js", SCRIPT, include_bytes!("../assets/js/live.js")),
+        ("numbers.js", SCRIPT, include_bytes!("../assets/js/numbers.js")),
         ("charts.js", SCRIPT, include_bytes!("../assets/js/charts.js")),
         ("live-charts.js", SCRIPT, include_bytes!("../assets/js/live-charts.js")),
         ("run.js", SCRIPT, include_bytes!("../assets/js/run.js")),

@@ -58,6 +58,13 @@ pub(crate) enum WebError {
     Panicked(String),
 }
 
+impl WebError {
+    /// The error for a run that is not stored.
+    pub(crate) fn no_run(number: i64) -> Self {
+        Self::NotFound(format!("no run {number} is stored"))
+    }
+}
+
 /// A problem as programs receive it (RFC 9457).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct ProblemDetails {

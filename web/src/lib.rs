@@ -1,7 +1,8 @@
 //! The dashboard and the REST API: thin handlers that ask the aggregator and show its answers.
 //!
-//! `pages/` holds one file per page with its template beside it, `api/` the resources of `/api/v1`, `view/` what
-//! several pages say the same way, `svg/` the pictures that the server draws, `numbers` how figures read.
+//! `pages/` holds one file per page with its template beside it, `api/` one file or folder per resource of `/api/v1`; the
+//! `mod.rs` of either registers them. `view/` holds what several pages say the same way, `svg/` the pictures that the
+//! server draws.
 //! Pages are complete when they arrive; scripts then keep them live.
 
 mod access;
@@ -12,7 +13,6 @@ mod connections;
 mod error;
 mod look;
 mod metrics;
-mod numbers;
 mod pages;
 mod parameters;
 mod router;

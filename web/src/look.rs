@@ -1,22 +1,14 @@
 //! What the stages look like: the class that carries their colour in every picture.
 
-use peernet_logger::stage;
+use std::sync::LazyLock;
 
-/// The stages of a stack with what is left over, in the order of every stack, key and table.
-pub(crate) const STACK: [&str; 12] = [
-    "sensing",
-    "encode",
-    "send-queue",
-    "upload",
-    "queue",
-    "ipc",
-    "preprocessing",
-    "inference",
-    "postprocessing",
-    "download",
-    "actuation",
-    "unattributed",
-];
+use peernet_logger::{Name, stage};
+
+static STAGES: [Name; 11] = stage::ORDER;
+
+/// The stages of a stack with what is left over, in the order of every stack, key and table. Pages hand it to the scripts.
+pub(crate) static STACK: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
 
 /// Both directions of the network together, where the clocks cannot tell them apart.
 pub(crate) const NETWORK: &str = peernet_store::BOTH_WAYS;
@@ -36,18 +28,9 @@ pub(crate) fn short(name: &str) -> &str {
 }
 
 /// The entries of the key: waiting looks the same wherever one waits, and so does making a sample ready to cross a border.
-pub(crate) const KEY: [&str; 10] = [
-    "sensing",
-    "encode",
-    "upload",
-    "queue",
-    "preprocessing",
-    "inference",
-    "postprocessing",
-    "download",
-    "actuation",
-    "unattributed",
-];
+pub(crate) fn key() -> impl Iterator<Item = &'static str> {
+    STACK.iter().copied().filter(|name| class(name) == *name)
+}
 
 /// What an entry of the key stands for, in words: a model in a process of its own has `ipc` in the colour of `encode`, and
 /// nobody would guess that.
@@ -66,7 +49,7 @@ pub(crate) fn class(name: &str) -> &'static str {
         // What is named of the unattributed looks like the rest of it.
         LATENESS => "unattributed",
         "total" | "stages-total" => "total",
-        other => KEY.into_iter().find(|known| *known == other).unwrap_or("other"),
+        other => STACK.iter().copied().find(|known| *known == other).unwrap_or("other"),
     }
 }
 
@@ -86,8 +69,8 @@ mod tests {
 
     #[test]
     fn the_key_names_every_stage_that_looks_like_no_other_by_name() {
-        for name in STACK {
-            let entry = KEY.into_iter().find(|known| *known == class(name)).expect("an entry");
+        for name in STACK.iter().copied() {
+            let entry = key().find(|known| *known == class(name)).expect("an entry");
             assert!(entry_names(entry, name), "{name} is not in {:?}", super::entry(entry));
         }
     }
@@ -99,12 +82,23 @@ mod tests {
 
     #[test]
     fn every_stage_has_its_colour_and_its_place() {
-        let order = stage::ORDER;
-        let stages = order.iter().map(|name| name.as_str()).chain(["unattributed"]);
-        assert!(stages.clone().eq(STACK));
-        for name in stages {
+        for name in STACK.iter().copied() {
             assert_ne!(class(name), "other", "{name}");
         }
+        let keys = [
+            "sensing",
+            "encode",
+            "upload",
+            "queue",
+            "preprocessing",
+            "inference",
+            "postprocessing",
+            "download",
+            "actuation",
+            "unattributed",
+        ];
+        // `send-queue` comes before `upload` in a stack, and `queue`, whose look it has, after it.
+        assert!(key().eq(keys));
         assert_eq!(class("\"><script>"), "other");
     }
 }

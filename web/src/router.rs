@@ -90,7 +90,7 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
         let body = serde_json::to_string(&problem).unwrap_or_default();
         ("application/problem+json", body)
     } else {
-        ("text/html; charset=utf-8", pages::error::render(&app, &problem))
+        ("text/html; charset=utf-8", pages::render_problem(&app, &problem))
     };
     let mut rendered = (status, [(CONTENT_TYPE, form)], body).into_response();
     if let Some(allowed) = response.headers().get(ALLOW) {

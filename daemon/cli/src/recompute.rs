@@ -2,8 +2,8 @@
 
 use crate::exit::Failure;
 use crate::output::say;
-use peernet_report::number::{bound_milliseconds, decimals_within, fixed};
 use peernet_report::table::text;
+use peernet_statistics::number::{bound_ms, column_decimals, fixed};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -114,7 +114,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         .flat_map(|Stage { stage, before, after }| {
             let bounds =
                 [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
-            let decimals = bounds.into_iter().map(decimals_within).max().unwrap_or_default();
+            let decimals = bounds.into_iter().map(column_decimals).max().unwrap_or_default();
             [row(stage, "before", before, decimals), row("", "after", after, decimals)]
         })
         .collect();
@@ -155,7 +155,7 @@ fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<S
         known(delay.map(spread)),
         known(delay.map(|figures| milliseconds(figures.p50))),
         known(delay.and_then(|figures| figures.p95).map(milliseconds)),
-        known(judgement.half_width.as_ref().map(|figures| bound_milliseconds(figures.p50))),
+        known(judgement.half_width.as_ref().map(|figures| bound_ms(figures.p50))),
         known(Some(verdicts.join(", ")).filter(|verdicts| !verdicts.is_empty())),
     ]
 }

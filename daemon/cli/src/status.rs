@@ -6,6 +6,7 @@ use crate::exit::Failure;
 use crate::output::say;
 use chrono::{DateTime, SecondsFormat};
 use peernet_report::table::text;
+use peernet_statistics::number;
 use serde::Deserialize;
 
 use crate::api::Api;
@@ -150,8 +151,8 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
         format!("{}/{}", pipeline.host, pipeline.name),
         place,
         marked(&pipeline.state, is_rehearsed),
-        known(window.map(|window| format!("{:.1}", window.rate_hz))),
-        known(window.and_then(|window| window.lost_fraction).map(percent)),
+        known(window.map(|window| number::rate(window.rate_hz))),
+        known(window.and_then(|window| window.lost_fraction).map(number::share)),
         milliseconds(total.and_then(|figures| figures.p50)),
         milliseconds(total.and_then(|figures| figures.p95)),
         mean("upload"),
@@ -170,7 +171,7 @@ fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     vec![
         host.name.clone(),
         marked(&state, rehearsed.contains_key(&host.name)),
-        known(now.and_then(|now| now.cpu).map(percent)),
+        known(now.and_then(|now| now.cpu).map(number::share)),
         known(now.map(|now| now.events.waiting.to_string())),
         known(now.map(|now| now.events.dropped.to_string())),
     ]
@@ -183,15 +184,11 @@ fn to_the_second(moment: &str) -> String {
 }
 
 fn milliseconds(seconds: Option<f64>) -> String {
-    known(seconds.map(|seconds| format!("{:.2}", seconds * 1e3)))
-}
-
-fn percent(fraction: f64) -> String {
-    format!("{:.1}", fraction * 100.0)
+    known(seconds.map(number::stage_ms))
 }
 
 fn known(figure: Option<String>) -> String {
-    figure.unwrap_or_else(|| "—".to_owned())
+    figure.unwrap_or_else(|| number::NONE.to_owned())
 }
 
 #[cfg(test)]

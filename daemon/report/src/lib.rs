@@ -19,7 +19,6 @@ pub mod figure;
 pub mod figures;
 pub mod fit;
 pub mod loaded;
-pub mod number;
 pub mod order;
 mod passage;
 pub mod record;

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
+use peernet_statistics::number::counted;
+
 use crate::accuracy::UnknownLabels;
-use crate::number::counted;
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_evidence::cut_short;

@@ -1,8 +1,8 @@
 //! A sensor alone: how fast and how evenly it runs, and what it drops.
 
 use peernet_statistics::Moments;
+use peernet_statistics::number::{counted, fixed, milliseconds, significant};
 
-use crate::number::{counted, fixed, milliseconds, significant};
 use crate::order::{ENOUGH_FOR_P95, Ordered};
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_report::number::{bound_milliseconds, decimals, decimals_within, fixed};
 use peernet_report::record::{ClockCounts, Counts};
 use peernet_report::rows::{SKIPPED_STARTS, Units};
 use peernet_report::summary::{Quantity, Scale, Summary};
 use peernet_report::table::{Table, csv_text};
 use peernet_report::trust::Starts;
+use peernet_statistics::number::{bound_ms, column_decimals, decimals, fixed};
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";
@@ -143,7 +143,7 @@ fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
 /// How the numbers of one row are written, all with as many decimals.
 fn figure_of(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
-        Scale::Milliseconds => (1e3, decimals_within(quantity.std)),
+        Scale::Milliseconds => (1e3, column_decimals(quantity.std)),
         Scale::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
         Scale::Bytes => (1.0, 0),
         Scale::AsMeasured => (1.0, decimals(quantity.median, 3)),
@@ -179,7 +179,7 @@ fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
     };
     let way = |name: &str, counts: &ClockCounts| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
-        let width = counts.median_width.map(|width| bound_milliseconds(width / 2.0));
+        let width = counts.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
         let basis: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
         let known = !counts.verdicts.is_empty();

@@ -1,11 +1,12 @@
 //! Statistics of a stream of numbers in bounded memory: moments without cancellation, a mergeable quantile
-//! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes.
+//! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes. [`number`] writes them as people read them.
 //!
 //! All of them merge: what two hosts, seconds or buckets know adds up to what one would have known that was told
 //! everything. [`Moments`] and [`Sketch`] are sent and stored, so that what is read of either is checked first.
 
 mod merge;
 mod moments;
+pub mod number;
 mod sketch;
 mod summary;
 mod windows;

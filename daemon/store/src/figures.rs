@@ -4,30 +4,29 @@ use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
+use utoipa::ToSchema;
 
 /// Samples below which a 95th percentile is not given.
 pub const P95_NEEDS: u64 = 60;
 /// Samples below which a 99th percentile is not given.
 pub const P99_NEEDS: u64 = 300;
 
-/// What a page says about one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
+// The REST API sends this type as it is: its documentation is the API's, where an absent number is null.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+#[expect(missing_docs, reason = "the names of the other fields say what they are")]
 pub struct Figures {
     /// Samples.
     pub count: u64,
-    /// Mean.
     pub mean: f64,
-    /// Sample standard deviation; `None` below two samples.
+    /// Sample standard deviation; null below two samples.
     pub std: Option<f64>,
-    /// Smallest sample.
     pub min: f64,
-    /// Median.
     pub p50: f64,
-    /// 95th percentile; `None` below [`P95_NEEDS`] samples.
+    /// Null below 60 samples.
     pub p95: Option<f64>,
-    /// 99th percentile; `None` below [`P99_NEEDS`] samples.
+    /// Null below 300 samples.
     pub p99: Option<f64>,
-    /// Largest sample.
     pub max: f64,
 }
 

@@ -1,6 +1,7 @@
 // What all charts share: the tokens of app.css, axes, tooltips, gaps and marks. Drawn again when the theme changes.
 const PEER = (() => {
-  const STAGES = ["sensing", "encode", "send-queue", "network", "upload", "queue", "ipc", "preprocessing", "inference", "postprocessing", "download", "actuation", "unattributed"];
+  // In the order of every stack, key and table, which the server knows.
+  const STAGES = document.documentElement.dataset.stages.split(" ");
   const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
   const drawn = new Set();
   let probe = null;
@@ -59,21 +60,8 @@ const PEER = (() => {
   });
   const edge = (stage) => (stage === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
-  // --- numbers as numbers.rs writes them
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
-  // Made once: making one takes longer than all that it formats.
-  const FIGURES = [0, 1, 2].map((digits) => new Intl.NumberFormat("en-US", { minimumFractionDigits: digits, maximumFractionDigits: digits }));
-  const TICKS = new Intl.NumberFormat("en-US", { maximumFractionDigits: 6 });
-  function figure(value) {
-    if (value == null) return "—";
-    const size = Math.abs(value), digits = size < 9.995 ? 2 : size < 99.95 ? 1 : 0;
-    return FIGURES[digits].format(value).replace("-", "\u2212");
-  }
-
-  // A tick of an axis: round by construction.
-  const tick = (value) => TICKS.format(+value.toPrecision(3));
-
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
   // Width of the widest of these labels.
@@ -217,7 +205,7 @@ const PEER = (() => {
   // --- the width decides the bucket: never more points than the eye can part
   const BUCKETS = [1, 2, 5, 10, 30, 60];
   const bucket = (width, seconds, least) => BUCKETS.find((size) => size >= least && width / (seconds / size) >= 1.2) || 60;
-  const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => tick(step * interval));
+  const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => NUMBERS.tick(step * interval));
   // A round end of an axis that holds a value in at most five steps of 1, 2 or 5 times a power of ten.
   function steps(value) {
     if (!(value > 0)) return { max: 1, interval: 0.5 };
@@ -270,5 +258,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, figure, tick, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

@@ -36,7 +36,7 @@
     grow(card.p95, length);
     card.n[at] = second.counts.ok;
     card.p95[at] = second.total_p95 == null ? null : second.total_p95 * 1e3;
-    const names = PEER.STAGES.filter((stage) => stage !== "network").concat(["total", "upload-throughput", "download-throughput"]);
+    const names = PEER.STAGES.concat(["total", "upload-throughput", "download-throughput"]);
     for (const name of names) {
       const value = second.means[name];
       if (value == null && !card.means[name]) continue;
@@ -68,7 +68,8 @@
     const stages = PEER.STAGES.filter((stage) => stage !== "unattributed" && card.means[stage]);
     // Clocks that were never related: neither direction is known, their sum is.
     const both = card.remote && !card.means.upload && !card.means.download && card.means.unattributed;
-    if (both) stages.splice(stages.filter((stage) => ["sensing", "encode", "send-queue"].includes(stage)).length, 0, "network");
+    const place = (stage) => PEER.STAGES.indexOf(stage);
+    if (both) stages.splice(stages.filter((stage) => place(stage) < place("upload")).length, 0, "network");
     const rows = [];
     for (let from = Math.floor(start / size) * size; from < end; from += size) {
       const row = { at: (from + size / 2) * 1e3, n: 0, reported: false, means: {}, p95: null, total: null };
@@ -166,7 +167,7 @@
     const width = node.clientWidth, { rows, size, stages, start, end } = bucketed(card, width);
     const seconds = range <= 60, ends = shared(width), below = strips(card, rows);
     for (const strip of below) strip.max ??= PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
-    const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => PEER.tick(strip.max))), seconds);
+    const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => NUMBERS.tick(strip.max))), seconds);
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
     const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
     const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
@@ -186,17 +187,17 @@
       tooltip: PEER.tooltip((params) => {
         if (!PEER.isHovered(node) || !params.length) return "";
         const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
-        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: PEER.figure(row.means[stage]) }));
-        lines.push({ name: "total, mean", value: PEER.figure(row.total), sum: true }, { name: "p95", value: PEER.figure(row.p95) });
-        if (card.remote) lines.push({ name: "up, MB/s", value: PEER.figure(row.up), sum: true }, { name: "down, MB/s", value: PEER.figure(row.down) });
+        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: NUMBERS.figure(row.means[stage]) }));
+        lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: "p95", value: NUMBERS.figure(row.p95) });
+        if (card.remote) lines.push({ name: "up, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down, MB/s", value: NUMBERS.significant(row.down) });
         return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
       xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),
       yAxis: [
-        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: PEER.tick } }),
+        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
         ...below.map(({ name, max, known }, index) => PEER.valueAxis(name, {
           gridIndex: index + 1, max, interval: max, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
-          axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: known, formatter: (value) => (value === 0 ? "" : PEER.tick(value)) },
+          axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: known, formatter: (value) => (value === 0 ? "" : NUMBERS.tick(value)) },
         })),
       ],
       series,

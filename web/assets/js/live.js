@@ -120,7 +120,7 @@
     const silent = (performance.now() - heard) / 1000;
     let text = "";
     if (away) text = `last data ${Math.round(silent)}\u202fs ago`;
-    else if (status && status.behind_s != null) text = `${status.behind_s.toFixed(1)}\u202fs behind`;
+    else if (status && status.behind_s != null) text = `${NUMBERS.fixed(status.behind_s, 1)}\u202fs behind`;
     if ($("livelag").textContent !== text) $("livelag").textContent = text;
   }
   // Clocks that are made wrong on purpose: said on every page for as long as they are.

@@ -45,12 +45,12 @@
         const at = params[0].axisValue;
         const bucket = data.points.find((one) => at >= one[0] && at < one[0] + size);
         const lines = [];
-        if (bucket) lines.push({ name: "median", value: PEER.figure(bucket[1]) }, { name: "p95", value: PEER.figure(bucket[2]) });
-        if (point) lines.push({ stage: point.data.stage, name: `iteration ${point.data.number.toLocaleString("en-US")}`, value: PEER.figure(point.value[1]), sum: lines.length > 0 });
+        if (bucket) lines.push({ name: "median", value: NUMBERS.figure(bucket[1]) }, { name: "p95", value: NUMBERS.figure(bucket[2]) });
+        if (point) lines.push({ stage: point.data.stage, name: `iteration ${NUMBERS.count(point.data.number)}`, value: NUMBERS.figure(point.value[1]), sum: lines.length > 0 });
         return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
       xAxis: PEER.timeAxis({ min: begin, max: end, seconds }),
-      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: PEER.tick } }),
+      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
       series: [
         { type: "line", symbol: data.points.length === 1 ? "circle" : "none", data: line(1), lineStyle: { width: 2, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 4 },
         { type: "line", symbol: "none", data: line(2), lineStyle: { width: 1, color: PEER.css("--ink-3") }, itemStyle: { color: PEER.css("--ink-3") }, emphasis: { disabled: true }, z: 3 },

@@ -12,16 +12,22 @@ use peernet_results::Header;
 use peernet_store::{RunSummary, Store};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::run::no_run;
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, path};
 use crate::state::App;
 
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(table))
+}
+
 /// The form of a table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Format {
+enum Format {
     /// Comma-separated values (RFC 4180): the format of a run's `data.csv`.
     #[default]
     Csv,
@@ -31,7 +37,7 @@ pub(crate) enum Format {
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
+struct Query {
     /// `csv`, the only one so far.
     #[param(inline)]
     format: Format,
@@ -44,13 +50,13 @@ pub(crate) struct Query {
     (status = 200, body = String, content_type = "text/csv"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn table(
+async fn table(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
     Parameters(Query { format: Format::Csv }): Parameters<Query>,
 ) -> Result<Response, WebError> {
     let number = path(number)?;
-    let run = app.store().run(number).await?.ok_or_else(|| no_run(number))?;
+    let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
     // One chunk at a time, made when the reader has taken the one before; first the names of the columns, for which a
     // long run is looked through.

@@ -8,18 +8,25 @@ use axum::response::{AppendHeaders, IntoResponse, Response};
 use peernet_aggregator::Readiness as Told;
 use serde::Serialize;
 use utoipa::ToSchema;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
 use crate::state::App;
 
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(alive)).routes(routes!(ready))
+}
+
 /// Whether the process answers.
 #[utoipa::path(get, path = "/healthz", operation_id = "isAlive", tag = "health", responses((status = 200, body = String, content_type = "text/plain")))]
-pub(crate) async fn alive() -> &'static str {
+async fn alive() -> &'static str {
     "alive\n"
 }
 
 /// Whether events are being stored, for programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct Readiness {
+struct Readiness {
     /// Whether batches are stored and acknowledged.
     ready: bool,
     /// Why not, in words; null when they are.
@@ -31,7 +38,7 @@ pub(crate) struct Readiness {
     (status = 200, description = "batches are stored and acknowledged", content((String = "text/plain"), (Readiness = "application/json"))),
     (status = 503, description = "batches are not acknowledged, agents keep their events; the answer says why", content((String = "text/plain"), (Readiness = "application/json"))),
 ))]
-pub(crate) async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
+async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
     let reason = match app.aggregator.ready() {
         Told::Ready => None,
         Told::NotStoring(reason) => Some(reason),

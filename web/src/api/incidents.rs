@@ -2,19 +2,27 @@
 
 use axum::Json;
 use axum::extract::State;
-use serde::Deserialize;
-use utoipa::IntoParams;
+use peernet_store::IncidentRow;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Incident, IncidentList};
+use super::schema::time;
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded};
 use crate::state::App;
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(list))
+}
 
 /// Which incidents.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
+struct Query {
     /// At most so many, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
@@ -27,7 +35,7 @@ pub(crate) struct Query {
     (status = 200, body = IncidentList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(
+async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IncidentList>, WebError> {
@@ -35,4 +43,45 @@ pub(crate) async fn list(
     let rows = app.store().incidents(limit, query.before).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.id);
     Ok(Json(IncidentList { incidents: rows.iter().map(Incident::from).collect(), next }))
+}
+
+/// Incidents, newest first.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct IncidentList {
+    pub incidents: Vec<Incident>,
+    /// `before` of the next page; null on the last.
+    pub next: Option<i64>,
+}
+
+/// Something that happened beside the measurements.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Incident {
+    pub id: i64,
+    /// On the reporting host's wall clock.
+    pub at: String,
+    /// Of a host `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
+    /// `control`; of the aggregator `clock-step`, `retention` or `storage`.
+    pub kind: String,
+    /// Name of the reporting host; null: the aggregator itself.
+    pub host: Option<String>,
+    pub pipeline: Option<String>,
+    pub run: Option<i64>,
+    /// Name of the other host concerned.
+    pub peer: Option<String>,
+    pub text: String,
+}
+
+impl From<&IncidentRow> for Incident {
+    fn from(row: &IncidentRow) -> Self {
+        Self {
+            id: row.id,
+            at: time(row.at),
+            kind: row.kind.clone(),
+            host: row.host_name.as_ref().map(ToString::to_string),
+            pipeline: row.pipeline.clone(),
+            run: row.run,
+            peer: row.peer.clone(),
+            text: row.text.clone(),
+        }
+    }
 }

@@ -1,4 +1,7 @@
-//! The REST API, `/api/v1`: one file per resource, the OpenAPI document generated from them.
+//! The REST API, `/api/v1`: one file or folder per resource, which holds its handlers, its schema types and its part of
+//! the OpenAPI document.
+//!
+//! This file registers them: a resource is named here twice, as a module and in `described`, and nowhere else.
 
 mod compare;
 mod export;
@@ -11,7 +14,6 @@ mod live;
 mod openapi;
 mod pin;
 mod pipelines;
-mod run;
 mod runs;
 mod schema;
 mod trust;
@@ -19,7 +21,6 @@ mod trust;
 use axum::Router;
 use axum::routing::get;
 use utoipa_axum::router::OpenApiRouter;
-use utoipa_axum::routes;
 
 use crate::metrics;
 use crate::state::App;
@@ -27,31 +28,19 @@ use crate::state::App;
 /// All resources with their description.
 fn described() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(openapi::head())
-        .routes(routes!(hosts::list))
-        .routes(routes!(hosts::one))
-        .routes(routes!(links::list))
-        .routes(routes!(links::one))
-        .routes(routes!(links::clock))
-        .routes(routes!(pipelines::list))
-        .routes(routes!(pipelines::one))
-        .routes(routes!(live::stream))
-        .routes(routes!(runs::list))
-        .routes(routes!(compare::experiments))
-        .routes(routes!(compare::compare))
-        .routes(routes!(run::one))
-        .routes(routes!(run::stages))
-        .routes(routes!(run::series))
-        .routes(routes!(run::histogram))
-        .routes(routes!(run::recomputed))
-        .routes(routes!(trust::one))
-        .routes(routes!(pin::put, pin::delete))
-        .routes(routes!(iterations::list))
-        .routes(routes!(iterations::one))
-        .routes(routes!(export::table))
-        .routes(routes!(incidents::list))
-        .routes(routes!(health::alive))
-        .routes(routes!(health::ready))
-        .routes(routes!(metrics::serve))
+        .merge(hosts::routes())
+        .merge(links::routes())
+        .merge(pipelines::routes())
+        .merge(live::routes())
+        .merge(runs::routes())
+        .merge(compare::routes())
+        .merge(trust::routes())
+        .merge(pin::routes())
+        .merge(iterations::routes())
+        .merge(export::routes())
+        .merge(incidents::routes())
+        .merge(health::routes())
+        .merge(metrics::routes())
 }
 
 /// The OpenAPI document.

@@ -12,11 +12,7 @@ use utoipa::openapi::{Content, HeaderBuilder, Ref, RefOr, Response, ResponseBuil
         title = "PEERNet",
         description = "Where an edge-cloud loop spends its time: live and stored measurements of all hosts. Values are in SI base units (seconds, bytes, bits per second), times in RFC 3339 and UTC. Errors are problem+json (RFC 9457). A request names the server in one Host header: by an IP address, localhost, the machine's host name, or one of server_names in the table [web]. Its first line and headers take at most 64 KiB, and there are at most 100 headers."
     ),
-    components(schemas(
-        crate::error::ProblemDetails,
-        super::schema::PictureEvent,
-        super::schema::StatusEvent
-    ))
+    components(schemas(crate::error::ProblemDetails))
 )]
 struct Head;
 

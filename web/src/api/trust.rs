@@ -3,26 +3,73 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use peernet_report::trust::{Report, Sentence as Known};
+use serde::Serialize;
+use utoipa::ToSchema;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::run::no_run;
-use super::schema::Trust;
+use super::schema::word;
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::App;
 use crate::view::trust;
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(one))
+}
 
 /// "Can I publish this run?": what was seen before, during and after it, in sentences, the most harmful first.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/trust", operation_id = "getRunTrust", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = Trust),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn one(
+async fn one(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
 ) -> Result<Json<Trust>, WebError> {
     let number = path(number)?;
     let store = app.store();
-    let run = store.run(number).await?.ok_or_else(|| no_run(number))?;
+    let run = store.run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let (known, courses) = tokio::try_join!(store.statistics_of(number), trust::courses(store, number))?;
     Ok(Json(Trust::from(&trust::report(&run, &known, &courses))))
+}
+
+/// The answer to "can I publish this run?".
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Trust {
+    /// `yes`, `with-remarks` or `no`.
+    pub verdict: &'static str,
+    /// The same in a sentence.
+    pub answer: String,
+    /// The most harmful first.
+    pub sentences: Vec<Sentence>,
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Sentence {
+    pub about: String,
+    /// `good`, `unknown`, `doubtful` or `bad`.
+    pub grade: &'static str,
+    pub text: String,
+    /// What to do about it; may be empty.
+    pub advice: String,
+}
+
+impl From<&Report> for Trust {
+    fn from(report: &Report) -> Self {
+        let sentence = |sentence: &Known| Sentence {
+            about: sentence.about.clone(),
+            grade: word(sentence.grade),
+            text: sentence.text.clone(),
+            advice: sentence.advice.clone(),
+        };
+        Self {
+            verdict: report.verdict.name(),
+            answer: report.answer(),
+            sentences: report.sentences.iter().map(sentence).collect(),
+        }
+    }
 }

@@ -19,6 +19,8 @@ use prometheus_client::encoding::text;
 use prometheus_client::encoding::{DescriptorEncoder, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
 use self::scrape::Scrape;
 use self::table::{Kind, METRICS, Sample};
@@ -28,11 +30,16 @@ use crate::state::App;
 /// <https://prometheus.io/docs/specs/om/open_metrics_spec/>
 const FORM: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
+/// The operations of this resource.
+pub(crate) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(serve))
+}
+
 /// Everything that is counted and measured, in the OpenMetrics text format; `docs/metrics.md` lists the metrics.
 #[utoipa::path(get, path = "/metrics", operation_id = "getMetrics", tag = "health", responses(
     (status = 200, body = String, content_type = "application/openmetrics-text"),
 ))]
-pub(crate) async fn serve(State(app): State<App>) -> Result<Response, WebError> {
+async fn serve(State(app): State<App>) -> Result<Response, WebError> {
     let ready = app.aggregator.ready() == Readiness::Ready;
     let scrape = Scrape::of(&app.picture(), ready, app.aggregator.database_bytes());
     let text = render(scrape.with_rejections(app.aggregator.rejections()))?;

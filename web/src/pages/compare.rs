@@ -1,14 +1,18 @@
 //! Which configuration is faster, by how much, and is that more than chance?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::http::header::HOST;
+use axum::routing::get;
 use peernet_logger::stage;
+use peernet_statistics::number::NONE;
 use peernet_store::ExperimentSummary;
 
+use super::kind::{NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, page};
-use crate::numbers::NONE;
 use crate::parameters::Parameters;
 use crate::state::App;
 use crate::svg::Scatter;
@@ -20,7 +24,13 @@ use crate::view::compare::{
     run_courses, stacks, throughput, title, too_short, unknown_labels, users,
 };
 use crate::view::counted;
-use crate::view::shell::{Place, Shell};
+
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/compare", get(show)),
+    entry: Some(NavigationEntry { name: "Compare", address: "/compare", key: "c" }),
+    topic: None,
+};
 
 /// The parameter of an address that says whose distributions are shown.
 const STAGE: &str = "stage";
@@ -81,13 +91,13 @@ struct Empty {
 }
 
 /// `GET /compare`.
-pub(crate) async fn show(
+async fn show(
     State(app): State<App>,
     headers: HeaderMap,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Page {
     let (store, picture) = (app.store(), app.picture());
-    let shell = |title: &str| Shell::new(&app, &picture, Place::Compare, title);
+    let shell = |title: &str| Shell::new(&app, &picture, "/compare", title);
     let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let Some(which) = Which::of(&query, "runs or experiment, and with either stage")? else {

@@ -2,9 +2,9 @@
 
 use askama::Template;
 
+use super::shell::Shell;
 use crate::error::ProblemDetails;
 use crate::state::AppState;
-use crate::view::shell::{Place, Shell};
 
 #[derive(Template)]
 #[template(path = "pages/error.html")]
@@ -15,6 +15,6 @@ struct ErrorPage<'a> {
 
 /// The page of a problem; its bare text if even that cannot be rendered.
 pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
-    let shell = Shell::new(app, &app.picture(), Place::Elsewhere, problem.title());
+    let shell = Shell::new(app, &app.picture(), "", problem.title());
     ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())
 }

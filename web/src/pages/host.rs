@@ -1,27 +1,42 @@
 //! One host: what it is, which clock it reads, what became of its events.
 
+use std::future::ready;
+
 use askama::Template;
+use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use axum::routing::get;
 use peernet_aggregator::{HostPicture, Picture};
+use peernet_statistics::number::{NONE, SPACE, bytes, count, fixed};
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription};
 
+use super::kind::{LiveTopic, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
-use crate::numbers::{NONE, SPACE, bytes, count, fixed};
 use crate::state::{App, AppState};
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::panels::{claims, discipline};
 use crate::view::link::{self, Subject};
 use crate::view::now::{NowRow, NowTable};
-use crate::view::shell::{Place, Shell};
 use crate::view::{cut, rehearsal};
 use crate::zone::Moment;
 
-/// Topic of the live stream, followed by `/HOST`.
-pub(crate) const TOPIC: &str = "host";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/hosts/{host}", get(show)),
+    entry: None,
+    topic: Some(LiveTopic {
+        form: "host/HOST",
+        update: |app, picture, rest| Box::pin(ready(update(app, picture, rest))),
+    }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "host";
 
 type Pairs = Vec<(&'static str, String)>;
 
@@ -57,7 +72,7 @@ struct PastHost {
 }
 
 /// `GET /hosts/{host}`.
-pub(crate) async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Page {
+async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Page {
     let name = path(name)?;
     let picture = app.picture();
     if let Some(host) = live(&picture, &name) {
@@ -70,7 +85,7 @@ pub(crate) async fn show(State(app): State<App>, name: Result<Path<String>, Path
 }
 
 /// What of the page changed.
-pub(crate) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Update, WebError> {
     let host =
         live(picture, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
     let page = host_page(app, picture, host);
@@ -155,7 +170,7 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
         .agent_cpu
         .map(|share| format!("agent takes {}{SPACE}% of a core", fixed(share * 100.0, 1)));
     Host {
-        shell: Shell::new(app, picture, Place::Hosts, name.as_str()).live(format!("{TOPIC}/{name}")),
+        shell: Shell::new(app, picture, "/hosts", name.as_str()).live(format!("{TOPIC}/{name}")),
         title,
         facts: [Some(hardware_name(&description.hardware)), cpu, memory]
             .into_iter()
@@ -188,7 +203,7 @@ fn past_page(app: &AppState, picture: &Picture, row: &HostRow) -> PastHost {
     let seen = app.zone.moment(row.last_seen);
     let description = &row.description;
     PastHost {
-        shell: Shell::new(app, picture, Place::Hosts, name.as_str()),
+        shell: Shell::new(app, picture, "/hosts", name.as_str()),
         title: format!("{name} was last seen on {}, {}", seen.date(), seen.clock()),
         first_seen: app.zone.moment(row.first_seen),
         agent: agent(description),

@@ -1,23 +1,34 @@
 //! What runs where, does anything pile up, do the clocks hold?
 
 use std::collections::HashSet;
+use std::future::ready;
 
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
 use peernet_aggregator::Picture;
 use peernet_store::HostRow;
 
+use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
-use crate::view::shell::{Place, Shell};
 use crate::view::{awaited, cut};
 use crate::zone::Moment;
 
-/// Topic of the live stream.
-pub(crate) const TOPIC: &str = "hosts";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/hosts", get(show)),
+    entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "hosts";
 
 #[derive(Template)]
 #[template(path = "pages/hosts.html", blocks = ["title", "list", "events"])]
@@ -41,13 +52,13 @@ struct Hosts {
 }
 
 /// `GET /hosts`.
-pub(crate) async fn show(State(app): State<App>) -> Page {
+async fn show(State(app): State<App>) -> Page {
     let stored = AppState::beside_live(app.store().hosts().await)?;
     page(&hosts(&app, &app.picture(), &stored))
 }
 
 /// What of the page changed.
-pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     let page = hosts(app, picture, &[]);
     let parts = vec![
         ("title", page.as_title().render()?),
@@ -74,7 +85,7 @@ fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
     let live: HashSet<_> = picture.hosts.iter().map(|host| host.id).collect();
     let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
     Hosts {
-        shell: Shell::new(app, picture, Place::Hosts, "Hosts").live(TOPIC),
+        shell: Shell::new(app, picture, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
         hosts: HostLine::first(cut::LIST, picture, app.clock.identity(), app.zone),

@@ -1,17 +1,27 @@
 //! What happened beside the measurements?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
 use serde::Deserialize;
 
+use super::kind::{NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
 use crate::state::App;
 use crate::view::incidents::IncidentLine;
-use crate::view::shell::{Place, Shell};
+
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/incidents", get(show)),
+    entry: Some(NavigationEntry { name: "Incidents", address: "/incidents", key: "i" }),
+    topic: None,
+};
 
 /// Incidents per page.
-const PAGE: u32 = 100;
+const ROWS: u32 = 100;
 
 /// What the address may ask for.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
@@ -33,12 +43,12 @@ struct Incidents {
 }
 
 /// `GET /incidents`.
-pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
-    let mut rows = app.store().incidents(PAGE + 1, query.before).await?;
-    let more = rows.len() > PAGE as usize;
-    rows.truncate(PAGE as usize);
+async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
+    let mut rows = app.store().incidents(ROWS + 1, query.before).await?;
+    let more = rows.len() > ROWS as usize;
+    rows.truncate(ROWS as usize);
     page(&Incidents {
-        shell: Shell::new(&app, &app.picture(), Place::Incidents, "Incidents"),
+        shell: Shell::new(&app, &app.picture(), "/incidents", "Incidents"),
         title: if rows.is_empty() {
             "Nothing out of the ordinary has happened"
         } else {

@@ -1,22 +1,32 @@
 //! Why did this one take so long?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use axum::routing::get;
+use peernet_statistics::number::{NONE, count, duration, times};
 use peernet_store::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
 
+use super::kind::PageKind;
+use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
-use crate::numbers::{NONE, count, duration, times};
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Lanes, Scale};
 use crate::timeline::Timeline;
 use crate::view::bytes::{Beside, ByteRow};
 use crate::view::chip::Chip;
 use crate::view::runs::reject_deleted;
-use crate::view::shell::{Place, Shell};
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
 use crate::view::{link, place, rehearsal};
+
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/runs/{run}/iterations/{iteration}", get(show)),
+    entry: None,
+    topic: None,
+};
 
 #[derive(Template)]
 #[template(path = "pages/iteration.html")]
@@ -47,7 +57,7 @@ struct Iteration {
 }
 
 /// `GET /runs/{run}/iterations/{iteration}`.
-pub(crate) async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathRejection>) -> Page {
+async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathRejection>) -> Page {
     let (run_number, number) = path(numbers)?;
     let store = app.store();
     let run = store.run(run_number).await?;
@@ -129,7 +139,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         shell: Shell::new(
             app,
             &picture,
-            Place::Runs,
+            "/runs",
             format!("Iteration {} of {}", count(row.number), place::run_name(run)),
         ),
         run: run.number,
@@ -161,8 +171,8 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numbers::SPACE;
     use crate::tests::samples;
+    use peernet_statistics::number::SPACE;
 
     #[test]
     fn the_title_says_how_long_how_unusual_and_why() {

@@ -1,13 +1,17 @@
 //! Can I trust one-way delays between these two hosts, and what is the network doing?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use axum::routing::get;
 use peernet_aggregator::Picture;
 use peernet_clock::Span;
 use peernet_store::IncidentRow;
 use serde::Deserialize;
 
+use super::kind::{LiveTopic, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::parameters::Parameters;
@@ -24,10 +28,19 @@ use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
 use crate::view::link::{Subject, find, name, no_link};
 use crate::view::rehearsal::{self, Rehearsed};
-use crate::view::shell::{Place, Shell};
 
-/// Topic of the live stream, followed by `/EDGE~CLOUD/RANGE/OFFSET`.
-pub(crate) const TOPIC: &str = "link";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/links/{link}", get(show)),
+    entry: None,
+    topic: Some(LiveTopic {
+        form: "link/EDGE~CLOUD/RANGE/OFFSET",
+        update: |app, picture, rest| Box::pin(update(app, picture, rest)),
+    }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "link";
 /// Points of a picture at most.
 const POINTS: u32 = 360;
 /// Incidents looked through for those of the link, and listed.
@@ -123,7 +136,7 @@ pub(super) struct Link {
 }
 
 /// `GET /links/{link}`.
-pub(crate) async fn show(
+async fn show(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<Query>,
@@ -157,7 +170,7 @@ async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<C
 }
 
 /// What of the page changed.
-pub(crate) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
@@ -222,7 +235,7 @@ fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
         facts.extend(link.live.networks.iter().cloned());
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
-            let ago = crate::numbers::length((picture.at - link.last_seen).seconds().max(0.0));
+            let ago = peernet_statistics::number::length((picture.at - link.last_seen).seconds().max(0.0));
             facts.push(format!("told of {ago} ago"));
         }
     }
@@ -244,7 +257,7 @@ pub(super) fn link_page(
     let mine = concerning(subject, course, incidents);
     let address =
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());
-    let shell = Shell::new(app, picture, Place::Links, subject.route());
+    let shell = Shell::new(app, picture, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.word(), query.offset.word());
     let rehearsed = Rehearsed::of(picture).concerns(&[&subject.edge, &subject.cloud]);
     Link {

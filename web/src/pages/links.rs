@@ -1,19 +1,31 @@
 //! Can I trust one-way delays between these hosts?
 
+use std::future::ready;
+
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
 use peernet_aggregator::Picture;
 use peernet_store::LinkRow;
 
+use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::cut;
 use crate::view::link::list::{LinkLine, PastLine, title};
-use crate::view::shell::{Place, Shell};
 
-/// Topic of the live stream.
-pub(crate) const TOPIC: &str = "links";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/links", get(show)),
+    entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "links";
 
 #[derive(Template)]
 #[template(path = "pages/links.html", blocks = ["title", "list"])]
@@ -28,13 +40,13 @@ struct Links {
 }
 
 /// `GET /links`.
-pub(crate) async fn show(State(app): State<App>) -> Page {
+async fn show(State(app): State<App>) -> Page {
     let stored = AppState::beside_live(app.store().links().await)?;
     page(&links(&app, &app.picture(), &stored))
 }
 
 /// What of the page changed.
-pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     let page = links(app, picture, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
@@ -44,7 +56,7 @@ fn links(app: &AppState, picture: &Picture, stored: &[LinkRow]) -> Links {
     let mut past = PastLine::all(stored, picture, app.zone);
     past.truncate(cut::LIST);
     Links {
-        shell: Shell::new(app, picture, Place::Links, "Links").live(TOPIC),
+        shell: Shell::new(app, picture, "/links", "Links").live(TOPIC),
         title: title(picture),
         lines: LinkLine::first(cut::LIST, picture, app.zone),
         cut: cut::words(cut::LIST, picture.links.len()),

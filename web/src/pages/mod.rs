@@ -1,19 +1,23 @@
 //! The dashboard: one file per page, its template beside it. A page is complete when it arrives; what of it is
 //! live is a block of its template, sent again by the live stream.
+//!
+//! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else.
 
-pub(crate) mod compare;
-pub(crate) mod error;
-pub(crate) mod host;
-pub(crate) mod hosts;
-pub(crate) mod incidents;
-pub(crate) mod iteration;
-pub(crate) mod link;
-pub(crate) mod links;
-pub(crate) mod overview;
-pub(crate) mod pipeline;
-pub(crate) mod pipelines;
-pub(crate) mod run;
-pub(crate) mod runs;
+mod compare;
+mod error;
+mod host;
+mod hosts;
+mod incidents;
+mod iteration;
+mod kind;
+mod link;
+mod links;
+mod overview;
+mod pipeline;
+mod pipelines;
+mod run;
+mod runs;
+mod shell;
 #[cfg(test)]
 mod tests;
 
@@ -22,30 +26,56 @@ use axum::Router;
 use axum::extract::Path;
 use axum::extract::rejection::PathRejection;
 use axum::response::Html;
-use axum::routing::get;
 use serde::Serialize;
 
+use self::kind::{LiveTopic, NavigationEntry, PageKind};
 use crate::error::WebError;
 use crate::state::App;
 use crate::view::chart::{Mark, Obstacles};
+
+pub(crate) use self::error::render as render_problem;
+pub(crate) use self::kind::PageTopic;
+
+/// All pages. The navigation and the list of topics have their entries in this order.
+static PAGES: [PageKind; 12] = [
+    overview::PAGE,
+    pipelines::PAGE,
+    runs::PAGE,
+    compare::PAGE,
+    links::PAGE,
+    hosts::PAGE,
+    incidents::PAGE,
+    pipeline::PAGE,
+    run::PAGE,
+    iteration::PAGE,
+    link::PAGE,
+    host::PAGE,
+];
 
 /// A rendered page.
 pub(crate) type Page = Result<Html<String>, WebError>;
 
 pub(crate) fn routes() -> Router<App> {
-    Router::new()
-        .route("/", get(overview::show))
-        .route("/pipelines", get(pipelines::show))
-        .route("/pipelines/{host}/{pipeline}", get(pipeline::show))
-        .route("/runs", get(runs::show))
-        .route("/runs/{run}", get(run::show))
-        .route("/runs/{run}/iterations/{iteration}", get(iteration::show))
-        .route("/compare", get(compare::show))
-        .route("/links", get(links::show))
-        .route("/links/{link}", get(link::show))
-        .route("/hosts", get(hosts::show))
-        .route("/hosts/{host}", get(host::show))
-        .route("/incidents", get(incidents::show))
+    PAGES.iter().fold(Router::new(), |router, page| router.merge((page.routes)()))
+}
+
+/// The entries of the navigation.
+fn entries() -> impl Iterator<Item = &'static NavigationEntry> {
+    PAGES.iter().filter_map(|page| page.entry.as_ref())
+}
+
+fn live_topics() -> impl Iterator<Item = &'static LiveTopic> {
+    PAGES.iter().filter_map(|page| page.topic.as_ref())
+}
+
+/// How the topics of live pages are written.
+pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
+    live_topics().map(|topic| topic.form)
+}
+
+/// The topic of a live page.
+pub(crate) fn topic(text: &str) -> Option<PageTopic> {
+    PageTopic::find(text, live_topics())
 }
 
 fn page(template: &impl Template) -> Page {

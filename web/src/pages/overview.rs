@@ -1,11 +1,15 @@
 //! Is my system healthy, and where does the time go right now?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
 use peernet_aggregator::{Picture, PipelinePicture};
 use peernet_store::IncidentRow;
 use peernet_stream::PipelineState;
 
+use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
@@ -17,11 +21,17 @@ use crate::view::health::Health;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
 use crate::view::now::NowTable;
-use crate::view::shell::{Place, Shell};
 use crate::zone::Moment;
 
-/// Topic of the live stream.
-pub(crate) const TOPIC: &str = "overview";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/", get(show)),
+    entry: Some(NavigationEntry { name: "Overview", address: "/", key: "o" }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(update(app, picture)) }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "overview";
 
 #[derive(Template)]
 #[template(path = "pages/overview.html", blocks = ["health", "now", "nowtable", "hosts", "incidents"])]
@@ -53,7 +63,7 @@ pub(super) struct Empty {
 }
 
 /// `GET /`.
-pub(crate) async fn show(State(app): State<App>) -> Page {
+async fn show(State(app): State<App>) -> Page {
     let picture = app.picture();
     if picture.hosts.is_empty() && picture.pipelines.is_empty() {
         return page(&empty(&app, &picture));
@@ -63,14 +73,14 @@ pub(crate) async fn show(State(app): State<App>) -> Page {
 }
 
 /// What of the page changed.
-pub(crate) async fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     if picture.hosts.is_empty() && picture.pipelines.is_empty() {
         let page = empty(app, picture);
         let parts = vec![("seen", page.as_seen().render()?)];
         return Ok(Update { layout: page.layout, ..Update::new(page.shell.title, parts) });
     }
     let incidents = incidents(app).await;
-    let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();
+    let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     let page = overview(app, picture, incidents)?;
     let parts = vec![
         ("health", page.as_health().render()?),
@@ -91,25 +101,11 @@ async fn incidents(app: &AppState) -> Incidents {
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
-/// Incidents as marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
-pub(crate) fn marks(rows: &[IncidentRow]) -> Vec<Mark> {
-    rows.iter()
-        .filter_map(|row| {
-            Some(Mark {
-                at: row.at.unix_nanos() / 1_000_000,
-                sign: IncidentLine::new(row, crate::zone::Zone::Utc).sign,
-                host: row.host_name.as_ref()?.to_string(),
-                pipeline: row.pipeline.clone(),
-            })
-        })
-        .collect()
-}
-
 pub(super) fn empty(app: &AppState, picture: &Picture) -> Empty {
     let known = awaited::known(picture);
     let title = if known.is_some() { awaited::WAITING } else { "No host has reported yet" };
     Empty {
-        shell: Shell::new(app, picture, Place::Overview, title).live(TOPIC),
+        shell: Shell::new(app, picture, "/", title).live(TOPIC),
         title,
         known,
         layout: "empty".to_owned(),
@@ -135,9 +131,9 @@ pub(super) fn overview(
     let health = Health::of(picture, app.zone, app.since);
     let pipelines = ordered(picture);
     let charts: Vec<ChartCard> = pipelines.iter().map(|one| ChartCard::new(one, picture, app.zone)).collect();
-    let marks = incidents.as_ref().map(|rows| marks(rows)).unwrap_or_default();
+    let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     Ok(Overview {
-        shell: Shell::new(app, picture, Place::Overview, health.title.clone()).live(TOPIC),
+        shell: Shell::new(app, picture, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
         now: NowTable::new(&pipelines, 10),
         hosts: HostLine::first(cut::OVERVIEW, picture, app.clock.identity(), app.zone),

@@ -1,18 +1,26 @@
 //! How does this pipeline behave, stage by stage, and what happened to it?
 
+use std::future::ready;
+
 use askama::Template;
+use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use axum::routing::get;
 use peernet_aggregator::{Picture, PipelinePicture, Window};
 use peernet_logger::{Slug, stage};
+use peernet_statistics::number::{
+    NONE, SPACE, count, duration, length, percent, rate, share, short_duration,
+};
 use peernet_store::{Figures, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 
-use super::{Page, Update, overview, page, path};
+use super::kind::{LiveTopic, PageKind};
+use super::shell::Shell;
+use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, duration, length, milliseconds, percent, rate, share};
 use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::Bar;
@@ -23,14 +31,23 @@ use crate::view::notes::Note;
 use crate::view::now::state_chip;
 use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::runs::RunLine;
-use crate::view::shell::{Place, Shell};
 use crate::view::speed::{self, Way};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
 use crate::view::{chip::Chip, link, place};
 
-/// Topic of the live stream, followed by `/HOST/PIPELINE/SECONDS`.
-pub(crate) const TOPIC: &str = "pipeline";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/pipelines/{host}/{pipeline}", get(show)),
+    entry: None,
+    topic: Some(LiveTopic {
+        form: "pipeline/HOST/PIPELINE/SECONDS",
+        update: |app, picture, rest| Box::pin(ready(update(app, picture, rest))),
+    }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "pipeline";
 /// Runs listed on the page.
 const RUNS: u32 = 20;
 
@@ -79,7 +96,7 @@ struct Stat {
 }
 
 /// `GET /pipelines/{host}/{pipeline}`.
-pub(crate) async fn show(
+async fn show(
     State(app): State<App>,
     names: Result<Path<(String, String)>, PathRejection>,
     Parameters(query): Parameters<Query>,
@@ -89,12 +106,12 @@ pub(crate) async fn show(
     let pipeline = find(&picture, &host, &name)?;
     let runs = runs(&app, pipeline).await?;
     let incidents = app.newest_incidents().await?;
-    let marks = overview::marks(&incidents);
+    let marks = Mark::all(&incidents);
     page(&pipeline_page(&app, &picture, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
 /// What of the page changed.
-pub(crate) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
@@ -156,7 +173,7 @@ fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
     let time = |name, of: fn(&Figures) -> Option<f64>| {
-        let value = total.and_then(of).map(milliseconds);
+        let value = total.and_then(of).map(short_duration);
         let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
     };
@@ -212,7 +229,7 @@ fn pipeline_page(
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
     let rehearsed = Rehearsed::of(picture).concerns(&[&host, cloud]);
     Ok(PipelinePage {
-        shell: Shell::new(app, picture, Place::Pipelines, format!("{} on {host}", pipeline.pipeline))
+        shell: Shell::new(app, picture, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),

@@ -1,20 +1,32 @@
 //! Every pipeline of every host.
 
+use std::future::ready;
+
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
 use peernet_aggregator::{Picture, PipelinePicture};
 use peernet_stream::PipelineState;
 
+use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
-use crate::view::shell::{Place, Shell};
 use crate::view::{awaited, cut};
 
-/// Topic of the live stream.
-pub(crate) const TOPIC: &str = "pipelines";
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/pipelines", get(show)),
+    entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
+    topic: Some(LiveTopic { form: TOPIC, update: |app, picture, _| Box::pin(ready(update(app, picture))) }),
+};
+
+/// Name of its topic of the live stream.
+const TOPIC: &str = "pipelines";
 
 #[derive(Template)]
 #[template(path = "pages/pipelines.html", blocks = ["title", "list"])]
@@ -51,12 +63,12 @@ fn state(pipeline: &PipelinePicture) -> String {
 }
 
 /// `GET /pipelines`.
-pub(crate) async fn show(State(app): State<App>) -> Page {
+async fn show(State(app): State<App>) -> Page {
     page(&pipelines(&app, &app.picture()))
 }
 
 /// What of the page changed.
-pub(crate) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
     let page = pipelines(app, picture);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
@@ -87,7 +99,7 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
         run: pipeline.run_number,
     });
     Pipelines {
-        shell: Shell::new(app, picture, Place::Pipelines, "Pipelines").live(TOPIC),
+        shell: Shell::new(app, picture, "/pipelines", "Pipelines").live(TOPIC),
         title,
         past,
         lines: lines.collect(),

@@ -1,18 +1,22 @@
 //! How fast was this configuration, how certain is that, and which iterations stand out?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use axum::routing::get;
 use peernet_logger::stage;
 use peernet_report::trust::{Report, Starts};
+use peernet_statistics::number::{NONE, SPACE, count, figure, mean_std_ms, percent, rate, share};
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
 
+use super::kind::PageKind;
+use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, figure, mean_std_ms, percent, rate, share};
 use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::svg::{Axis, Bar, DistributionView, HistogramPlot};
@@ -22,12 +26,15 @@ use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
 use crate::view::run::{Bucket, Other, Slow, Stored, Unanswered};
 use crate::view::runs::End;
-use crate::view::shell::{Place, Shell};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
 use crate::view::trust::Trust;
 use crate::view::{accuracy, link, place, rehearsal, runs, trust};
 use crate::zone::Zone;
+
+/// This page.
+pub(super) const PAGE: PageKind =
+    PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
 /// Bins of a distribution.
 const BINS: usize = 48;
@@ -124,7 +131,7 @@ struct Distribution {
 }
 
 /// `GET /runs/{run}`.
-pub(crate) async fn show(
+async fn show(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
     Parameters(query): Parameters<Query>,
@@ -222,7 +229,7 @@ fn assemble(
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures)
     });
     Ok(Run {
-        shell: Shell::new(app, &picture, Place::Runs, place::run_name(summary)),
+        shell: Shell::new(app, &picture, "/runs", place::run_name(summary)),
         number: summary.number,
         pipeline: summary.pipeline.to_string(),
         facts: facts(run, zone),

@@ -1,19 +1,29 @@
 //! How fast was which configuration?
 
 use askama::Template;
+use axum::Router;
 use axum::extract::State;
+use axum::routing::get;
+use peernet_statistics::number::count;
 use peernet_store::RunFilter;
 use serde::Deserialize;
 
+use super::kind::{NavigationEntry, PageKind};
+use super::shell::Shell;
 use super::{Page, page};
-use crate::numbers::count;
 use crate::parameters::{self, Parameters};
 use crate::state::App;
 use crate::view::runs::RunLine;
-use crate::view::shell::{Place, Shell};
+
+/// This page.
+pub(super) const PAGE: PageKind = PageKind {
+    routes: || Router::new().route("/runs", get(show)),
+    entry: Some(NavigationEntry { name: "Runs", address: "/runs", key: "r" }),
+    topic: None,
+};
 
 /// Runs per page.
-const PAGE: u32 = 50;
+const ROWS: u32 = 50;
 
 /// What the address may ask for.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -38,12 +48,12 @@ struct Runs {
 }
 
 /// `GET /runs`.
-pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
+async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
     let pipeline = query.pipeline.as_deref().map(|name| parameters::slug("pipeline", name)).transpose()?;
-    let filter = RunFilter { pipeline, limit: PAGE + 1, before: query.before, ..RunFilter::default() };
+    let filter = RunFilter { pipeline, limit: ROWS + 1, before: query.before, ..RunFilter::default() };
     let mut found = app.store().runs(&filter).await?;
-    let more = found.len() > PAGE as usize;
-    found.truncate(PAGE as usize);
+    let more = found.len() > ROWS as usize;
+    found.truncate(ROWS as usize);
     let older = found.last().filter(|_| more).map(|last| {
         let name = query.pipeline.as_ref().map_or_else(String::new, |name| format!("&pipeline={name}"));
         format!("?before={}{name}", last.number)
@@ -61,7 +71,7 @@ pub(crate) async fn show(State(app): State<App>, Parameters(query): Parameters<Q
     let window = query.pipeline.as_ref().map_or_else(|| "Runs".to_owned(), |name| format!("Runs of {name}"));
     let picture = app.picture();
     page(&Runs {
-        shell: Shell::new(&app, &picture, Place::Runs, window),
+        shell: Shell::new(&app, &picture, "/runs", window),
         title,
         paged: query.before.is_some(),
         pipeline: query.pipeline,

@@ -1,10 +1,10 @@
 //! A linear scale from zero with round ticks.
 
 use askama::Template;
+use peernet_statistics::number::{SPACE, fixed};
 
 use super::Percent;
 use super::fit::{Fitted, width};
-use crate::numbers::{SPACE, fixed};
 
 /// A label this near to an end of its plot, percent, would reach over it.
 const END: f64 = 4.0;

@@ -1,11 +1,11 @@
 //! The stages of one thing, side by side on a scale in ms.
 
 use askama::Template;
+use peernet_statistics::number::{figure, fixed};
 
 use super::fit::Fitted;
 use super::{Percent, Scale};
 use crate::look;
-use crate::numbers::{figure, fixed};
 
 /// Between segments narrower than this the parting line would hide them.
 const CUT_FITS: f64 = 0.6;
@@ -181,7 +181,7 @@ impl ShareBar {
             look: look::class(name),
             width: Percent(width),
             text_at: Percent(width + 2.0),
-            text: crate::numbers::share(share),
+            text: peernet_statistics::number::share(share),
             total: name == "total",
         }
     }

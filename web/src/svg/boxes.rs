@@ -2,10 +2,10 @@
 
 use askama::Template;
 use peernet_statistics::Summary;
+use peernet_statistics::number::{SPACE, count, milliseconds};
 use peernet_store::P95_NEEDS;
 
 use super::{Percent, Scale};
-use crate::numbers::{SPACE, count, listed_ms};
 
 /// A box from the first to the third quartile with the median, whiskers from p5 to p95, and the mean as a ring.
 #[derive(Clone, Debug, PartialEq, Template)]
@@ -50,11 +50,11 @@ impl Five {
 
     /// In words, of seconds.
     fn words(&self) -> String {
-        let [p25, p50, p75] = self.middle.map(listed_ms);
+        let [p25, p50, p75] = self.middle.map(milliseconds);
         let tails = self.tails.map_or_else(String::new, |(p5, p95)| {
-            format!(", 5{SPACE}% below {}, 95{SPACE}% below {}", listed_ms(p5), listed_ms(p95))
+            format!(", 5{SPACE}% below {}, 95{SPACE}% below {}", milliseconds(p5), milliseconds(p95))
         });
-        let mean = listed_ms(self.mean);
+        let mean = milliseconds(self.mean);
         format!(
             "median {p50}{SPACE}ms, quartiles {p25} and {p75}{tails}, mean {mean}; {} samples",
             count(self.count)

@@ -1,11 +1,11 @@
 //! A distribution with its median and quantiles.
 
 use askama::Template;
+use peernet_statistics::number::{SPACE, count, fixed};
 use peernet_store::Histogram;
 use serde::Deserialize;
 
 use super::{Axis, Percent, Scale, fit};
-use crate::numbers::{SPACE, count, fixed};
 
 /// Two ways to look at a distribution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -99,7 +99,7 @@ impl HistogramPlot {
                 continue;
             }
             let x = at(value);
-            let text = format!("{name} {}", crate::numbers::figure(value));
+            let text = format!("{name} {}", peernet_statistics::number::figure(value));
             let width = fit::width(&text) / NARROWEST * 100.0;
             let anchor = if name == "median" && x.0 > width || x.0 + width > 100.0 { "end" } else { "start" };
             let from = if anchor == "end" { x.0 - width } else { x.0 };
@@ -111,7 +111,11 @@ impl HistogramPlot {
         }
 
         let beyond = (histogram.beyond > 0).then(|| {
-            format!("{} beyond {}{SPACE}{unit} →", count(histogram.beyond), crate::numbers::figure(hi))
+            format!(
+                "{} beyond {}{SPACE}{unit} →",
+                count(histogram.beyond),
+                peernet_statistics::number::figure(hi)
+            )
         });
         let finding =
             marks.iter().map(|mark| format!("{}{SPACE}{unit}", mark.text)).collect::<Vec<_>>().join(", ");
@@ -160,7 +164,7 @@ fn vertical(largest: f64, log: bool) -> (Vec<(Percent, String)>, Height) {
 /// About six round values between two others, with their labels.
 fn ticks(lo: f64, hi: f64) -> Vec<(f64, String)> {
     if hi <= lo {
-        return vec![(lo, crate::numbers::figure(lo))];
+        return vec![(lo, peernet_statistics::number::figure(lo))];
     }
     let rough = (hi - lo) / 8.0;
     let power = 10f64.powf(rough.log10().floor());

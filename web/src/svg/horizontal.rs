@@ -1,7 +1,8 @@
 //! The axis across: linear, or logarithmic where the values span more than a decade.
 
+use peernet_statistics::number::fixed;
+
 use super::{Percent, Ruler, Scale};
-use crate::numbers::fixed;
 
 /// Times the smallest value from which on the axis is logarithmic.
 const DECADE: f64 = 10.0;

@@ -1,7 +1,8 @@
 //! A linear scale between any two values, with round ticks.
 
+use peernet_statistics::number::fixed;
+
 use super::Percent;
-use crate::numbers::fixed;
 
 /// From one round number to another.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,10 +1,10 @@
 //! One iteration as bars under each other, and as two rails with the messages between them.
 
 use askama::Template;
+use peernet_statistics::number::stage_ms;
 
 use super::{Percent, Scale};
 use crate::look;
-use crate::numbers::stage_ms;
 use crate::timeline::{Placed, Timeline, Visit, Where};
 
 /// Narrower bars would not be seen.

@@ -1,3 +1,4 @@
-//! Test data that several modules share.
+//! Test data that several modules share, and the test of what they register.
 
+mod registration;
 pub(crate) mod samples;

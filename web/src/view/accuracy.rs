@@ -1,9 +1,8 @@
 //! How often a model was right, out of roll-ups.
 
 use peernet_report::accuracy::Accuracy;
+use peernet_statistics::number::{SPACE, share};
 use peernet_store::Figures;
-
-use crate::numbers::{SPACE, share};
 
 /// A share of right answers from the mean of scores that are 0 or 1, of so many answered iterations; `None` where the mean
 /// is none of such scores.

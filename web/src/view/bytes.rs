@@ -2,9 +2,9 @@
 
 use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
+use peernet_statistics::number::{NONE, SPACE, bytes, figure, throughput, throughput_between, times};
 use peernet_store::{Figures, IterationDetail};
 
-use crate::numbers::{NONE, SPACE, bytes, figure, throughput, times};
 use crate::svg::shown_in;
 
 /// One direction.
@@ -81,8 +81,7 @@ fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'sta
     };
     match (rate.value, rate.bounds, verdict) {
         (Some(_), Some((lo, hi)), Some(Verdict::Limited)) => {
-            let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
-            (format!("{} – {hi}", throughput(lo)), "the delay is known only within its clock bound")
+            (throughput_between((lo, Some(hi))), "the delay is known only within its clock bound")
         }
         (Some(value), ..) => (throughput(value), ""),
         (None, ..) => (NONE.to_owned(), "the delay of this direction is not known"),

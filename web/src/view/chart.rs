@@ -5,15 +5,17 @@ use std::collections::BTreeMap;
 use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
 use peernet_clock::WallTime;
 use peernet_logger::stage;
+use peernet_statistics::number::{NONE, count, stage_ms};
+use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
 use serde::Serialize;
 
 use super::data::{JsonBlock, Short};
+use super::incidents::IncidentLine;
 use super::place;
 use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
-use crate::numbers::{NONE, count, stage_ms};
 use crate::zone::{Moment, Zone};
 
 /// Why there is no single figure for the upward and the downward throughput.
@@ -30,6 +32,22 @@ pub(crate) struct Mark {
     pub host: String,
     /// The pipeline alone that it concerns, if one.
     pub pipeline: Option<String>,
+}
+
+impl Mark {
+    /// Incidents as marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
+    pub(crate) fn all(rows: &[IncidentRow]) -> Vec<Self> {
+        rows.iter()
+            .filter_map(|row| {
+                Some(Self {
+                    at: row.at.unix_nanos() / 1_000_000,
+                    sign: IncidentLine::new(row, Zone::Utc).sign,
+                    host: row.host_name.as_ref()?.to_string(),
+                    pipeline: row.pipeline.clone(),
+                })
+            })
+            .collect()
+    }
 }
 
 /// One chart with its table view.
@@ -85,23 +103,10 @@ struct PageData<'a> {
 }
 
 /// The node names whose means a chart draws, with the factor from SI to what it shows.
-const DRAWN: [(&str, f64); 15] = [
-    ("sensing", 1e3),
-    ("encode", 1e3),
-    ("send-queue", 1e3),
-    ("upload", 1e3),
-    ("queue", 1e3),
-    ("ipc", 1e3),
-    ("preprocessing", 1e3),
-    ("inference", 1e3),
-    ("postprocessing", 1e3),
-    ("download", 1e3),
-    ("actuation", 1e3),
-    ("unattributed", 1e3),
-    ("total", 1e3),
-    ("upload-throughput", 1.0 / 8e6),
-    ("download-throughput", 1.0 / 8e6),
-];
+fn drawn() -> impl Iterator<Item = (&'static str, f64)> {
+    let durations = look::STACK.iter().copied().chain(["total"]).map(|name| (name, 1e3));
+    durations.chain(["upload-throughput", "download-throughput"].map(|name| (name, 1.0 / 8e6)))
+}
 
 fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
     second.means.iter().find(|(known, _)| known == name).map(|(_, mean)| *mean)
@@ -113,7 +118,8 @@ impl ChartCard {
         let name = pipeline.pipeline.to_string();
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
         let columns: Vec<&'static str> = look::STACK
-            .into_iter()
+            .iter()
+            .copied()
             .filter(|stage| pipeline.series.iter().any(|second| mean(second, stage).is_some()))
             .filter(|stage| *stage != "unattributed")
             .collect();
@@ -162,7 +168,7 @@ impl ChartData {
             let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
             data.n[at] = Some(second.counts.ok);
             data.p95[at] = Short(second.total_p95.map(|seconds| seconds * 1e3));
-            for (name, factor) in DRAWN {
+            for (name, factor) in drawn() {
                 if let Some(value) = mean(second, name) {
                     data.means.entry(name).or_insert_with(|| vec![Short(None); length])[at] =
                         Short(Some(value * factor));

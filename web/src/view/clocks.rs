@@ -1,11 +1,11 @@
 //! How well one-way delays are known, in a cell of a table.
 
 use peernet_clock::Verdict;
+use peernet_statistics::number::bound_ms;
 use peernet_store::Bound;
 use peernet_stream::PlacementKind;
 
 use super::chip::{Chip, severity};
-use crate::numbers::bound_ms;
 
 /// The clock bound of a pipeline or run.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! Long lists: how much of them a page shows, so that it stays readable and a live one cheap.
 
-use crate::numbers::count;
+use peernet_statistics::number::count;
 
 /// Pipelines, and hosts, on the overview.
 pub(crate) const OVERVIEW: usize = 100;

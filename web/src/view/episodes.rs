@@ -1,9 +1,9 @@
 //! What stands beside the course of a run over time, in words.
 
+use peernet_statistics::number::count;
 use peernet_store::{Episodes, RunSummary};
 
 use super::counted;
-use crate::numbers::count;
 
 /// `4 episodes of 100 steps`; `None` of a run that is not parted into any.
 pub(crate) fn said(known: &Episodes) -> Option<String> {

@@ -4,12 +4,12 @@ use std::cmp::Reverse;
 
 use peernet_aggregator::{Arrivals, HostPicture};
 use peernet_clock::Span;
+use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
 use peernet_store::Stored;
 use peernet_stream::Accounting;
 
 use super::chip::{Chip, Tone};
 use super::counted;
-use crate::numbers::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
 use crate::svg::Meter;
 use crate::zone::Zone;
 

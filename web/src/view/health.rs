@@ -3,13 +3,13 @@
 use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
+use peernet_statistics::number::{count, length, percent, roughly};
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
 use super::{awaited, link, place};
-use crate::numbers::{count, length, percent, roughly};
 use crate::zone::Zone;
 
 /// At most so many notes are shown; the others are counted.

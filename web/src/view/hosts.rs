@@ -2,13 +2,13 @@
 
 use peernet_aggregator::{HostPicture, MetricsPoint, Picture};
 use peernet_clock::{ClockIdentity, Span};
+use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length};
 use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
 use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::discipline;
 use super::rehearsal;
-use crate::numbers::{NONE, SPACE, count, fixed, gigabytes, length};
 use crate::svg::Spark;
 use crate::zone::{Moment, Zone};
 

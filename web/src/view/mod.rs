@@ -21,7 +21,6 @@ pub(crate) mod place;
 pub(crate) mod rehearsal;
 pub(crate) mod run;
 pub(crate) mod runs;
-pub(crate) mod shell;
 pub(crate) mod speed;
 pub(crate) mod stack;
 pub(crate) mod stages;
@@ -31,5 +30,5 @@ pub(crate) mod waterfall;
 
 /// `1 link`, `3 links`.
 pub(crate) fn counted(many: usize, one: &str, several: &str) -> String {
-    format!("{} {}", crate::numbers::count(many as u64), if many == 1 { one } else { several })
+    format!("{} {}", peernet_statistics::number::count(many as u64), if many == 1 { one } else { several })
 }

@@ -2,11 +2,11 @@
 
 use peernet_clock::Verdict;
 use peernet_logger::Name;
+use peernet_statistics::number::{self, duration, interval_ms};
 use peernet_store::{Bound, Figures};
 
 use super::chip::Chip;
 use super::clocks;
-use crate::numbers::{self, duration, interval_ms};
 
 /// One thing to look at.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>)
             (Verdict::Limited, Some(delay), Some(width)) => format!(
                 "has a {name} of {} with a clock bound of {}: read it as {}\u{202f}ms.",
                 duration(delay.p50),
-                numbers::bound(width.p50),
+                number::bound(width.p50),
                 interval_ms((delay.p50 - width.p50).max(0.0), delay.p50 + width.p50)
             ),
             _ => format!("has a {name} that cannot be trusted: {}.", clocks::meaning(verdict)),

@@ -2,6 +2,7 @@
 
 use peernet_aggregator::{PipelinePicture, Window};
 use peernet_logger::stage;
+use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
 use peernet_store::Figures;
 use peernet_stream::PipelineState;
 
@@ -11,7 +12,6 @@ use super::place;
 use super::speed::{self, Way};
 use super::stack::Stack;
 use crate::look;
-use crate::numbers::{NONE, count, percent, rate, stage_ms, total_ms};
 use crate::svg::{Axis, Bar, Scale};
 
 /// How many times as long as the longest bar a whisker may make the axis.
@@ -111,7 +111,7 @@ impl NowTable {
         let scale = Scale::fit(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
         let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
         let mut columns: Vec<&'static str> =
-            look::STACK.into_iter().filter(|name| *name != "unattributed").filter(has).collect();
+            look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(has).collect();
         if stacks.iter().any(|stack| stack.parts.iter().any(|part| part.name == look::NETWORK)) {
             let at = columns.iter().position(|name| *name == "actuation").unwrap_or(columns.len());
             columns.insert(at, look::NETWORK);

@@ -2,10 +2,9 @@
 
 use peernet_aggregator::Window;
 use peernet_logger::stage;
+use peernet_statistics::number::bytes;
 use peernet_store::RunSummary;
 use peernet_stream::{Placement, PlacementKind};
-
-use crate::numbers::bytes;
 
 /// Said in place of a model and of a way to it.
 const ALONE: &str = "sensor alone";

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use peernet_aggregator::Picture;
 use peernet_clock::RehearsalDescription;
+use peernet_statistics::number::{SPACE, fixed};
 
 use super::chip::{Chip, Tone};
-use crate::numbers::{SPACE, fixed};
 
 /// The chip of a rehearsed host and of what it measured.
 pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "rehearsal", "rehearsal");
@@ -32,7 +32,7 @@ pub(crate) fn words(description: &RehearsalDescription) -> String {
         [step] => parts.push(format!(
             "a step of {}{SPACE}ms after {}",
             signed(step.by.seconds() * 1e3, 0),
-            crate::numbers::length(step.at.seconds())
+            peernet_statistics::number::length(step.at.seconds())
         )),
         steps => parts.push(format!("{} steps", steps.len())),
     }

@@ -3,6 +3,9 @@
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_report::rows::SKIPPED_STARTS;
+use peernet_statistics::number::{
+    NONE, SPACE, count, difference_ms, figure, length, stage_ms, times, total_ms,
+};
 use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
@@ -12,7 +15,6 @@ use super::speed::{self, Way};
 use super::stack::Stack;
 use super::{episodes, runs};
 use crate::look;
-use crate::numbers::{NONE, SPACE, count, difference_ms, figure, length, stage_ms, times, total_ms};
 use crate::svg::{Bar, Scale, shown_in};
 use crate::zone::{Moment, Zone};
 

@@ -2,6 +2,7 @@
 
 use peernet_aggregator::Picture;
 use peernet_clock::WallTime;
+use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
 use peernet_stream::ExperimentPlace;
 
@@ -9,7 +10,6 @@ use super::chip::{Chip, Tone};
 use super::notes::Note;
 use super::{counted, place, rehearsal};
 use crate::error::WebError;
-use crate::numbers::{NONE, count, length, listed_ms, percent};
 use crate::zone::{Moment, Zone};
 
 /// The chip of a run of which retention deletes nothing.
@@ -158,7 +158,7 @@ pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
 
 impl RunLine {
     pub(crate) fn new(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
-        let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), listed_ms);
+        let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
         let total = run.total.as_ref();
         Self {
             number: run.number,

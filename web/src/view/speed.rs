@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_clock::Verdict;
+use peernet_statistics::number::{throughput, throughput_between};
 use peernet_stream::PlacementKind;
 
 use super::clocks;
 use super::now::Cell;
-use crate::numbers::throughput;
 
 const MINUTE_S: i64 = 60;
 
@@ -93,15 +93,10 @@ pub(crate) fn ends(rate: f64, delay: f64, half: f64) -> (f64, Option<f64>) {
     (rate * delay / (delay + half), (half < delay).then(|| rate * delay / (delay - half)))
 }
 
-/// Both ends in MB/s: `12.0 – ∞`.
-pub(crate) fn between((lo, hi): (f64, Option<f64>)) -> String {
-    format!("{} – {}", throughput(lo), hi.map_or_else(|| "∞".to_owned(), throughput))
-}
-
 /// The throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
-    Some(between(ends(rate, delay, half)))
+    Some(throughput_between(ends(rate, delay, half)))
 }
 
 #[cfg(test)]
@@ -130,6 +125,6 @@ mod tests {
         assert_eq!(text(Verdict::Ok), "23.8");
         assert_eq!(text(Verdict::Limited), "21.5 – 26.5");
         assert_eq!(text(Verdict::Inconsistent), "—");
-        assert_eq!(interval(8e6, Some(0.001), Some(0.002)).expect("bounded"), "0.33 – ∞");
+        assert_eq!(interval(8e6, Some(0.001), Some(0.002)).expect("bounded"), "≥ 0.333");
     }
 }

@@ -2,10 +2,10 @@
 
 use peernet_aggregator::Window;
 use peernet_logger::{Name, stage};
+use peernet_statistics::number::{duration, figure};
 use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
 
 use crate::look;
-use crate::numbers::{duration, figure};
 use crate::svg::{Bar, Part, Scale};
 
 /// The stages of a window or run, and what of the total they leave over.
@@ -55,7 +55,7 @@ impl Stack {
         if let Some(seconds) = row.both_ways {
             let at = look::STACK
                 .iter()
-                .take(3)
+                .take_while(|name| stage::UPLOAD != **name)
                 .filter(|name| parts.iter().any(|part| part.name == **name))
                 .count();
             parts.insert(at, Part { name: look::NETWORK.to_owned(), seconds, bound: None });

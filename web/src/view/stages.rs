@@ -1,13 +1,13 @@
 //! The table of stages, live or stored.
 
 use peernet_aggregator::Window;
+use peernet_statistics::number::{NONE, bound_ms, fixed, stage_ms};
 use peernet_store::{Bound, Figures, StageStatistics, rank};
 
 use super::chip::{Chip, Sign};
 use super::clocks;
 use super::stack::Stack;
 use crate::look;
-use crate::numbers::{NONE, bound_ms, fixed, stage_ms};
 use crate::svg::{Part, ShareBar};
 
 /// One row. Times in ms.
@@ -123,7 +123,8 @@ impl StageRow {
         let share = |mean: f64| (total > 0.0).then(|| mean / total);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
-        let order = ["sensing", "capture", "transform"].into_iter().chain(look::STACK.into_iter().skip(1));
+        let order =
+            ["sensing", "capture", "transform"].into_iter().chain(look::STACK.iter().copied().skip(1));
         for name in order.chain([look::LATENESS, "total"]) {
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let figures = window.value(name);

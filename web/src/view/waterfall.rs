@@ -1,13 +1,13 @@
 //! The rows and sentences of an iteration's page.
 
+use peernet_statistics::number::{
+    EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
+    within_ms,
+};
 use peernet_store::IterationDetail;
 
 use super::chip::Chip;
 use crate::look;
-use crate::numbers::{
-    EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
-    within_ms,
-};
 use crate::svg::{Scale, WaterfallRow};
 use crate::timeline::{Placed, Timeline, Where};
 

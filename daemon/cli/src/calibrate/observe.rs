@@ -6,7 +6,7 @@ use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_networks::OpenError;
 use peernet_report::calibration::Sample;
-use peernet_report::number::bytes;
+use peernet_statistics::number::bytes;
 use peernet_stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 
 use super::plan::Plan;
@@ -180,7 +180,7 @@ fn cloud_clock(running: &Running) -> Option<HostClock> {
 }
 
 fn unfit(payload_bytes: u64, reason: &str) -> String {
-    let payload = bytes(payload_bytes as f64);
+    let payload = bytes(payload_bytes as f64).plain();
     format!(
         "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"
     )

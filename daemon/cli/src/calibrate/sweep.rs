@@ -2,8 +2,8 @@
 
 use peernet_clock::{Direction, MonoTime};
 use peernet_report::calibration::Sample;
-use peernet_report::number::{bytes, milliseconds};
 use peernet_report::order::Ordered;
+use peernet_statistics::number::{bytes, fixed, milliseconds};
 
 use super::plan::Plan;
 use crate::foreground::Progress;
@@ -57,12 +57,13 @@ impl Scale {
         let rate = if elapsed > 0.0 { done / elapsed } else { 0.0 };
         let (smallest, largest) = self.extremes;
         let text = format!(
-            "{done} of {}, {rate:.0} /s, upload {} at {}, {} at {}, {left:.0} s left",
+            "{done} of {}, {} /s, upload {} at {}, {} at {}, {left:.0} s left",
             self.iterations,
+            fixed(rate, 0),
             median(samples, smallest),
-            bytes(smallest as f64),
+            bytes(smallest as f64).plain(),
             median(samples, largest),
-            bytes(largest as f64),
+            bytes(largest as f64).plain(),
         );
         (text, share)
     }

@@ -5,8 +5,8 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use crate::small_file;
-use peernet_report::number::counted;
 use peernet_sample::printable_line;
+use peernet_statistics::number::counted;
 use serde::Deserialize;
 
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};

@@ -1,8 +1,8 @@
 //! The middle and the tail of a latency while it is being measured.
 
-use peernet_report::number::milliseconds;
 use peernet_report::order::ENOUGH_FOR_P99;
 use peernet_statistics::Sketch;
+use peernet_statistics::number::milliseconds;
 
 /// The 99th percentile, once there are values enough for it.
 pub(crate) fn p99(latency: &Sketch) -> Option<f64> {

@@ -2,8 +2,8 @@
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
-use peernet_report::number::counted;
 use peernet_report::rows::{Outcome, Rows};
+use peernet_statistics::number::counted;
 
 use super::unavailable;
 use crate::foreground::Ended;

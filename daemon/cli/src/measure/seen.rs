@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use peernet_statistics::number;
 use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +39,7 @@ impl fmt::Display for Seen {
         if let Some(of) = self.of {
             write!(f, " of {of}")?;
         }
-        write!(f, ", {:.1} /s", self.rate)?;
+        write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // None while it warms up.
         if let Some(p50) = self.p50 {
             write!(f, ", total {}", told(p50, self.p99))?;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_agent::spool::{SpoolReadError, waiting_events};
 use peernet_networks::Address;
-use peernet_report::number::counted;
+use peernet_statistics::number::counted;
 
 /// The one spool of versions that had no others.
 const OLD: &str = "spool.sqlite";

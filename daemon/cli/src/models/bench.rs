@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use crate::exit::{Exit, Failure};
 use crate::output::say;
 use peernet_logger::Tree;
-use peernet_report::number::{bytes, counted, milliseconds};
 use peernet_report::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
 use peernet_report::table::text;
+use peernet_statistics::number::{bytes, counted, milliseconds};
 use serde_json::{Value, json};
 
 use super::Wanted;
@@ -134,7 +134,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
     say(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
-    let told = |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64));
+    let told = |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
     say(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
     say(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",

@@ -7,8 +7,8 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use peernet_inference::InferenceError;
-use peernet_report::number::{counted, fixed};
 use peernet_sample::{Sample, plain_label};
+use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
 use super::input::Input;

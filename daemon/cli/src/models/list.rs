@@ -47,7 +47,8 @@ fn row(found: &Found) -> Vec<String> {
         Ok(card) => (card.task.clone(), card.input.clone(), card.version.clone()),
         Err(_) => Default::default(),
     };
-    let size = size(found).map(|bytes| peernet_report::number::bytes(bytes as f64)).unwrap_or_default();
+    let size =
+        size(found).map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
     let folder = found.folder.display().to_string();
     let cells =
         [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];

@@ -2,8 +2,8 @@
 
 use crate::exit::Failure;
 use crate::output::say;
-use peernet_report::number;
 use peernet_sample::printable_line;
+use peernet_statistics::number;
 use serde_json::json;
 
 use super::{Wanted, failure, other_file};
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     lines.extend([
         ("output".to_owned(), card.output),
         ("labels".to_owned(), format!("{}{more}", first.join(", "))),
-        ("model.onnx".to_owned(), number::bytes(size as f64)),
+        ("model.onnx".to_owned(), number::bytes(size as f64).plain()),
         ("SHA-256".to_owned(), hash),
     ]);
     // Of the hash only what is wrong with it.

@@ -10,7 +10,7 @@ use anyhow::anyhow;
 use clap::ValueEnum;
 use peernet_report::figures::{self, Columns, PlotError};
 use peernet_report::loaded::Loaded;
-use peernet_report::number::counted;
+use peernet_statistics::number::counted;
 
 use crate::compare::{Collected, collect, distinct};
 use places::Places;

@@ -5,7 +5,7 @@ use peernet_agent::Running;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
 use peernet_logger::Slug;
-use peernet_report::number::counted;
+use peernet_statistics::number::counted;
 use peernet_stream::Event;
 use tokio::task::JoinHandle;
 

@@ -1,9 +1,9 @@
 //! Sensors alone, side by side.
 
 use peernet_report::loaded::Loaded;
-use peernet_report::number::{fixed, milliseconds, significant};
 use peernet_report::sensor_study::SensorStudy;
 use peernet_report::table::Table;
+use peernet_statistics::number::{fixed, milliseconds, significant};
 
 use super::plan::{Plan, Run};
 

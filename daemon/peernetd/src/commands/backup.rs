@@ -7,7 +7,7 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
-use peernet_report::number::bytes;
+use peernet_statistics::number::bytes;
 use peernet_store::maintenance::{Backup, BackupError, Copied};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
@@ -28,7 +28,7 @@ pub(crate) fn backup(database: Database, target: &Path) -> Exit {
     });
     match made {
         Ok(copied) => {
-            say(format_args!("{} ({})", copied.path.display(), bytes(copied.bytes as f64)));
+            say(format_args!("{} ({})", copied.path.display(), bytes(copied.bytes as f64).plain()));
             Exit::Ok
         }
         Err(failure) => {

@@ -5,7 +5,7 @@ use std::io::IsTerminal;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
-use peernet_report::number::fixed;
+use peernet_statistics::number::fixed;
 use peernet_store::OpenError;
 use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 

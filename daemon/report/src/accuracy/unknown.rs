@@ -1,6 +1,7 @@
 //! Samples whose label is no class of the model: no answer to them could be right, so they are neither right nor wrong.
 
-use crate::number::{counted, fixed};
+use peernet_statistics::number::{counted, fixed};
+
 use crate::rows::Rows;
 
 /// The column that is 1 for such a sample.

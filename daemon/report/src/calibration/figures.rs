@@ -1,12 +1,11 @@
 //! A study as figures.
 
+use peernet_statistics::number::{self, mean_std, throughput_between, throughput_with};
+
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary};
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::fit::rate;
-use crate::number::{
-    megabytes_per_second, megabytes_per_second_between, megabytes_per_second_with, milliseconds_with,
-};
 
 /// Delay against size, with the lines that were fitted; `None` when no delay is known.
 pub(super) fn latency(study: &Study) -> Option<Scaling> {
@@ -16,10 +15,10 @@ pub(super) fn latency(study: &Study) -> Option<Scaling> {
     };
     let name = |direction: &DirectionStudy| {
         let fit = direction.main_fit()?;
-        let intercept = milliseconds_with(fit.intercept.value, fit.intercept.margin());
+        let intercept = mean_std(fit.intercept.value, fit.intercept.margin());
         Some(match rate(fit.slope) {
             Some((rate, margin)) => {
-                let rate = megabytes_per_second_with(rate, margin);
+                let rate = throughput_with(rate, margin);
                 format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", direction.name())
             }
             None => format!("{}: intercept {intercept} ms", direction.name()),
@@ -46,10 +45,10 @@ pub(super) fn throughput(study: &Study) -> Option<Scaling> {
     };
     let name = |direction: &DirectionStudy| {
         let throughput = direction.throughput?;
-        let rate = megabytes_per_second(throughput.value);
+        let rate = number::throughput(throughput.value);
         let interval = throughput
             .interval
-            .map_or_else(String::new, |interval| format!(" ({})", megabytes_per_second_between(interval)));
+            .map_or_else(String::new, |interval| format!(" ({})", throughput_between(interval)));
         Some(format!("{}: {rate} MB/s{interval}", direction.name()))
     };
     let line = |direction: &DirectionStudy| direction.throughput.map(|throughput| (throughput.value, 0.0));

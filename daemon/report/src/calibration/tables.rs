@@ -3,22 +3,16 @@
 use std::path::Path;
 
 use peernet_clock::{Direction, Span};
+use peernet_statistics::number::{
+    self, EXACT, NONE as UNKNOWN, bytes, mean_std, milliseconds, range_ms, throughput_between,
+};
 
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary, Throughput};
 use super::sample::Sample;
 use crate::fit::Fit;
-use crate::number::{
-    bytes, megabytes_per_second, megabytes_per_second_between, milliseconds, milliseconds_between,
-    milliseconds_with,
-};
 use crate::table::{csv, text};
 use crate::{Passage, WriteError};
-
-/// What stands where nothing is known.
-const UNKNOWN: &str = "—";
-/// What stands where both ends read one clock.
-const EXACT: &str = "exact";
 
 const PASSAGE: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
@@ -148,19 +142,19 @@ pub(super) fn sizes_text(study: &Study) -> String {
                 )
             };
             let [up, down] = study.directions().map(of);
-            [vec![bytes(payload as f64)], up, down].concat()
+            [vec![bytes(payload as f64).plain()], up, down].concat()
         })
         .collect();
     text(&header, &rows)
 }
 
 fn size_cells(size: &SizeSummary, same_clock: bool) -> Vec<String> {
-    let bounds = if same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(milliseconds_between) };
+    let bounds = if same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range_ms) };
     vec![
         milliseconds(size.median),
-        known(size.tails.map(milliseconds_between)),
+        known(size.tails.map(range_ms)),
         known(bounds),
-        known(size.throughput.map(megabytes_per_second)),
+        known(size.throughput.map(number::throughput)),
     ]
 }
 
@@ -187,10 +181,10 @@ fn fit_row(name: String, fit: &Fit) -> Vec<String> {
     let throughput = Throughput::of(fit.slope);
     vec![
         name,
-        milliseconds_with(fit.intercept.value, fit.intercept.margin()),
-        known(fit.intercept.interval.map(milliseconds_between)),
-        known(throughput.map(|throughput| megabytes_per_second(throughput.value))),
-        known(throughput.and_then(|throughput| throughput.interval).map(megabytes_per_second_between)),
+        mean_std(fit.intercept.value, fit.intercept.margin()),
+        known(fit.intercept.interval.map(range_ms)),
+        known(throughput.map(|throughput| number::throughput(throughput.value))),
+        known(throughput.and_then(|throughput| throughput.interval).map(throughput_between)),
     ]
 }
 
@@ -200,8 +194,8 @@ fn bounds_row(direction: &DirectionStudy) -> Vec<String> {
     let (delay, throughput) = if direction.same_clock {
         (Some(EXACT.to_owned()), Some(EXACT.to_owned()))
     } else {
-        let claim = direction.claimed.map(|claim| milliseconds_between(claim.at_zero));
-        (claim, throughput.map(megabytes_per_second_between))
+        let claim = direction.claimed.map(|claim| range_ms(claim.at_zero));
+        (claim, throughput.map(throughput_between))
     };
     vec![
         format!("{}: what the clock bounds allow", direction.name()),

@@ -1,12 +1,12 @@
 //! What to make of a study, in one sentence.
 
 use peernet_clock::Verdict as Delay;
+use peernet_statistics::number::{error_ms, mean_std, range_ms};
 use serde::Serialize;
 
 use super::clocks::Clocks;
 use super::direction::{Claim, DirectionStudy};
 use crate::fit::{Estimate, Fit};
-use crate::number::{error_milliseconds, milliseconds_between, milliseconds_with};
 
 /// What kind of verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -129,11 +129,8 @@ impl Verdict {
     }
 
     fn compare(up: &Compared, down: &Compared, intercepts: &str, clocks: &Clocks) -> Self {
-        let allowed = format!(
-            "{} ms up, {} ms down",
-            milliseconds_between(up.claim.at_zero),
-            milliseconds_between(down.claim.at_zero)
-        );
+        let allowed =
+            format!("{} ms up, {} ms down", range_ms(up.claim.at_zero), range_ms(down.claim.at_zero));
         if up.is_vague() || down.is_vague() {
             let sentence = format!(
                 "the intercepts, {intercepts}, are less certain than what they are compared with, the clock bounds ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
@@ -145,7 +142,7 @@ impl Verdict {
             let within = up.within.max(down.within);
             let sentence = format!(
                 "the intercepts, {intercepts}, lie within what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
-                error_milliseconds(within)
+                error_ms(within)
             );
             return Self { kind: Kind::Trusted, within: Some(within), sentence };
         }
@@ -192,5 +189,5 @@ impl Compared {
 }
 
 fn with_margin(fit: &Fit) -> String {
-    format!("{} ms", milliseconds_with(fit.intercept.value, fit.intercept.margin()))
+    format!("{} ms", mean_std(fit.intercept.value, fit.intercept.margin()))
 }

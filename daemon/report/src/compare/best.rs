@@ -1,11 +1,11 @@
 //! The best line, and how far the others are from it.
 
 use peernet_sample::printable_line;
+use peernet_statistics::number::column_decimals;
 
 use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS, in_milliseconds, with_interval};
 use super::{Comparison, Difference, NOTHING, Sample, Statistic, difference, values};
 use crate::loaded::Loaded;
-use crate::number::decimals_within;
 use crate::table::{Captioned, Table};
 
 impl Comparison {
@@ -55,7 +55,7 @@ impl Comparison {
         let Self { axes, lines, by, .. } = self;
         let others = || lines.iter().filter_map(|line| Some((line, line.beyond_best?)));
         // As many in a whole column, so that its figures compare.
-        let decimals = others().map(|(_, difference)| decimals_within(difference.margin()));
+        let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
         let decimals = decimals.max().unwrap_or_default();
         let mut header = axes.clone();
         header.extend(["mean", "beyond the smallest", "95 % confidence"].map(str::to_owned));

@@ -2,32 +2,23 @@
 
 use std::num::NonZero;
 use std::panic::resume_unwind;
+use std::sync::LazyLock;
 use std::thread::available_parallelism;
 
+use peernet_logger::{Name, stage};
 use serde::Serialize;
 
 use super::{Comparison, Difference, Sample, Statistic, difference, values};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
+static ORDER: [Name; 11] = stage::ORDER;
+
 /// What two lines of a comparison may both have.
-pub(super) const STAGES: [&str; 15] = [
-    "sensing",
-    "encode",
-    "send-queue",
-    "upload",
-    "queue",
-    "ipc",
-    "preprocessing",
-    "inference",
-    "postprocessing",
-    "download",
-    "actuation",
-    "stages-total",
-    "unattributed",
-    "total",
-    "lateness",
-];
+pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+    let others = ["stages-total", "unattributed", "total", "lateness"];
+    ORDER.iter().map(Name::as_str).chain(others).collect()
+});
 
 /// What one line of a comparison has more than another, stage by stage. Seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]

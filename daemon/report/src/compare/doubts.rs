@@ -2,11 +2,11 @@
 
 use peernet_clock::Verdict;
 use peernet_statistics::Summary;
+use peernet_statistics::number::counted;
 
 use super::render::named;
 use super::{LATENCIES, Line, NEARLY_ALL};
 use crate::loaded::Loaded;
-use crate::number::counted;
 use crate::rows::RowRef;
 use crate::trust::Starts;
 

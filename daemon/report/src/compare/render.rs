@@ -1,12 +1,12 @@
 //! Comparisons as tables.
 
 use peernet_sample::printable_line;
+use peernet_statistics::number::{bound_ms, column_decimals, fixed, percent, range_ms};
 
 use super::{
     Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, NOTHING, StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
-use crate::number::{bound_milliseconds, decimals_within, fixed, milliseconds_between};
 use crate::table::{Captioned, Table, csv_text};
 
 const HEADINGS: [&str; LATENCIES.len()] =
@@ -106,7 +106,7 @@ impl Comparison {
     /// As many in a whole column, so that its figures compare.
     fn decimals(&self, at: usize) -> usize {
         let latencies = self.lines.iter().filter_map(|line| line.latencies[at]);
-        latencies.map(|latency| decimals_within(latency.std)).max().unwrap_or_default()
+        latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
     /// What the table means and what it does not show, a sentence or two each.
@@ -217,7 +217,7 @@ impl Line {
         let means = self.deciding.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
         let means: Vec<f64> = means.collect();
         let ends = (means.iter().copied().reduce(f64::min)?, means.iter().copied().reduce(f64::max)?);
-        Some(self.told(&milliseconds_between(ends)))
+        Some(self.told(&range_ms(ends)))
     }
 
     /// Where not every iteration was judged right or wrong, although some were, for another reason than its label.
@@ -234,7 +234,7 @@ impl Line {
     fn unknown(&self) -> Vec<String> {
         let part = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
-            (share < NEARLY_ALL).then(|| format!("{name} of {}: {:.0} %", self.name(), share * 100.0))
+            (share < NEARLY_ALL).then(|| format!("{name} of {}: {} %", self.name(), percent(share)))
         };
         ["upload", "download"].into_iter().filter_map(part).collect()
     }
@@ -345,14 +345,14 @@ impl Differences {
 
 fn row(stage: &StageDifference) -> Vec<String> {
     let four = |of: (f64, f64), difference: Difference| {
-        let decimals = decimals_within(difference.margin());
+        let decimals = column_decimals(difference.margin());
         let figure = |seconds: f64| in_milliseconds(seconds, decimals);
         let [difference, interval] = with_interval(difference, decimals);
         [figure(of.0), figure(of.1), difference, interval]
     };
     let [means, medians] = [four(stage.means, stage.mean), four(stage.medians, stage.median)];
     let name = std::iter::once(stage.stage.clone());
-    let clocks = stage.clocks.map(bound_milliseconds).unwrap_or_default();
+    let clocks = stage.clocks.map(bound_ms).unwrap_or_default();
     name.chain(means).chain(medians).chain([clocks]).collect()
 }
 

@@ -1,6 +1,7 @@
 //! Two quantities of each iteration against each other, with the distribution of each beside: response length and
 //! latency.
 
+use peernet_statistics::number::fixed;
 use plotters::element::{Circle, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor};
@@ -9,7 +10,6 @@ use std::collections::BTreeMap;
 
 use super::histogram::{Bins, nothing, range};
 use super::kit::{Axis, Drawn, Figure, Frame, Header, INK, Paper, SIZE, Unit};
-use crate::number::fixed;
 use crate::order::Ordered;
 
 /// From how many points on they are counted into cells.

@@ -1,11 +1,11 @@
 //! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
 
+use peernet_statistics::number::bytes;
 use plotters::element::{PathElement, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor, ShapeStyle};
 
 use super::kit::{Axis, Drawn, Figure, Frame, Header, Key, Mark, Paper, SIZE, Swatch, Unit};
-use crate::number::bytes;
 
 /// Half the distance between two series at one size.
 const APART: i32 = 13;
@@ -200,7 +200,7 @@ impl Figure for Scaling {
         };
         let Some(frame) = self.frame(header.draw(paper)?) else { return Ok(()) };
         frame.draw_y(paper, (&self.unit.title, 0))?;
-        frame.draw_x(paper, "Size on the wire", |tick| bytes(tick.value))?;
+        frame.draw_x(paper, "Size on the wire", |tick| bytes(tick.value).plain())?;
         let middle = self.series.len() as i32 - 1;
         for (index, series) in self.series.iter().enumerate() {
             self.draw_series(paper, &frame, (series, APART * (2 * index as i32 - middle)))?;

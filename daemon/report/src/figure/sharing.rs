@@ -1,12 +1,12 @@
 //! How latency grows with the number of edges that share one cloud, and how evenly they are served.
 
+use peernet_statistics::number::fixed;
 use plotters::element::PathElement;
 use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor};
 
 use super::histogram::nothing;
 use super::kit::{Axis, Drawn, Figure, Frame, Header, Key, Mark, Paper, SERIES, SIZE, Swatch, Tick, Unit};
-use crate::number::fixed;
 
 /// Most curves that can be told apart.
 pub const MOST_CURVES: usize = SERIES.len();

@@ -1,5 +1,6 @@
 //! What the stages of several configurations add up to: a bar each, with how much their sum varies.
 
+use peernet_statistics::number::fixed;
 use plotters::element::PathElement;
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -11,7 +12,6 @@ use super::kit::{
     shorten_apart, style, text, text_on_ground, width,
 };
 use super::stage::stage_fill;
-use crate::number::fixed;
 
 /// Height of a lying bar with its room, pixels.
 const ROW: i32 = 96;
@@ -100,7 +100,7 @@ impl Bar {
 
     /// `22.4 ± 2.1`
     fn words(&self, unit: &Unit) -> String {
-        let decimals = crate::number::decimals(self.total * unit.per_si, 3).min(3);
+        let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
         let total = fixed(self.total * unit.per_si, decimals);
         match self.std {
             Some(std) => format!("{total} ± {}", fixed(std * unit.per_si, decimals)),

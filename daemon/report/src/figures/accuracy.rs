@@ -1,5 +1,7 @@
 //! How often each configuration's answers are right, and how long they take.
 
+use peernet_statistics::number::{self, fixed};
+
 use super::columns::{is_drawable, left_out, too_large};
 use super::configured::{Configured, counted};
 use super::missing_data::MissingData;
@@ -7,7 +9,6 @@ use super::written::{Drawing, Shown};
 use crate::accuracy::{ACCURACIES, score};
 use crate::figure::{Accuracy, Score, Unit};
 use crate::loaded::{Loaded, unknown_labels};
-use crate::number::{self, fixed};
 use crate::order::Ordered;
 use crate::rows::RowRef;
 

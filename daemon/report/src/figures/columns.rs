@@ -1,7 +1,8 @@
 //! Columns of results as quantities of figures.
 
+use peernet_statistics::number::fixed;
+
 use crate::figure::Unit;
-use crate::number::fixed;
 use crate::order::Ordered;
 use crate::rows::{RowRef, Rows, Units};
 use crate::summary::Scale;
@@ -19,8 +20,9 @@ pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&
     let counted = rows.filter(|row| row.counts());
     let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
     let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
-    (count > 0)
-        .then(|| format!("not drawn, beyond ±10¹⁸: {}", crate::number::counted(count as u64, "number")))
+    (count > 0).then(|| {
+        format!("not drawn, beyond ±10¹⁸: {}", peernet_statistics::number::counted(count as u64, "number"))
+    })
 }
 
 /// A column's numbers that can be drawn, in the rows that count.

@@ -1,11 +1,12 @@
 //! Histograms of a run: the six published ones, or that of any column.
 
+use peernet_statistics::number::{fixed, range_ms, throughput_between};
+
 use super::columns::{account, heading, titled, too_large, unit, values};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Fill, Hatch, Histogram, stage_fill};
 use crate::loaded::Loaded;
-use crate::number::{fixed, megabytes_per_second_between, milliseconds_between};
 use crate::order::Ordered;
 use crate::record::RunRecord;
 use crate::rows::Rows;
@@ -84,9 +85,9 @@ fn clocks(rows: &Rows, column: &str) -> Option<String> {
     let (lo, hi) = (end("lo")?, end("hi")?);
     let between = match Scale::of(column, None) {
         Scale::MegabytesPerSecond => {
-            format!("{} MB/s", megabytes_per_second_between((lo, Some(hi).filter(|hi| hi.is_finite()))))
+            format!("{} MB/s", throughput_between((lo, Some(hi))))
         }
-        _ => format!("{} ms", milliseconds_between((lo, hi))),
+        _ => format!("{} ms", range_ms((lo, hi))),
     };
     (lo < hi).then(|| format!("clock bounds of the median: {between}"))
 }

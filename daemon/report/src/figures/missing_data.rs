@@ -5,7 +5,7 @@ use std::fmt;
 use super::accuracy::TOP_1;
 use crate::accuracy::UnknownLabels;
 use crate::figure::{MOST_GROUPS, MOST_SIDES};
-use crate::number::counted;
+use peernet_statistics::number::counted;
 
 /// What the results lack for a figure.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,11 +1,12 @@
 //! A model's latency on the robot and in the cloud.
 
+use peernet_statistics::number::counted;
+
 use super::columns::{heading, not_shown, unit, values};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 use crate::loaded::Loaded;
-use crate::number::counted;
 use crate::order::Ordered;
 use crate::record::RunRecord;
 

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
+
 use super::columns::{is_drawable, left_out, titled, too_large};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
@@ -9,7 +11,6 @@ use crate::compare::Configurations;
 use crate::figure::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
 use crate::fit::{Fit, Point, Weighted, least_squares, rate};
 use crate::loaded::Loaded;
-use crate::number::{bytes, counted, fixed, megabytes_per_second_with, milliseconds_with};
 use crate::order::Ordered;
 use crate::record::RunRecord;
 use crate::rows::RowRef;
@@ -145,7 +146,7 @@ impl Way {
     /// Why it is not drawn; `None` where nothing was sent.
     fn why_not(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
-        let ends = [smallest, largest].map(|size| bytes(size.bytes));
+        let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
         Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
     }
@@ -279,10 +280,10 @@ fn latency(study: &Study) -> Scaling {
     let series = study.ways.iter().enumerate().map(|(number, way)| {
         let name = match (way.fit, way.growing()) {
             (_, Some(Fit { intercept, .. })) => {
-                let least = milliseconds_with(intercept.value, intercept.margin());
+                let least = mean_std(intercept.value, intercept.margin());
                 match way.rate() {
                     Some((rate, margin)) => {
-                        let rate = megabytes_per_second_with(rate, margin);
+                        let rate = throughput_with(rate, margin);
                         format!("{}: {least} ms + size ÷ ({rate}) MB/s", way.name)
                     }
                     None => format!("{}: intercept {least} ms", way.name),
@@ -317,7 +318,7 @@ fn throughput(study: &Study) -> Scaling {
     let series = study.ways.iter().enumerate().map(|(number, way)| {
         let name = way.rate().map_or_else(
             || way.name.to_owned(),
-            |(rate, margin)| format!("{}: {} MB/s", way.name, megabytes_per_second_with(rate, margin)),
+            |(rate, margin)| format!("{}: {} MB/s", way.name, throughput_with(rate, margin)),
         );
         Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(number, name, &value) }
     });

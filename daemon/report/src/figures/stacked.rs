@@ -2,6 +2,7 @@
 
 use peernet_logger::stage;
 use peernet_statistics::Moments;
+use peernet_statistics::number::{self, fixed};
 
 use super::columns::{account, is_drawable, too_large};
 use super::configured::{Configured, counted};
@@ -9,7 +10,6 @@ use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{Bar, Stacked, UNATTRIBUTED, Unit};
 use crate::loaded::Loaded;
-use crate::number::{self, fixed};
 use crate::rows::{LATENESS, RowRef};
 
 /// Most bars that one picture has.

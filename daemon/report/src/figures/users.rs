@@ -1,11 +1,12 @@
 //! Latency against the number of edges at once.
 
+use peernet_statistics::number::counted;
+
 use super::columns::{is_drawable, left_out};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
 use crate::figure::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use crate::loaded::Loaded;
-use crate::number::counted;
 use crate::users::{Curve, Users, UsersLine};
 
 /// More configurations than this are counted instead of named.

@@ -1,9 +1,9 @@
 //! Runs that ended before they were to end.
 
+use peernet_statistics::number::{counted, fixed, significant};
 use serde::Deserialize;
 
 use super::Counts;
-use crate::number::{counted, fixed, significant};
 use crate::rows::Rows;
 
 /// Ends of a run that are no trouble.

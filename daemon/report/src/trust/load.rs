@@ -1,8 +1,8 @@
 //! Whether the starts that an open loop ordered took place.
 
+use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
-use crate::number::{counted, fixed};
 use crate::rows::{Rows, SKIPPED_STARTS};
 
 /// How often a run was to begin an iteration: its pipeline's `load`.

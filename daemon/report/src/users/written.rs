@@ -1,7 +1,8 @@
 //! The table of many users.
 
+use peernet_statistics::number::{fixed, milliseconds, significant};
+
 use super::{Users, UsersLine};
-use crate::number::{fixed, milliseconds, significant};
 use crate::table::{Table, csv_text};
 
 /// What stands where nothing is known.

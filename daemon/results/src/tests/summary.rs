@@ -1,8 +1,8 @@
 //! Summaries as text.
 
 use peernet_logger::{Measure, Unit};
-use peernet_report::number::counted;
 use peernet_report::rows::Units;
+use peernet_statistics::number::counted;
 use peernet_stream::Outcome as Ended;
 
 use super::*;

@@ -1,34 +1,10 @@
-//! Figures, bounds, counts and placements.
+//! Figures of nodes, bounds, counts and placements.
 
 use peernet_logger::Name;
-use peernet_store as store;
+use peernet_store::{self as store, Figures};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
-
-/// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Figures {
-    /// Samples.
-    pub count: u64,
-    pub mean: f64,
-    /// Sample standard deviation; null below two samples.
-    pub std: Option<f64>,
-    pub min: f64,
-    pub p50: f64,
-    /// Null below 60 samples.
-    pub p95: Option<f64>,
-    /// Null below 300 samples.
-    pub p99: Option<f64>,
-    pub max: f64,
-}
-
-impl From<store::Figures> for Figures {
-    fn from(figures: store::Figures) -> Self {
-        let store::Figures { count, mean, std, min, p50, p95, p99, max } = figures;
-        Self { count, mean, std, min, p50, p95, p99, max }
-    }
-}
 
 /// Statistics of one node name.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -40,11 +16,8 @@ pub(crate) struct NodeFigures {
 }
 
 impl NodeFigures {
-    pub(crate) fn all(values: &[(Name, store::Figures)]) -> Vec<Self> {
-        values
-            .iter()
-            .map(|(name, figures)| Self { name: name.to_string(), figures: (*figures).into() })
-            .collect()
+    pub(crate) fn all(values: &[(Name, Figures)]) -> Vec<Self> {
+        values.iter().map(|(name, figures)| Self { name: name.to_string(), figures: *figures }).collect()
     }
 }
 
@@ -71,7 +44,7 @@ impl From<&store::Bound> for Bound {
         let verdicts = bound.verdicts.iter();
         Self {
             stage: bound.stage.to_string(),
-            half_width: bound.half_width.map(Figures::from),
+            half_width: bound.half_width,
             verdicts: verdicts
                 .map(|(verdict, count)| VerdictCount { verdict: verdict.name(), count: *count })
                 .collect(),

@@ -12,14 +12,14 @@ use peernet_stream::PlacementKind::{Local, Remote};
 use super::super::compare::rendered;
 use super::check;
 use crate::error::WebError;
+use crate::pages::shell::Shell;
 use crate::tests::samples;
 use crate::view::compare::Configuration;
 use crate::view::compare::tests::{comparison, configuration, course};
-use crate::view::shell::{Place, Shell};
 
 async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
     let courses = means.map(|(a, b)| (vec![course(a, 20)], vec![course(b, 20)]));
     let html =
         rendered(shell, &comparison(configurations), courses.as_ref(), None).expect("nothing asked for");
@@ -29,7 +29,7 @@ async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) 
 
 async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
     rendered(shell, &comparison(configurations.to_vec()), None, Some(stage)).inspect(|html| check(html))
 }
 
@@ -131,7 +131,7 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
 async fn too_little_for_an_interval_is_said_with_who_has_how_little() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
     let courses = (vec![course(0.0241, 3)], vec![course(0.0160, 20)]);
     let html = rendered(shell, &comparison(two), Some(&courses), None).expect("nothing asked for");
     check(&html);

@@ -4,17 +4,17 @@ use peernet_stream::PlacementKind::Remote;
 
 use super::super::compare::rendered;
 use super::check;
+use crate::pages::shell::Shell;
 use crate::tests::samples;
 use crate::view::compare::Configuration;
 use crate::view::compare::lengths::tests::{answered, talking};
 use crate::view::compare::tests::{comparison, configuration};
-use crate::view::shell::{Place, Shell};
 
 const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), None, None).expect("renders");
     check(&html);
     html

@@ -9,14 +9,14 @@ use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
 use super::check;
+use crate::pages::shell::Shell;
 use crate::tests::samples;
 use crate::view::compare::tests::{comparison, configuration, run_courses};
 use crate::view::compare::{Configuration, over_time};
-use crate::view::shell::{Place, Shell};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
-    let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+    let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
     let html = rendered(shell, &comparison(configurations), None, None).expect("nothing asked for");
     check(&html);
     let panel = html.split("id=\"cc-h\"").nth(1)?;
@@ -90,7 +90,7 @@ async fn runs_without_a_single_answer_are_named() {
     }
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
-        let shell = Shell::new(&app, &app.picture(), Place::Compare, "Compare");
+        let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
         rendered(shell, &comparison(all.to_vec()), None, None).expect("nothing asked for")
     };
     let html = page(&all);

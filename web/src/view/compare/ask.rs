@@ -3,10 +3,10 @@
 
 use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_report::compare::skipped_starts;
+use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
 
 use super::Comparison;
-use crate::numbers::count;
 
 /// Where a dashboard is when a request does not say it in plain letters.
 const USUAL: &str = "127.0.0.1:8040";

@@ -1,9 +1,9 @@
 //! Which runs are drawn where there are too many for a picture each.
 
+use peernet_statistics::number::count;
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
-use crate::numbers::count;
 
 /// Most runs that are drawn side by side.
 const MOST: usize = 24;

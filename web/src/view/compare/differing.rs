@@ -1,10 +1,10 @@
 //! What the runs of a comparison differ in.
 
 use peernet_report::compare::is_opaque;
+use peernet_statistics::number::NONE;
 use peernet_store::RunDetail;
 use peernet_stream::ExperimentPlace;
 
-use crate::numbers::NONE;
 use crate::view::place;
 
 /// What is not the same for all runs.

@@ -3,13 +3,13 @@
 
 use peernet_logger::{Name, stage};
 use peernet_report::figures::HISTOGRAMS;
+use peernet_statistics::number::count;
 
 use super::Comparison;
 use super::choice::{chosen, without_answer};
 use super::median::{CROSSING, Median};
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::count;
 use crate::svg::{SmallAxis, SmallHistogram};
 use crate::view::chip::Chip;
 use crate::view::counted;

@@ -6,6 +6,7 @@ pub(crate) mod tests;
 
 use peernet_report::figures::{LATENCY, answer_length, is_tokens, varies};
 use peernet_statistics::Summary;
+use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
 
 use growth::Growth;
@@ -14,7 +15,6 @@ use super::pictures::named;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::look;
-use crate::numbers::{bytes, count, duration, fixed};
 use crate::svg::{LengthAxis, LengthPlot, LengthValues};
 use crate::view::counted;
 

@@ -2,9 +2,11 @@
 
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
+use peernet_statistics::number::{
+    SPACE, figure, interval_ms, milliseconds, throughput, throughput_between, within_ms,
+};
 use peernet_store::Kept;
 
-use crate::numbers::{SPACE, figure, interval_ms, listed_ms, throughput, within_ms};
 use crate::svg::shown_in;
 use crate::view::chip::Chip;
 use crate::view::{clocks, speed};
@@ -68,7 +70,7 @@ fn with(value: &str, unit: &str) -> String {
 /// A value without its unit.
 fn plain(unit: &str, value: f64) -> String {
     match unit {
-        "s" => listed_ms(value),
+        "s" => milliseconds(value),
         "bit/s" => throughput(value),
         _ => figure(value * shown_in(unit).1),
     }
@@ -77,7 +79,7 @@ fn plain(unit: &str, value: f64) -> String {
 /// Both ends; the dash does not begin a line.
 fn between(unit: &str, ends: (f64, Option<f64>)) -> String {
     let (lo, hi) = closed(ends);
-    let text = if unit == "bit/s" { speed::between(ends) } else { interval_ms(lo, hi) };
+    let text = if unit == "bit/s" { throughput_between(ends) } else { interval_ms(lo, hi) };
     text.replace(" –", "\u{a0}–")
 }
 
@@ -127,7 +129,7 @@ mod tests {
         let wide = kept(8.0, Verdict::Limited);
         assert_eq!(said(&wide, &stage::UPLOAD, "s"), ("median by the clocks 0.0 – 14.0 ms".to_owned(), true));
         let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
-        assert!(median.said.ends_with("∞\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
+        assert!(median.said.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
         assert_eq!(median.within.expect("bounded").1, f64::INFINITY);
     }
 }

@@ -2,10 +2,10 @@
 
 use peernet_logger::{Name, stage};
 use peernet_report::fit::{Fit, Point, Weighted, least_squares};
+use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::numbers::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use crate::view::accuracy;
 

@@ -1,12 +1,12 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
 use peernet_logger::stage;
+use peernet_statistics::number::{NONE, duration, mean_std_ms};
 use peernet_stream::{Placement, PlacementKind};
 use std::slice;
 
 use super::{Comparison, Configuration, order};
 use crate::look;
-use crate::numbers::{NONE, duration, mean_std_ms};
 use crate::svg::{Axis, Bar, BoxPlot, Five, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;

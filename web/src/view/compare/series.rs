@@ -4,12 +4,12 @@ use std::collections::HashMap;
 
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
+use peernet_statistics::number::{duration, length};
 use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
 
 use super::choice::{Chosen, chosen, without_answer};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
-use crate::numbers::{duration, length};
 use crate::svg::{CourseAxes, CourseBucket, CourseData, CoursePlot, Part};
 use crate::view::{counted, episodes, stack};
 

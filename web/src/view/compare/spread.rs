@@ -1,10 +1,10 @@
 //! How the totals of a comparison spread, from what is kept of each over its whole length: no iteration is read.
 
 use peernet_logger::stage;
+use peernet_statistics::number::milliseconds;
 
 use super::pictures::named;
 use super::{Axes, Comparison, Configuration};
-use crate::numbers::listed_ms;
 use crate::svg::{BoxPlot, Five, Scale};
 
 /// A configuration's total as a box.
@@ -22,7 +22,7 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
     let known: Vec<_> = known.filter_map(|one| Some((one, Five::of(one.known(&stage::TOTAL)?)?))).collect();
     let scale = Scale::fit(known.iter().map(|(_, five)| five.top()).fold(0.0, f64::max) * 1e3, 6);
     let row = |(one, five): &(&Configuration, Five)| {
-        let [p25, p50, p75] = five.middle.map(listed_ms);
+        let [p25, p50, p75] = five.middle.map(milliseconds);
         BoxRow {
             letter: one.letter.clone(),
             name: named(&comparison.axes, one),

@@ -3,11 +3,11 @@
 use peernet_logger::{Name, stage};
 use peernet_report::batches::{Difference, FEWEST};
 use peernet_report::trust::batch_means;
+use peernet_statistics::number::{Estimate, NONE, SPACE, bytes, count, duration, mean_std_ms, share, times};
 use peernet_store::{Figures, StageMeans};
 
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::numbers::{Estimate, NONE, SPACE, bytes, count, duration, mean_std_ms, share, times};
 use crate::view::accuracy;
 
 /// The columns of the paper's table, and both totals.

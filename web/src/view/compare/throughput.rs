@@ -2,11 +2,13 @@
 
 use peernet_logger::{Name, stage};
 use peernet_report::fit::rate;
+use peernet_statistics::number::{
+    SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
+};
 
 use super::payload::{ALIKE, Group, groups, line};
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::numbers::{SPACE, bytes, stage_ms, throughput as megabytes};
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 
 /// bit/s to MB/s.
@@ -59,16 +61,12 @@ impl<'a> Known<'a> {
     }
 
     fn row(&self, way: &Name) -> ThroughputRow {
-        let end = |value: Option<f64>| value.map_or_else(|| "∞".to_owned(), megabytes);
         ThroughputRow {
             letter: self.one.letter.clone(),
             way: way.to_string(),
             size: bytes(self.bytes).to_string(),
             delay: stage_ms(self.delay),
-            throughput: (
-                megabytes(self.value),
-                self.ends.map(|(low, high)| format!("{} – {}", megabytes(low), end(high))),
-            ),
+            throughput: (megabytes(self.value), self.ends.map(throughput_between)),
         }
     }
 
@@ -127,9 +125,8 @@ fn level(way: &Name, group: &Group<'_>, said: &mut Vec<String>) -> Option<Scatte
         return None;
     };
     said.push(format!(
-        "{way} of {letters}: {} ± {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
-        megabytes(value),
-        megabytes(margin),
+        "{way} of {letters}: {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
+        throughput_with(value, margin),
         fit.points
     ));
     let intercept = value * MEGABYTES;

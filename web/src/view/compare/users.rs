@@ -2,11 +2,11 @@
 
 use peernet_logger::stage;
 use peernet_report::users::{Curve, Share, Totals, Users, UsersLine};
+use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 use crate::look;
-use crate::numbers::{NONE, count, duration, mean_std_ms, measured, rate};
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use crate::view::runs;
 

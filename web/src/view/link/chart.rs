@@ -1,6 +1,7 @@
 //! The picture of a link over time.
 
 use peernet_clock::{Span, Verdict, WallTime};
+use peernet_statistics::number::{SPACE, bound, bound_ms, count, figure, length};
 use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
@@ -10,7 +11,6 @@ use super::super::speed::Way;
 use super::course::Course;
 use super::delays::{bounds, of_point, speed};
 use super::{Subject, known, offset};
-use crate::numbers::{SPACE, bound, bound_ms, count, figure, length};
 use crate::svg::{Gap, Percent, RailSign, Ruler, Segment, Strip, Track, Tracks, pen};
 use crate::zone::Zone;
 

@@ -1,13 +1,13 @@
 //! The one-way delays of one direction over a few seconds.
 
 use peernet_clock::Verdict;
+use peernet_statistics::number::{EXACT, NONE, interval_ms, throughput, throughput_between, within_ms};
 use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
 use super::super::chip::{Chip, severity};
 use super::super::clocks;
 use super::super::speed::Way;
-use crate::numbers::{EXACT, NONE, interval_ms, throughput, within_ms};
 
 /// What is known of them together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,8 +128,7 @@ impl Delays {
             (Some(Verdict::Ok), Some((_, rate, _))) => (throughput(rate), ""),
             // A stale interval is wide and holds all the same.
             (Some(Verdict::Limited | Verdict::Stale), Some((lo, _, hi))) => {
-                let hi = if hi.is_finite() { throughput(hi) } else { "∞".to_owned() };
-                (format!("{} – {hi}", throughput(lo)), "known only within the clock bound")
+                (throughput_between((lo, Some(hi))), "known only within the clock bound")
             }
             (Some(Verdict::Ok | Verdict::Limited | Verdict::Stale), None) => {
                 (NONE.to_owned(), "the sizes are not known")

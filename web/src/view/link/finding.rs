@@ -1,6 +1,7 @@
 //! What a link's page says in its title, and what each verdict means on it.
 
 use peernet_clock::Verdict;
+use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
 
 use super::super::chip::Chip;
 use super::super::clocks;
@@ -8,7 +9,6 @@ use super::super::speed::Way;
 use super::delays::{Delays, bounds, digits};
 use super::list::{TOO_YOUNG, no_offset};
 use super::{CONTRADICTION, Subject, is_young};
-use crate::numbers::{SPACE, bound, ends_ms, interval_ms};
 use crate::zone::Zone;
 
 /// The title.
@@ -126,5 +126,5 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
 
 /// `4.2` or `12`: how many times.
 fn figure_of_times(many: f64) -> String {
-    crate::numbers::fixed(many, usize::from(many < 9.95))
+    peernet_statistics::number::fixed(many, usize::from(many < 9.95))
 }

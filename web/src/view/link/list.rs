@@ -2,6 +2,7 @@
 
 use peernet_aggregator::{LinkPicture, Picture};
 use peernet_clock::Verdict;
+use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
 
 use super::super::chip::{Chip, severity};
@@ -9,7 +10,6 @@ use super::super::now::Cell;
 use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;
 use super::{CONTRADICTION, Subject, course, href, is_young, known, panels};
-use crate::numbers::{bound_ms, offset_ms, percent, trip_ms};
 use crate::zone::{Moment, Zone};
 
 /// One link, now.

@@ -1,12 +1,12 @@
 //! Where the bound of an offset comes from, and what would narrow it.
 
 use peernet_clock::{DelaySource, Interval, Offset};
+use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
 use super::course::Course;
 use super::list::TOO_YOUNG;
 use super::{Subject, is_young, known};
-use crate::numbers::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 
 /// One source about the offset.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -144,7 +144,10 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
         );
     }
     if let Some(age) = offset.age.filter(|age| age.seconds() > 5.0) {
-        why.push(format!("The newest exchange is {} old.", crate::numbers::length(age.seconds())));
+        why.push(format!(
+            "The newest exchange is {} old.",
+            peernet_statistics::number::length(age.seconds())
+        ));
     }
     why
 }

@@ -1,11 +1,11 @@
 //! How a link is probed, what its hosts' time daemons say, what was refused.
 
+use peernet_statistics::number::{NONE, SPACE, bound, count, figure, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
 use super::super::{counted, rehearsal};
 use super::Subject;
 use super::course::Course;
-use crate::numbers::{NONE, SPACE, bound, count, figure, offset_ms, rate, trip_ms};
 
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;

@@ -1,5 +1,8 @@
 //! The figures of a link, now.
 
+use peernet_statistics::number::{
+    NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms,
+};
 use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
@@ -7,7 +10,6 @@ use super::super::speed::Way;
 use super::course::Course;
 use super::list::no_offset;
 use super::{CONTRADICTION, Subject, known};
-use crate::numbers::{NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms};
 
 /// A quiet name, a figure with its unit, a quiet line.
 #[derive(Clone, Debug, Default, PartialEq)]

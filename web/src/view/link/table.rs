@@ -1,5 +1,6 @@
 //! The course of a link as a table: the same numbers as in its picture.
 
+use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
 
 use super::super::chip::Sign;
@@ -8,7 +9,6 @@ use super::course::Course;
 use super::delays::Delays;
 use super::known;
 use super::stats::ppm;
-use crate::numbers::{NONE, bound_ms, count, offset_ms, trip_ms};
 use crate::zone::{Moment, Zone};
 
 /// One stretch of time; times in ms.

@@ -63,7 +63,7 @@ fn a_limited_throughput_is_shown_as_its_interval() {
         Delays::merge(Way::Up, &[DelaySecond { count: 9, median: Some(point), verdict }]).throughput().0
     };
     assert_eq!(known(Verdict::Ok), "20.0");
-    assert_eq!(known(Verdict::Limited), "10.0 – ∞");
+    assert_eq!(known(Verdict::Limited), "≥ 10.0");
     assert_eq!(known(Verdict::Stepped), "—");
 }
 

@@ -2,8 +2,8 @@
 
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
-use peernet_report::number::{bytes, fixed};
 use peernet_report::table::text;
+use peernet_statistics::number::{bytes, fixed};
 use peernet_store::maintenance::{Report, Severity};
 
 use super::Examined;
@@ -143,7 +143,7 @@ fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
 }
 
 fn size(length: u64) -> String {
-    bytes(length as f64)
+    bytes(length as f64).plain()
 }
 
 /// `3 min ago`, to the largest unit that fits.

@@ -7,8 +7,8 @@ use chrono::{DateTime, Utc};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
-use peernet_report::number::fixed;
 use peernet_report::table::text;
+use peernet_statistics::number::fixed;
 use peernet_store::maintenance::{RepairError, Repaired, repair};
 
 /// Repairs a database and says what became of each table.

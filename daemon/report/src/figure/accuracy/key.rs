@@ -1,11 +1,11 @@
 //! What the numbers of the points stand for, with what can be read of each, below the plot.
 
+use peernet_statistics::number::{fixed, significant};
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::super::kit::{Drawn, INK, Paper, QUIET, SIZE, SMALL, shorten_apart, style, text, width};
 use super::Accuracy;
-use crate::number::{fixed, significant};
 
 /// Distance between two lines.
 const LINE: i32 = 58;

@@ -2,6 +2,7 @@
 
 mod columns;
 
+use peernet_statistics::number::fixed;
 use plotters::element::{Circle, DashedPathElement, PathElement, Polygon, Rectangle};
 use plotters::prelude::DrawingBackend;
 use plotters::style::{Color, RGBColor, ShapeStyle};
@@ -10,7 +11,6 @@ use super::histogram::{nothing, range};
 use super::kit::{
     AXIS, Axis, Drawn, Figure, Fill, Frame, GRID, Hatch, Header, Key, Mark, Paper, SHADE, SIZE, Swatch, Unit,
 };
-use crate::number::fixed;
 use crate::order::Ordered;
 use columns::{Column, columns};
 

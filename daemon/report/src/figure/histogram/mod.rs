@@ -5,6 +5,7 @@ mod bins;
 pub use bins::Bins;
 pub(super) use bins::range;
 
+use peernet_statistics::number::fixed;
 use plotters::element::{DashedPathElement, PathElement};
 use plotters::prelude::DrawingBackend;
 use plotters::style::Color;
@@ -14,7 +15,6 @@ use super::kit::{
     Axis, Drawn, Figure, Fill, Frame, Header, INK, Key, Paper, QUIET, SIZE, Swatch, TEXT, Unit, fill, style,
     text,
 };
-use crate::number::fixed;
 use crate::order::Ordered;
 
 /// Half the width of the only bar, as a part of the plot.

@@ -1,6 +1,6 @@
 //! Axes.
 
-use crate::number::{fixed, significant};
+use peernet_statistics::number::{fixed, significant};
 
 /// What ends of axes are held within, and what counts as zero.
 const MOST: f64 = 1e150;

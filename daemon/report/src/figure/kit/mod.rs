@@ -24,7 +24,7 @@ pub(super) use text::{shorten_apart, text, text_on_ground, width};
 
 use std::borrow::Cow;
 
-use crate::number::{decimals, fixed};
+use peernet_statistics::number::{decimals, fixed};
 
 /// What is measured: how it is called and how a value in SI units becomes the number shown.
 #[derive(Clone, Debug, PartialEq)]

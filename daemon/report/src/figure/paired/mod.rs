@@ -3,6 +3,7 @@
 mod density;
 mod violin;
 
+use peernet_statistics::number::{counted, fixed, significant};
 use plotters::element::Rectangle;
 use plotters::prelude::DrawingBackend;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -13,7 +14,6 @@ use super::kit::{
     Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SERIES, SIZE, SMALL, Swatch, TEXT,
     Unit, shorten_apart, style, text, width,
 };
-use crate::number::{counted, fixed, significant};
 use crate::order::Ordered;
 use density::density;
 

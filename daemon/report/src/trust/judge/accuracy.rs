@@ -1,10 +1,10 @@
 //! Whether every answer was judged right or wrong, where some were.
 
+use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
 use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;
-use crate::number::fixed;
 use crate::trust::{Evidence, Sentence};
 
 /// A sentence where an accuracy is not that of all iterations; accuracies that lack as many share one.

@@ -1,10 +1,10 @@
 //! How well the one-way delays are known. The total does not depend on it: it is measured on the edge alone.
 
 use peernet_clock::Verdict;
+use peernet_statistics::number::{bound_ms, milliseconds};
 use peernet_stream::Grade;
 
 use super::{advise, percent, say};
-use crate::number::{bound_milliseconds, milliseconds};
 use crate::trust::{Clocks, Evidence, Sentence};
 
 /// Shares of delays: from here on the delays as a whole are not known …
@@ -46,7 +46,7 @@ fn of(clocks: &Clocks) -> Option<Sentence> {
             format!(
                 "the median of {}\u{202f}ms is known to {}\u{202f}ms",
                 milliseconds(delay),
-                bound_milliseconds(half)
+                bound_ms(half)
             )
         }
         _ => "no delay has a value".to_owned(),

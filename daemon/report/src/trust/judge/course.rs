@@ -1,9 +1,9 @@
 //! Whether the run stayed what it was: trend, beginning, outliers, and what no stage accounts for.
 
+use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{advise, ms, percent, say};
-use crate::number::{counted, fixed, significant};
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Course, Evidence, Sentence};
 

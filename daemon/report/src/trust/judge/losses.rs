@@ -1,9 +1,9 @@
 //! Whether everything is there.
 
+use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{END, advise, iterations, percent, say};
-use crate::number::{counted, fixed, significant};
 use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Starts};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.

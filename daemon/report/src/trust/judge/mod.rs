@@ -7,10 +7,10 @@ mod course;
 mod losses;
 mod restarts;
 
+use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{Evidence, Sentence};
-use crate::number::{counted, fixed, significant};
 
 /// What the sentence is about that says of a run that it broke off.
 pub(super) const END: &str = "end";

@@ -1,9 +1,9 @@
 //! Whether successful iterations waited for a process that had died before them.
 
+use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
 use super::{advise, iterations, ms, percent, say};
-use crate::number::fixed;
 use crate::trust::{Evidence, Restarts, Sentence};
 
 /// What restarts may hold of all totals together: as outliers may of the mean.

@@ -1,8 +1,7 @@
 //! How latency grows with length.
 
 use peernet_report::fit::{Fit, Point, theil_sen};
-
-use crate::numbers::{Estimate, SPACE, count};
+use peernet_statistics::number::{Estimate, SPACE, count};
 
 /// Fewest iterations that a line is drawn through.
 const FEWEST: usize = 60;

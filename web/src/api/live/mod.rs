@@ -3,6 +3,8 @@
 //! Each listener draws from the newest picture when it is ready for it, at most four times a second, less often
 //! when pictures are large, so a slow one skips pictures and never makes the others wait.
 
+mod schema;
+
 use std::collections::HashMap;
 use std::convert::Infallible;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -20,14 +22,52 @@ use peernet_clock::WallTime;
 use serde::Deserialize;
 use tokio::sync::watch;
 use tokio::time::Instant;
-use utoipa::IntoParams;
+use utoipa::openapi::RefOr;
+use utoipa::{IntoParams, OpenApi};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{PictureEvent, PipelineList, StatusEvent};
+use self::schema::{PictureEvent, StatusEvent};
+use crate::api::schema::PipelineList;
 use crate::connections::{Place, Streams};
 use crate::error::{ProblemDetails, WebError};
-use crate::pages::{Update, host, hosts, link, links, overview, pipeline, pipelines};
+use crate::pages::{self, PageTopic};
 use crate::parameters::Parameters;
-use crate::state::{App, AppState};
+use crate::state::App;
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    let mut router = OpenApiRouter::with_openapi(Events::openapi()).routes(routes!(stream));
+    describe_topics(router.get_openapi_mut());
+    router
+}
+
+/// Describes the parameter `topics` by the topics that the pages registered.
+fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
+    let forms: Vec<String> = pages::topic_forms().map(|form| format!("`{form}`")).collect();
+    // The first line ends where it always did, because the committed document shows it.
+    let (first, others) = forms.split_at(1);
+    let text = format!(
+        "Topics, parted by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
+         `picture` unless given; at most {TOPICS} different ones, each sent once however often it is named.",
+        first.concat(),
+        others.join(", ")
+    );
+    let operations = document.paths.paths.values_mut().filter_map(|item| item.get.as_mut());
+    let parameters = operations.filter_map(|operation| operation.parameters.as_mut()).flatten();
+    for parameter in parameters {
+        if let RefOr::T(parameter) = parameter
+            && parameter.name == "topics"
+        {
+            parameter.description = Some(text.clone());
+        }
+    }
+}
+
+/// The schemas of the events, which no operation names as its answer.
+#[derive(OpenApi)]
+#[openapi(components(schemas(PictureEvent, StatusEvent)))]
+struct Events;
 
 /// Time between two pictures.
 const PAUSE: Duration = Duration::from_millis(250);
@@ -46,10 +86,8 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
-    /// Topics, parted by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard `overview`,
-    /// `pipelines`, `links`, `hosts`, `pipeline/HOST/PIPELINE/SECONDS`, `link/EDGE~CLOUD/RANGE/OFFSET`, `host/HOST`.
-    /// `picture` unless given; at most 16 different ones, each sent once however often it is named.
+struct Query {
+    // Described by `describe_topics`: the pages say which there are.
     topics: Option<String>,
     /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first
     /// `picture` then holds the seconds since, at most 600. Everything else is sent as it is now.
@@ -57,46 +95,24 @@ pub(crate) struct Query {
     last_event_id: Option<String>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// What a listener is sent.
+#[derive(Clone, Debug, PartialEq)]
 enum Topic {
     Picture,
-    Overview,
-    Pipelines,
-    Links,
-    Hosts,
-    Pipeline(String),
-    Link(String),
-    Host(String),
+    Page(PageTopic),
 }
 
 impl Topic {
-    fn parse(text: &str) -> Result<Self, WebError> {
-        match text.split_once('/') {
-            None if text == "picture" => Ok(Self::Picture),
-            None if text == overview::TOPIC => Ok(Self::Overview),
-            None if text == pipelines::TOPIC => Ok(Self::Pipelines),
-            None if text == links::TOPIC => Ok(Self::Links),
-            None if text == hosts::TOPIC => Ok(Self::Hosts),
-            Some((topic, rest)) if topic == pipeline::TOPIC => Ok(Self::Pipeline(rest.to_owned())),
-            Some((topic, rest)) if topic == link::TOPIC => Ok(Self::Link(rest.to_owned())),
-            Some((topic, rest)) if topic == host::TOPIC => Ok(Self::Host(rest.to_owned())),
-            _ => Err(WebError::BadRequest(format!(
-                "query parameter topics: {text:?} is none of picture, overview, pipelines, links, hosts, \
-                 pipeline/HOST/PIPELINE/SECONDS, link/EDGE~CLOUD/RANGE/OFFSET, host/HOST"
-            ))),
-        }
-    }
+    /// The topic of the picture itself.
+    const PICTURE: &str = "picture";
 
-    async fn update(&self, app: &AppState, picture: &Picture) -> Option<Result<Update, WebError>> {
-        Some(match self {
-            Self::Picture => return None,
-            Self::Overview => overview::update(app, picture).await,
-            Self::Pipelines => pipelines::update(app, picture),
-            Self::Links => links::update(app, picture),
-            Self::Hosts => hosts::update(app, picture),
-            Self::Pipeline(rest) => pipeline::update(app, picture, rest),
-            Self::Link(rest) => link::update(app, picture, rest).await,
-            Self::Host(name) => host::update(app, picture, name),
+    fn parse(text: &str) -> Result<Self, WebError> {
+        if text == Self::PICTURE {
+            return Ok(Self::Picture);
+        }
+        pages::topic(text).map(Self::Page).ok_or_else(|| {
+            let known: Vec<&str> = [Self::PICTURE].into_iter().chain(pages::topic_forms()).collect();
+            WebError::BadRequest(format!("query parameter topics: {text:?} is none of {}", known.join(", ")))
         })
     }
 }
@@ -108,7 +124,7 @@ impl Topic {
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn stream(
+async fn stream(
     State(app): State<App>,
     streams: Option<Extension<Streams>>,
     headers: HeaderMap,
@@ -221,9 +237,12 @@ impl Listener {
         let readiness = self.ready.borrow_and_update().clone();
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture, &readiness)))];
         for (index, topic) in self.topics.iter().enumerate() {
-            match topic.update(&self.app, picture).await {
-                None => texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture, seconds)))),
-                Some(Ok(mut update)) => {
+            let Topic::Page(page) = topic else {
+                texts.push(("picture", serde_json::to_string(&PictureEvent::new(picture, seconds))));
+                continue;
+            };
+            match page.update(&self.app, picture).await {
+                Ok(mut update) => {
                     // A chart changes once a second, a figure four times: what is as it was is not sent again.
                     update.parts.retain(|(id, html)| {
                         let hash = hash(html);
@@ -232,8 +251,8 @@ impl Listener {
                     texts.push(("page", serde_json::to_string(&update)));
                 }
                 // What the page is about went away: it keeps what it shows, `status` goes on.
-                Some(Err(WebError::NotFound(_))) => {}
-                Some(Err(error)) => {
+                Err(WebError::NotFound(_)) => {}
+                Err(error) => {
                     error.to_problem(&self.app);
                 }
             }
@@ -288,7 +307,8 @@ mod tests {
     #[test]
     fn a_topic_named_often_is_sent_once() {
         let often = ["picture", "overview"].repeat(5_000).join(",");
-        assert_eq!(topics(&often).expect("known"), [Topic::Picture, Topic::Overview]);
+        let overview = pages::topic("overview").map(Topic::Page).expect("a page's topic");
+        assert_eq!(topics(&often).expect("known"), [Topic::Picture, overview]);
         assert_eq!(topics("").expect("none"), []);
         let hosts: Vec<String> = (0..=TOPICS).map(|index| format!("host/{index}")).collect();
         assert!(topics(&hosts[1..].join(",")).is_ok());

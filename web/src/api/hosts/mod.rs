@@ -1,22 +1,31 @@
 //! Hosts.
 
+mod schema;
+
 use std::collections::HashSet;
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Host, HostList, RefusedHost};
+use self::schema::{Host, HostList, RefusedHost};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::{App, AppState};
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+}
 
 /// Every host that reports or is stored, by name, and those that were turned away.
 #[utoipa::path(get, path = "/api/v1/hosts", operation_id = "listHosts", tag = "hosts", responses(
     (status = 200, body = HostList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
+async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
     let refused = app.picture().refused.iter().map(RefusedHost::from).collect();
     Ok(Json(HostList { hosts: all(&app).await?, refused }))
 }
@@ -29,7 +38,7 @@ pub(crate) async fn list(State(app): State<App>) -> Result<Json<HostList>, WebEr
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-pub(crate) async fn one(
+async fn one(
     State(app): State<App>,
     host: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Host>, WebError> {

@@ -5,7 +5,7 @@ use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{NodeFigures, time};
+use crate::api::schema::{NodeFigures, time};
 
 /// Iterations by rising number, or the slowest first.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]

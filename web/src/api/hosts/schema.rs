@@ -1,13 +1,13 @@
-//! Hosts and incidents.
+//! What is said of hosts.
 
 use peernet_aggregator::{Arrivals, HostPicture};
 use peernet_clock::Span;
-use peernet_store::{HostRow, IncidentRow};
+use peernet_store::HostRow;
 use peernet_stream::{Accounting, HostDescription, HostMetrics};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{HostClock, time};
+use crate::api::schema::{HostClock, time};
 
 /// Every host that is stored or reports.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -275,47 +275,6 @@ impl From<&HostRow> for Host {
             now: None,
             clock: None,
             stored: Stored::new(row.stored, Arrivals::default()),
-        }
-    }
-}
-
-/// Incidents, newest first.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct IncidentList {
-    pub incidents: Vec<Incident>,
-    /// `before` of the next page; null on the last.
-    pub next: Option<i64>,
-}
-
-/// Something that happened beside the measurements.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
-pub(crate) struct Incident {
-    pub id: i64,
-    /// On the reporting host's wall clock.
-    pub at: String,
-    /// Of a host `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
-    /// `control`; of the aggregator `clock-step`, `retention` or `storage`.
-    pub kind: String,
-    /// Name of the reporting host; null: the aggregator itself.
-    pub host: Option<String>,
-    pub pipeline: Option<String>,
-    pub run: Option<i64>,
-    /// Name of the other host concerned.
-    pub peer: Option<String>,
-    pub text: String,
-}
-
-impl From<&IncidentRow> for Incident {
-    fn from(row: &IncidentRow) -> Self {
-        Self {
-            id: row.id,
-            at: time(row.at),
-            kind: row.kind.clone(),
-            host: row.host_name.as_ref().map(ToString::to_string),
-            pipeline: row.pipeline.clone(),
-            run: row.run,
-            peer: row.peer.clone(),
-            text: row.text.clone(),
         }
     }
 }

@@ -1,21 +1,37 @@
-//! The list of stored runs.
+//! Stored runs.
+
+mod recomputed;
+mod schema;
+mod statistics;
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
 use peernet_store::RunFilter;
 use serde::Deserialize;
 use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Run, RunList};
+use self::schema::{Run, RunDetail, RunList};
 use crate::error::{ProblemDetails, WebError};
-use crate::parameters::{Parameters, bounded, slug};
+use crate::parameters::{Parameters, bounded, path, slug};
 use crate::state::App;
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(list))
+        .routes(routes!(one))
+        .merge(statistics::routes())
+        .merge(recomputed::routes())
+}
 
 /// Which runs.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
+struct Query {
     /// Only runs of pipelines of this name.
     #[param(pattern = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     pipeline: Option<String>,
@@ -33,7 +49,7 @@ pub(crate) struct Query {
     (status = 200, body = RunList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(
+async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<RunList>, WebError> {
@@ -54,4 +70,18 @@ pub(crate) async fn list(
     let found = app.store().runs(&filter).await?;
     let next = found.last().filter(|_| found.len() == limit as usize).map(|run| run.number);
     Ok(Json(RunList { runs: found.iter().map(Run::from).collect(), next }))
+}
+
+/// A run with its configuration and gaps.
+#[utoipa::path(get, path = "/api/v1/runs/{run}", operation_id = "getRun", tag = "runs", params(("run" = i64, Path)), responses(
+    (status = 200, body = RunDetail),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+async fn one(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+) -> Result<Json<RunDetail>, WebError> {
+    let number = path(number)?;
+    let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
+    Ok(Json(RunDetail::from(&run)))
 }

@@ -1,10 +1,36 @@
 use proptest::prelude::*;
+use serde_json::Value;
 
 use super::*;
 
+/// Cases that `tests/browser/numbers.mjs` holds the dashboard's script to as well.
+const CASES: &str = include_str!("../../tests/numbers.json");
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+#[test]
+fn every_case_of_the_shared_table_is_written_as_it_says() {
+    let cases: Value = serde_json::from_str(CASES).expect("JSON");
+    for (function, cases) in cases.as_object().expect("functions") {
+        for case in cases.as_array().expect("cases") {
+            let (value, text) = (&case[0], case[1].as_str().expect("a text"));
+            let written = match function.as_str() {
+                "fixed" => fixed(number(&value[0]), value[1].as_u64().expect("decimals") as usize),
+                "figure" => figure(number(value)),
+                "significant" => significant(number(value)),
+                "count" => count(value.as_u64().expect("a count")),
+                other => panic!("{other} is not known"),
+            };
+            assert_eq!(written, text, "{function} of {value}");
+        }
+    }
+}
+
 #[test]
 fn what_rounds_to_a_power_of_ten_has_three_digits_too() {
-    let shown = [0.099_99, 0.009_996, 0.999_6, 0.099_94].map(|value| listed_ms(value / 1e3));
+    let shown = [0.099_99, 0.009_996, 0.999_6, 0.099_94].map(|value| milliseconds(value / 1e3));
     assert_eq!(shown, ["0.100", "0.0100", "1.00", "0.0999"]);
 }
 
@@ -59,8 +85,10 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
     assert_eq!(mean_std_ms(0.000_126, Some(0.000_012)), ("0.126".into(), Some("0.012".into())));
     assert_eq!(mean_std_ms(0.000_002_1, Some(0.000_000_4)), ("0.00210".into(), Some("0.00040".into())));
     assert_eq!(mean_std_ms(0.0, Some(0.0)), ("0.00".into(), Some("0.00".into())));
+    assert_eq!(mean_std_ms(0.000_048_01, Some(0.000_000_9)), ("0.0480".into(), Some("0.0009".into())));
+    assert_eq!(mean_std_ms(0.141_23, Some(0.000_05)), ("141.230".into(), Some("0.050".into())));
     assert_eq!(
-        [0.000_126, 0.006_31, 0.016_1, 0.141_2, 1.242_7].map(listed_ms),
+        [0.000_126, 0.006_31, 0.016_1, 0.141_2, 1.242_7].map(milliseconds),
         ["0.126", "6.31", "16.1", "141", "1,243"]
     );
     assert_eq!(bound_ms(0.000_65), "±0.65");
@@ -85,7 +113,7 @@ fn digits_follow_the_bound_and_negative_ends_are_parted_by_a_word() {
     assert_eq!(interval_ms(-1.201_538, -1.201_350), "\u{2212}1,201.538 to \u{2212}1,201.350");
     assert_eq!(interval_ms(-0.000_2, 0.25), "0 – 250");
     assert_eq!(within_ms(0.000_043_2, (0.000_039, 0.000_048)), "0.043");
-    assert_eq!(within_ms(0.000_061_2, (0.000_061_2, 0.000_061_2)), "0.061");
+    assert_eq!(within_ms(0.000_061_2, (0.000_061_2, 0.000_061_2)), "0.0612");
     assert_eq!(within_ms(0.041_2, (0.021, 0.061)), "41");
     assert_eq!(shift_ms(-0.000_006, 0.000_004), "\u{2212}0.006 to +0.004");
     assert_eq!(ends_ms(0.000_039, 0.000_048), ["0.039", "0.048"]);
@@ -100,12 +128,11 @@ fn shares_rates_and_sizes() {
     assert_eq!(rate(30.0), "30.0");
     assert_eq!(rate(5.0), "5.00");
     assert_eq!(rate(12_345.6), "12,346");
-    assert_eq!(throughput(106.3 * 8e6), "106.3");
-    assert_eq!(throughput(0.69 * 8e6), "0.69");
+    assert_eq!([0.0, 0.00625, 0.69, 106.3].map(|of| throughput(of * 8e6)), ["0", "0.00625", "0.690", "106"]);
     assert_eq!(bytes(412.0).to_string(), "412\u{202f}B");
     assert_eq!(bytes(150_600.0).to_string(), "151\u{202f}kB");
     assert_eq!(bytes(1_228_800.0).to_string(), "1.23\u{202f}MB");
-    assert_eq!(bytes(999_600.0).to_string(), "1.00\u{202f}MB");
+    assert_eq!(bytes(999_600.0).to_string(), "1\u{202f}MB");
     assert_eq!(bytes(5e17).to_string(), "500,000\u{202f}TB");
     assert_eq!(gigabytes(5_200_000_000), "5.2");
     assert_eq!(times(1.87), "1.9\u{202f}×");
@@ -157,4 +184,57 @@ fn estimates_claim_no_more_than_they_know() {
         );
     }
     assert_eq!(roughly(f64::INFINITY), NONE);
+}
+
+#[test]
+fn values_with_a_margin_end_at_its_second_digit() {
+    assert_eq!(mean_std(61.23e-6, Some(4.21e-6)), "0.0612 ± 0.0042");
+    assert_eq!(mean_std(-2.0142e-3, Some(0.11e-3)), "\u{2212}2.01 ± 0.11");
+    assert_eq!(mean_std(6.31e-3, Some(0.0)), "6.31 ± 0.00");
+    assert_eq!(
+        (mean_std(6.31e-3, Some(f64::INFINITY)), mean_std(6.31e-3, None)),
+        ("6.31".into(), "6.31".into())
+    );
+    assert_eq!(throughput_with(8e6 * 943.4, 8e6 * 13.6), "943 ± 14");
+    assert_eq!(throughput_with(8e6 * 1.234, 8e6 * 0.056), "1.234 ± 0.056");
+    assert_eq!(error_ms(61.2e-6), "0.061");
+}
+
+#[test]
+fn interval_without_width_keeps_the_digits_of_its_value() {
+    assert_eq!([30.2e-6, 61.2e-6].map(|ms| interval_ms(ms, ms)), ["0.0302", "0.0612"]);
+    assert_eq!(
+        (interval_ms(30.21e-6, 30.24e-6), range_ms((30.21e-6, 30.24e-6))),
+        ("0.030".into(), "0.0302".into())
+    );
+    assert_eq!(
+        (range_ms((30.2e-6, 30.2e-6)), range_ms((0.0, 123.4e-6))),
+        ("0.0302".into(), "0.000 – 0.123".into())
+    );
+    assert_eq!(range_ms((-1.201_538, -1.201_350)), "\u{2212}1,201.538 to \u{2212}1,201.350");
+    assert_eq!(throughput_between((8e6 * 3752.4, Some(8e6 * 3752.4))), "3,752");
+    assert_eq!(throughput_between((8e6 * 930.3, Some(8e6 * 957.1))), "930 – 957");
+    assert_eq!(throughput_between((8e6 * 0.0061, Some(8e6 * 0.0064))), "0.00610 – 0.00640");
+    assert_eq!([None, Some(f64::INFINITY)].map(|hi| throughput_between((8e6, hi))), ["≥ 1.00", "≥ 1.00"]);
+}
+
+#[test]
+fn sizes_end_without_zeros() {
+    let sizes = [100.0, 1_000.0, 1.2e6, 4e6, 26_207.0].map(|size| bytes(size).plain());
+    assert_eq!(sizes, ["100 B", "1 kB", "1.2 MB", "4 MB", "26.2 kB"]);
+}
+
+#[test]
+fn tiny_numbers_have_their_power_of_ten() {
+    let texts = [-1.23456e-300, 0.0, 1.0].map(|value| fixed(value, 302));
+    assert_eq!(texts, ["\u{2212}1.235e-300", "0.00000000000000000", "1.00000000000000000"]);
+    assert_eq!(milliseconds(-1e300), "\u{2212}1.000e303");
+}
+
+#[test]
+fn figures_of_a_column_have_two_or_three_decimals() {
+    let decimals = [None, Some(0.0), Some(60e-6), Some(0.65e-3), Some(15e-3)].map(column_decimals);
+    assert_eq!(decimals, [2, 3, 3, 2, 2]);
+    let bounds = [0.0, 0.1e-6, 6e-6, 60e-6, 0.65e-3, 15e-3].map(bound_ms);
+    assert_eq!(bounds, ["exact", "±<0.001", "±0.006", "±0.060", "±0.65", "±15"]);
 }

@@ -7,11 +7,18 @@ use peernet_aggregator::PipelinePicture;
 use peernet_logger::Name;
 use serde::Deserialize;
 use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Pipeline, PipelineList};
+use crate::api::schema::{Pipeline, PipelineList};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, names, path};
 use crate::state::App;
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+}
 
 /// Lengths of the windows, seconds.
 const WINDOWS: [&str; 3] = ["1", "10", "60"];
@@ -22,7 +29,7 @@ const HISTORY: usize = 600;
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
+struct Query {
     /// Only this window: 1, 10 or 60 seconds; of `seconds` then at most as many.
     #[param(pattern = "^(1|10|60)$")]
     window: Option<String>,
@@ -72,7 +79,7 @@ impl Part {
     (status = 200, body = PipelineList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(
+async fn list(
     State(app): State<App>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<PipelineList>, WebError> {
@@ -93,7 +100,7 @@ pub(crate) async fn list(
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-pub(crate) async fn one(
+async fn one(
     State(app): State<App>,
     names: Result<Path<(String, String)>, PathRejection>,
     Parameters(query): Parameters<Query>,

@@ -7,8 +7,8 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::clock::{ClockOffset, Delay, HostClock, Probes, RoundTrip};
-use super::time;
+use super::clock::{ClockOffset, Delay, Probes, RoundTrip};
+use crate::api::schema::{HostClock, time};
 use crate::view::link::{Subject, name};
 
 /// Every link that is stored or reports.

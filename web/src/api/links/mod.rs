@@ -1,5 +1,8 @@
 //! Links and their clocks.
 
+mod clock;
+mod schema;
+
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -7,19 +10,26 @@ use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
 use serde::Deserialize;
 use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Link, LinkList, LinkSeries};
+use self::schema::{Link, LinkList, LinkSeries};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded, moment, path};
 use crate::state::{App, AppState};
 use crate::view::link::{Subject, find, name, no_link};
+
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one)).routes(routes!(clock))
+}
 
 /// Every link that reports or is stored, by the edge's and the cloud's name.
 #[utoipa::path(get, path = "/api/v1/links", operation_id = "listLinks", tag = "links", responses(
     (status = 200, body = LinkList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
+async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
     Ok(Json(LinkList { links: all(&app).await? }))
 }
 
@@ -31,7 +41,7 @@ pub(crate) async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebEr
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-pub(crate) async fn one(
+async fn one(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Link>, WebError> {
@@ -44,7 +54,7 @@ pub(crate) async fn one(
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct ClockQuery {
+struct ClockQuery {
     /// Begin, RFC 3339, on the edge's wall clock; ten minutes before `to` unless given.
     #[param(format = DateTime)]
     from: Option<String>,
@@ -64,7 +74,7 @@ pub(crate) struct ClockQuery {
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-pub(crate) async fn clock(
+async fn clock(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<ClockQuery>,

@@ -2,11 +2,11 @@
 
 use peernet_logger::Name;
 use peernet_report::batches;
-use peernet_store as store;
+use peernet_store::{self as store, Figures};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{Figures, time};
+use crate::api::schema::time;
 use crate::view::compare;
 
 /// Experiments, the one with the newest run first.
@@ -115,7 +115,7 @@ impl Comparison {
         let stage = |stage: &store::StageStatistics| ComparedStage {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
-            figures: stage.figures.into(),
+            figures: stage.figures,
         };
         let configuration = |one: &compare::Configuration| Configuration {
             letter: one.letter.clone(),

@@ -1,11 +1,11 @@
-//! Stored runs.
+//! What is said of stored runs.
 
-use peernet_store as store;
+use peernet_store::{self as store, Figures};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{Bound, Condition, Counts, Figures, Placement, time};
+use crate::api::schema::{Condition, Counts, Placement, time};
 
 /// Runs, newest first.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -87,7 +87,7 @@ impl From<&store::RunSummary> for Run {
             counts: run.counts.into(),
             warm_up: run.warm_up,
             skipped_starts: run.skipped_starts,
-            total: run.total.map(Figures::from),
+            total: run.total,
             rehearsed: run.rehearsed,
             pinned: run.pinned,
             deleted_through: run.nodes_from,
@@ -145,120 +145,6 @@ impl From<&store::RunDetail> for RunDetail {
             version: detail.version.clone(),
             conditions: detail.conditions.iter().map(Condition::from).collect(),
             gaps: detail.gaps.iter().map(Gap::from).collect(),
-        }
-    }
-}
-
-/// Statistics of a run per node name; successful iterations only, warm-up left out.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct StageList {
-    pub stages: Vec<Stage>,
-    /// How well the one-way delays are known, also where none has a value.
-    pub bounds: Vec<Bound>,
-}
-
-/// Statistics of one node name over a run.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Stage {
-    pub name: String,
-    /// `s`, `B`, `bit/s` or the user's own.
-    pub unit: String,
-    /// Whether it is one of the stages that add up to `stages-total`.
-    pub is_stage: bool,
-    #[serde(flatten)]
-    pub figures: Figures,
-    /// Of `total`, 0 to 1, for durations.
-    pub share: Option<f64>,
-    pub bound: Option<Bound>,
-}
-
-impl From<&store::StageStatistics> for Stage {
-    fn from(stage: &store::StageStatistics) -> Self {
-        Self {
-            name: stage.stage.to_string(),
-            unit: stage.unit.clone(),
-            is_stage: stage.is_stage,
-            figures: stage.figures.into(),
-            share: stage.share,
-            bound: stage.bound.as_ref().map(Bound::from),
-        }
-    }
-}
-
-/// Distribution of one node name over a run, in bins of equal width.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Histogram {
-    pub name: String,
-    /// Unit of the edges.
-    pub unit: String,
-    /// One more than `counts`, rising.
-    pub edges: Vec<f64>,
-    pub counts: Vec<u64>,
-    /// Samples above the last edge.
-    pub beyond: u64,
-    pub figures: Figures,
-}
-
-impl From<store::Histogram> for Histogram {
-    fn from(histogram: store::Histogram) -> Self {
-        Self {
-            name: histogram.stage.to_string(),
-            unit: histogram.unit,
-            edges: histogram.edges,
-            counts: histogram.counts,
-            beyond: histogram.beyond,
-            figures: histogram.figures.into(),
-        }
-    }
-}
-
-/// Node names over the time of a run.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Series {
-    /// Width of a bucket, seconds.
-    pub bucket_s: u32,
-    pub stages: Vec<StageSeries>,
-    pub gaps: Vec<Gap>,
-}
-
-/// One node name over time. Buckets without samples are absent.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct StageSeries {
-    pub name: String,
-    pub unit: String,
-    pub points: Vec<Point>,
-}
-
-/// One bucket.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Point {
-    /// Its begin, on the edge's wall clock.
-    pub at: String,
-    pub count: u64,
-    pub mean: f64,
-    pub p50: f64,
-    /// Null below 60 samples.
-    pub p95: Option<f64>,
-}
-
-impl From<&store::Series> for Series {
-    fn from(series: &store::Series) -> Self {
-        let point = |point: &store::SeriesPoint| Point {
-            at: time(point.at),
-            count: point.count,
-            mean: point.mean,
-            p50: point.p50,
-            p95: point.p95,
-        };
-        let stages = series.stages.iter().map(|stage| StageSeries {
-            name: stage.stage.to_string(),
-            unit: stage.unit.clone(),
-            points: stage.points.iter().map(point).collect(),
-        });
-        Self {
-            bucket_s: series.bucket_s,
-            stages: stages.collect(),
-            gaps: series.gaps.iter().map(Gap::from).collect(),
         }
     }
 }

@@ -2,43 +2,17 @@
 
 use peernet_aggregator::Picture;
 
-use super::rehearsal::Rehearsed;
-use super::storing;
+use super::kind::NavigationEntry;
 use crate::assets;
 use crate::state::AppState;
-
-/// A page of the navigation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
-    Overview,
-    Pipelines,
-    Runs,
-    Compare,
-    Links,
-    Hosts,
-    Incidents,
-    /// A page that belongs to none of them.
-    Elsewhere,
-}
-
-impl Place {
-    /// The entries of the navigation: place, name, address, key after `g`.
-    pub(crate) const NAVIGATION: [(Self, &'static str, &'static str, &'static str); 7] = [
-        (Self::Overview, "Overview", "/", "o"),
-        (Self::Pipelines, "Pipelines", "/pipelines", "p"),
-        (Self::Runs, "Runs", "/runs", "r"),
-        (Self::Compare, "Compare", "/compare", "c"),
-        (Self::Links, "Links", "/links", "l"),
-        (Self::Hosts, "Hosts", "/hosts", "h"),
-        (Self::Incidents, "Incidents", "/incidents", "i"),
-    ];
-}
+use crate::view::rehearsal::Rehearsed;
+use crate::view::storing;
 
 /// Head, top bar and foot of a page.
 #[derive(Clone, Debug)]
 pub(crate) struct Shell {
-    /// Which entry of the navigation is marked.
-    pub place: Place,
+    /// Address of the entry of the navigation that is marked; empty for a page that belongs to none.
+    pub section: &'static str,
     /// Title of the window.
     pub title: String,
     /// Folder of the static files.
@@ -63,11 +37,25 @@ impl Shell {
     /// Version of the program.
     pub(crate) const VERSION: &'static str = env!("CARGO_PKG_VERSION");
 
+    /// The entries of the navigation.
+    pub(crate) fn navigation() -> impl Iterator<Item = &'static NavigationEntry> {
+        super::entries()
+    }
+
     /// The shell of a page that live updates do not change.
-    pub(crate) fn new(app: &AppState, picture: &Picture, place: Place, title: impl Into<String>) -> Self {
+    pub(crate) fn new(
+        app: &AppState,
+        picture: &Picture,
+        section: &'static str,
+        title: impl Into<String>,
+    ) -> Self {
+        debug_assert!(
+            section.is_empty() || Self::navigation().any(|entry| entry.address == section),
+            "{section} is no entry of the navigation"
+        );
         let now = app.clock.wall();
         Self {
-            place,
+            section,
             title: title.into(),
             statics: assets::folder(),
             zone: app.zone.name(now),

@@ -1,23 +1,31 @@
 //! Iterations of a run.
 
+mod schema;
+
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_store::IterationFilter;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::run::no_run;
-use super::schema::{Iteration, IterationList, IterationSummary};
+use self::schema::{Iteration, IterationList, IterationSummary};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded, path};
 use crate::state::App;
 use crate::view::runs::reject_deleted;
 
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+}
+
 /// The order of a list.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Order {
+enum Order {
     /// By rising number.
     #[default]
     Number,
@@ -29,7 +37,7 @@ pub(crate) enum Order {
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct Query {
+struct Query {
     /// Only iterations of greater number: `next` of the page before.
     #[param(minimum = 0)]
     after: Option<u64>,
@@ -48,14 +56,14 @@ pub(crate) struct Query {
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn list(
+async fn list(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IterationList>, WebError> {
     let number = path(number)?;
     let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
-    let run = app.store().run(number).await?.ok_or_else(|| no_run(number))?;
+    let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     if query.order == Order::Slowest {
         if query.after.is_some() || query.unsuccessful {
             let text = "query parameter order: slowest cannot be combined with after or unsuccessful";
@@ -82,12 +90,12 @@ pub(crate) async fn list(
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-pub(crate) async fn one(
+async fn one(
     State(app): State<App>,
     numbers: Result<Path<(i64, u64)>, PathRejection>,
 ) -> Result<Json<Iteration>, WebError> {
     let (run, number) = path(numbers)?;
-    let known = app.store().run(run).await?.ok_or_else(|| no_run(run))?;
+    let known = app.store().run(run).await?.ok_or_else(|| WebError::no_run(run))?;
     reject_deleted(&known.summary, number, app.aggregator.retention())?;
     let found = app.store().iteration(run, number).await?;
     let found =

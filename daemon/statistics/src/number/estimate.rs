@@ -1,6 +1,7 @@
 //! Figures that are estimated from samples, with their intervals, in ms.
 
-use super::{MINUS, decimals_significant, decimals_supported, fixed};
+use super::milliseconds::own_decimals;
+use super::{between, decimals, fixed, has_digit, plus};
 
 /// No estimate is shown finer than a picosecond for its interval's sake.
 const FINEST: usize = 9;
@@ -8,7 +9,7 @@ const FINEST: usize = 9;
 /// An estimate and the interval that it lies in. The last digit of both is that of the interval's second significant one:
 /// unlike a bound of the clocks it has no least width.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Estimate {
+pub struct Estimate {
     /// In ms.
     value: f64,
     interval: (f64, f64),
@@ -17,37 +18,31 @@ pub(crate) struct Estimate {
 
 impl Estimate {
     /// Of seconds. An interval without width gives the digits of the value's own size.
-    pub(crate) fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
+    pub fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;
-        let decimals = if half_width > 0.0 {
-            decimals_supported(half_width, FINEST)
-        } else {
-            decimals_significant(value)
-        };
+        let decimals =
+            if half_width > 0.0 { decimals(half_width, 2).min(FINEST) } else { own_decimals(value) };
         Self { value, interval: (lo, hi), decimals }
     }
 
     /// Without its unit: `0.0183`, `−0.00070`.
-    pub(crate) fn value(&self) -> String {
+    pub fn value(&self) -> String {
         self.shown(self.value)
     }
 
     /// With a plus where it is more than zero.
-    pub(crate) fn signed(&self) -> String {
+    pub fn signed(&self) -> String {
         plus(self.value())
     }
 
     /// Both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
-    pub(crate) fn between(&self) -> String {
-        let [lo, hi] = self.ends();
-        // A dash before a minus is hard to read.
-        let between = if [&lo, &hi].into_iter().any(|end| end.starts_with(MINUS)) { "to" } else { "–" };
-        format!("{lo} {between} {hi}")
+    pub fn between(&self) -> String {
+        between(self.ends())
     }
 
     /// Both ends with their signs: `−0.65 to +0.63`.
-    pub(crate) fn shift(&self) -> String {
+    pub fn shift(&self) -> String {
         self.ends().map(plus).join(" to ")
     }
 
@@ -62,15 +57,6 @@ impl Estimate {
         let text = fixed(value, self.decimals);
         if first > 0.0 && !has_digit(&text) { fixed(value, first as usize) } else { text }
     }
-}
-
-/// Whether a number is not zero as shown.
-fn has_digit(text: &str) -> bool {
-    text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
-}
-
-fn plus(text: String) -> String {
-    if !text.starts_with(MINUS) && has_digit(&text) { format!("+{text}") } else { text }
 }
 
 #[cfg(test)]
@@ -90,8 +76,8 @@ mod tests {
         assert_eq!(told(of(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
         assert_eq!(told(of(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
         assert_eq!(told(of(270.4, 250.0, 290.0)), "270 (250 – 290)");
-        assert_eq!(told(of(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300 – 0.000300)");
-        assert_eq!(told(of(0.0, 0.0, 0.0)), "0.00 (0.00 – 0.00)");
+        assert_eq!(told(of(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300)");
+        assert_eq!(told(of(0.0, 0.0, 0.0)), "0.00 (0.00)");
     }
 
     #[test]

@@ -1,20 +1,29 @@
 //! Runs side by side, and experiments.
 
+mod schema;
+
 use axum::Json;
 use axum::extract::State;
 use serde::Deserialize;
 use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
-use super::schema::{Comparison, Experiment, ExperimentList};
+use self::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded};
 use crate::state::App;
 use crate::view::compare::{Which, courses, difference, gather};
 
+/// The operations of this resource.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(experiments)).routes(routes!(compare))
+}
+
 /// Which runs; either of both.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct CompareQuery {
+struct CompareQuery {
     /// Numbers of runs, parted by commas, at most 12; each is a configuration of its own.
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
@@ -32,7 +41,7 @@ pub(crate) struct CompareQuery {
     (status = 200, body = Comparison),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn compare(
+async fn compare(
     State(app): State<App>,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
@@ -52,7 +61,7 @@ pub(crate) async fn compare(
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
-pub(crate) struct ExperimentsQuery {
+struct ExperimentsQuery {
     /// At most so many, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
@@ -63,7 +72,7 @@ pub(crate) struct ExperimentsQuery {
     (status = 200, body = ExperimentList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-pub(crate) async fn experiments(
+async fn experiments(
     State(app): State<App>,
     Parameters(query): Parameters<ExperimentsQuery>,
 ) -> Result<Json<ExperimentList>, WebError> {

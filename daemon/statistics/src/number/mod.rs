@@ -1,0 +1,141 @@
+//! Numbers as people read them: one place, so that a figure looks the same on every page, in every table and in every
+//! line of a program.
+//!
+//! Values come in SI base units, as they are stored, and leave as text without its unit, which stands in a column's name or
+//! beside the number ([`Quantity`]). The dashboard's script follows the same rules; `tests/numbers.json` has cases for both.
+
+mod bounds;
+mod estimate;
+mod length;
+mod milliseconds;
+mod quantity;
+#[cfg(test)]
+mod tests;
+
+pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, signed_within_ms, within_ms};
+pub use estimate::Estimate;
+pub use length::{length, roughly};
+pub use milliseconds::{
+    column_decimals, difference_ms, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
+    short_duration, stage_ms, total_ms, trip_ms,
+};
+pub use quantity::{
+    Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
+};
+
+/// What stands where a number does not exist or is not known.
+pub const NONE: &str = "—";
+/// Between a number and its unit on a page: a narrow space at which no line breaks.
+pub const SPACE: &str = "\u{202f}";
+/// What stands where a bound would, if there is nothing to bound.
+pub const EXACT: &str = "exact";
+
+const MINUS: &str = "\u{2212}";
+
+/// From this on a number is written with its power of ten: its digits say nothing any more.
+const HUGE: f64 = 1e12;
+/// Below this it is as well, where so small a number is told from zero at all.
+const TINY: f64 = 1e-12;
+/// No number has more decimals that say something.
+const MOST_DIGITS: usize = 17;
+
+/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero. From 10¹² on, and
+/// below 10⁻¹² where the decimals reach that far, four significant digits and the power of ten: `−1.234e300`. What is not
+/// a number is [`NONE`].
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return NONE.to_owned();
+    }
+    let decimals = decimals.min(MOST_DIGITS);
+    let size = value.abs();
+    let is_tiny = value != 0.0 && size < TINY && decimals == MOST_DIGITS;
+    if size >= HUGE || is_tiny {
+        let sign = if value < 0.0 { MINUS } else { "" };
+        return format!("{sign}{size:.3e}");
+    }
+    let digits = format!("{size:.decimals$}");
+    let (whole, fraction) = digits.split_once('.').unwrap_or((&digits, ""));
+    let sign = if value < 0.0 && has_digit(&digits) { MINUS } else { "" };
+    let point = if fraction.is_empty() { "" } else { "." };
+    format!("{sign}{}{point}{fraction}", group(whole))
+}
+
+fn group(digits: &str) -> String {
+    let mut grouped = String::with_capacity(digits.len() * 4 / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+/// A count: `17,640`.
+pub fn count(value: u64) -> String {
+    group(&value.to_string())
+}
+
+/// So many of something: `1 iteration`, `2,000 iterations`.
+pub fn counted(value: u64, what: &str) -> String {
+    format!("{} {what}{}", count(value), if value == 1 { "" } else { "s" })
+}
+
+/// How many decimals show so many significant digits.
+pub fn decimals(value: f64, digits: usize) -> usize {
+    let after_first = digits.saturating_sub(1);
+    if value == 0.0 || !value.is_finite() {
+        return after_first;
+    }
+    // Rounded first, because that may carry into the next place: 0.09996 has three digits as 0.100.
+    let rounded = format!("{value:.after_first$e}");
+    let power: i32 = rounded.split_once('e').and_then(|(_, power)| power.parse().ok()).unwrap_or_default();
+    usize::try_from(after_first as i32 - power).unwrap_or_default()
+}
+
+/// A number with three significant digits, however small it is: `0.00631`, `0.620`, `16.1`, `1,243`.
+pub fn significant(value: f64) -> String {
+    fixed(value, decimals(value, 3))
+}
+
+/// A number in a sentence or figure: three significant digits, but not more than two decimals: `0.62`, `6.31`, `16.1`,
+/// `141`.
+pub fn figure(value: f64) -> String {
+    fixed(value, decimals(value, 3).min(2))
+}
+
+/// A measured number that is not negative: `0` is exactly zero, `<0.01` is small.
+pub fn measured(value: f64, decimals: usize) -> String {
+    let smallest = 10f64.powi(-(decimals as i32));
+    if value == 0.0 {
+        "0".to_owned()
+    } else if value > 0.0 && value < smallest / 2.0 {
+        format!("<{smallest:.decimals$}")
+    } else {
+        fixed(value, decimals)
+    }
+}
+
+/// With a plus where it is more than zero as shown.
+fn signed(value: f64, decimals: usize) -> String {
+    plus(fixed(value, decimals))
+}
+
+fn plus(text: String) -> String {
+    if !text.starts_with(MINUS) && has_digit(&text) { format!("+{text}") } else { text }
+}
+
+/// Whether a number is not zero as shown.
+fn has_digit(text: &str) -> bool {
+    text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
+}
+
+/// Both ends of an interval: a dash, or a word, because a dash before a minus is hard to read. One number where both ends
+/// read the same.
+fn between([lo, hi]: [String; 2]) -> String {
+    match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
+        (true, _) => lo,
+        (false, true) => format!("{lo} to {hi}"),
+        (false, false) => format!("{lo} – {hi}"),
+    }
+}

@@ -1,0 +1,136 @@
+//! The clock relation of a link and what its probes and delays say, in numbers.
+
+use peernet_clock::{DelaySource, Offset, Span};
+use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::view::link::known;
+
+/// The offset between two wall clocks at one time: cloud minus edge.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct ClockOffset {
+    /// The best guess, seconds; null with its bounds when the verdict is `inconsistent`: then nothing is known.
+    pub estimate_s: Option<f64>,
+    pub lo_s: Option<f64>,
+    pub hi_s: Option<f64>,
+    /// What the bounds rest on: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
+    pub source: &'static str,
+    /// Every source and what it says alone.
+    pub sources: Vec<Source>,
+    /// `ok`, `stale` or `inconsistent`.
+    pub verdict: &'static str,
+    /// How fast the offset grows, parts per million; null before there are enough exchanges.
+    pub skew_ppm: Option<f64>,
+    /// Exchanges of the window.
+    pub exchanges: u64,
+    /// Seconds since the newest exchange.
+    pub age_s: Option<f64>,
+}
+
+/// What one source says of an offset.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Source {
+    pub source: &'static str,
+    pub lo_s: f64,
+    pub hi_s: f64,
+}
+
+impl From<&Offset> for ClockOffset {
+    fn from(offset: &Offset) -> Self {
+        let sources = offset.sources.iter().map(|(source, interval)| Source {
+            source: source.name(),
+            lo_s: interval.lo.seconds(),
+            hi_s: interval.hi.seconds(),
+        });
+        let consistent = known(offset).is_some();
+        let value = |span: Span| consistent.then(|| span.seconds());
+        Self {
+            estimate_s: value(offset.estimate),
+            lo_s: value(offset.bounds.lo),
+            hi_s: value(offset.bounds.hi),
+            source: if consistent { offset.source } else { DelaySource::None }.name(),
+            sources: sources.collect(),
+            verdict: offset.verdict.name(),
+            skew_ppm: offset.skew_ppm.filter(|_| consistent),
+            exchanges: offset.exchanges,
+            age_s: offset.age.map(Span::seconds),
+        }
+    }
+}
+
+/// What became of probes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Probes {
+    pub sent: u32,
+    pub answered: u32,
+    /// Did not come back in time.
+    pub lost: u32,
+}
+
+impl From<ProbeCounts> for Probes {
+    fn from(ProbeCounts { sent, answered, lost }: ProbeCounts) -> Self {
+        Self { sent, answered, lost }
+    }
+}
+
+/// Round trips of probes, seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct RoundTrip {
+    pub min_s: f64,
+    pub median_s: f64,
+}
+
+/// The delays of data in one direction.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Delay {
+    /// How many were judged.
+    pub count: u32,
+    /// The worst verdict that at least a twentieth of them were given.
+    pub verdict: &'static str,
+    /// The median of those that have a value, with the bounds of that very one; null when none has.
+    pub median: Option<MedianDelay>,
+}
+
+/// A delay as a point with its error bar.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct MedianDelay {
+    pub value_s: f64,
+    pub lo_s: f64,
+    pub hi_s: f64,
+    /// Over `value_s`; where the verdict is `limited` only its interval, by `lo_s` and `hi_s`, is known.
+    pub bits_per_second: Option<f64>,
+}
+
+impl From<DelayPoint> for MedianDelay {
+    fn from(point: DelayPoint) -> Self {
+        let (lo_s, hi_s) = crate::view::link::delays::bounds(&point);
+        Self { value_s: point.value.seconds(), lo_s, hi_s, bits_per_second: point.bits_per_second }
+    }
+}
+
+impl From<&DelaySecond> for Delay {
+    fn from(second: &DelaySecond) -> Self {
+        let median = second.median.filter(|point| !point.value.is_negative());
+        Self { count: second.count, verdict: second.verdict.name(), median: median.map(MedianDelay::from) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Verdict;
+
+    use super::*;
+    use crate::tests::samples;
+
+    #[test]
+    fn what_contradicts_itself_has_no_value() {
+        let sample = samples::clock_sample(samples::NOW, 1, Some(0.0005));
+        let known = sample.offset.expect("known");
+        let consistent = ClockOffset::from(&known);
+        assert_eq!((consistent.estimate_s, consistent.source), (Some(1.204), "intersection"));
+        let told = ClockOffset::from(&Offset { verdict: Verdict::Inconsistent, ..known });
+        assert_eq!((told.estimate_s, told.lo_s, told.hi_s, told.skew_ppm), (None, None, None, None));
+        assert_eq!((told.source, told.verdict, told.sources.len()), ("none", "inconsistent", 2));
+    }
+}

@@ -1,0 +1,75 @@
+//! The events of the live stream.
+
+use peernet_aggregator::{Picture, Readiness};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::api::schema::{Pipeline, PipelineList, time};
+use crate::view::rehearsal::Rehearsed;
+use crate::view::storing;
+
+/// `event: picture`: what changes while one looks.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct PictureEvent {
+    #[serde(flatten)]
+    pub pipelines: PipelineList,
+    /// How each host fares.
+    pub hosts: Vec<HostNow>,
+}
+
+/// How a host fares.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct HostNow {
+    pub name: String,
+    pub connected: bool,
+    /// Busy share of all cores, 0 to 1.
+    pub cpu: Option<f64>,
+    /// Busy share of the accelerators, 0 to 1.
+    pub gpu: Option<f64>,
+}
+
+impl PictureEvent {
+    /// With so many of each pipeline's last seconds.
+    pub(crate) fn new(picture: &Picture, seconds: usize) -> Self {
+        let hosts = picture.hosts.iter().map(|host| HostNow {
+            name: host.description.name.to_string(),
+            connected: host.connected,
+            cpu: host.metrics.cpu,
+            gpu: host.metrics.gpu,
+        });
+        let pipelines = PipelineList::of(picture, |one| Pipeline::new(one, seconds));
+        Self { pipelines, hosts: hosts.collect() }
+    }
+}
+
+/// `event: status`: sent to every listener, whatever its topics.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StatusEvent {
+    /// The aggregator's time.
+    pub at: String,
+    /// Hosts that report.
+    pub connected: usize,
+    /// Hosts heard of.
+    pub hosts: usize,
+    /// Seconds since the quietest of the connected hosts was heard of.
+    pub behind_s: Option<f64>,
+    /// What is said of clocks that are made wrong on purpose, a sentence per host.
+    pub rehearsals: Vec<String>,
+    /// Why events are not being stored, in a sentence; null while they are.
+    pub not_storing: Option<String>,
+}
+
+impl StatusEvent {
+    pub(crate) fn new(picture: &Picture, readiness: &Readiness) -> Self {
+        let connected = picture.hosts.iter().filter(|host| host.connected);
+        let behind = connected.clone().map(|host| (picture.at - host.last_seen).seconds().max(0.0));
+        Self {
+            at: time(picture.at),
+            connected: connected.count(),
+            hosts: picture.hosts.len(),
+            behind_s: behind.max_by(f64::total_cmp),
+            rehearsals: Rehearsed::of(picture).banner(),
+            not_storing: storing::notice(readiness),
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! The one-way delays of a run, judged again with the exchanges that came after them.
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_store::{self as store, Figures};
+use serde::Serialize;
+use utoipa::ToSchema;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::api::schema::VerdictCount;
+use crate::error::{ProblemDetails, WebError};
+use crate::parameters::path;
+use crate::state::App;
+
+/// Its operations.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(recomputed))
+}
+
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, those after it
+/// included.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Recomputed {
+    pub run: i64,
+    /// Stored clock samples that were used.
+    pub samples: u64,
+    /// `upload`, `download`.
+    pub stages: Vec<RecomputedStage>,
+}
+
+/// One direction, before and after. Successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct RecomputedStage {
+    pub stage: String,
+    /// As stored.
+    pub before: Judgement,
+    /// As computed again.
+    pub after: Judgement,
+}
+
+/// Delays and how well they are known.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Judgement {
+    /// Of the delays that have a value, seconds.
+    pub delay: Option<Figures>,
+    /// Of half the width of their bounds, seconds.
+    pub half_width: Option<Figures>,
+    pub verdicts: Vec<VerdictCount>,
+}
+
+impl From<&store::Judgement> for Judgement {
+    fn from(judgement: &store::Judgement) -> Self {
+        let verdicts = judgement.verdicts.iter();
+        Self {
+            delay: judgement.delay,
+            half_width: judgement.half_width,
+            verdicts: verdicts
+                .map(|(verdict, count)| VerdictCount { verdict: verdict.name(), count: *count })
+                .collect(),
+        }
+    }
+}
+
+impl From<&store::Recomputed> for Recomputed {
+    fn from(recomputed: &store::Recomputed) -> Self {
+        let stages = recomputed.stages.iter().map(|stage| RecomputedStage {
+            stage: stage.stage.to_string(),
+            before: Judgement::from(&stage.before),
+            after: Judgement::from(&stage.after),
+        });
+        Self { run: recomputed.number, samples: recomputed.samples, stages: stages.collect() }
+    }
+}
+
+/// The one-way delays of a run as they were judged while it ran, and again with the exchanges that came after them.
+/// What was stamped is never touched.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/recomputed", operation_id = "getRunRecomputed", tag = "runs", params(("run" = i64, Path)), responses(
+    (status = 200, body = Recomputed),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+async fn recomputed(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+) -> Result<Json<Recomputed>, WebError> {
+    let number = path(number)?;
+    let recomputed = app.store().recompute(number).await?.ok_or_else(|| WebError::no_run(number))?;
+    Ok(Json(Recomputed::from(&recomputed)))
+}

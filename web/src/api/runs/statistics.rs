@@ -1,0 +1,222 @@
+//! Statistics of a run, their course and distribution.
+
+use axum::Json;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use peernet_logger::stage;
+use peernet_store::{self as store, Figures};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::schema::Gap;
+use crate::api::schema::{Bound, time};
+use crate::error::{ProblemDetails, WebError};
+use crate::parameters::{Parameters, bounded, names, path};
+use crate::state::{App, AppState};
+
+/// Its operations.
+pub(super) fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(stages)).routes(routes!(series)).routes(routes!(histogram))
+}
+
+/// Statistics per node name.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/stages", operation_id = "getRunStages", tag = "runs", params(("run" = i64, Path)), responses(
+    (status = 200, body = StageList),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+async fn stages(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+) -> Result<Json<StageList>, WebError> {
+    let number = path(number)?;
+    check_exists(&app, number).await?;
+    let known = app.store().statistics_of(number).await?;
+    Ok(Json(StageList {
+        stages: known.stages.iter().map(Stage::from).collect(),
+        bounds: known.bounds.iter().map(Bound::from).collect(),
+    }))
+}
+
+/// Refuses to answer about a run that is not there.
+async fn check_exists(app: &AppState, number: i64) -> Result<(), WebError> {
+    app.store().run(number).await?.map(|_| ()).ok_or_else(|| WebError::no_run(number))
+}
+
+/// Which course.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+struct SeriesQuery {
+    /// Node names, parted by commas; `total` unless given, at most 20.
+    #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
+    stages: Option<String>,
+    /// At most so many buckets, 1 to 2,000; 300 unless given.
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 300)]
+    points: Option<String>,
+}
+
+/// Node names over the time of the run.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/series", operation_id = "getRunSeries", tag = "runs", params(("run" = i64, Path), SeriesQuery), responses(
+    (status = 200, body = Series),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+async fn series(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+    Parameters(query): Parameters<SeriesQuery>,
+) -> Result<Json<Series>, WebError> {
+    let number = path(number)?;
+    let points = bounded("points", query.points.as_deref(), 300, 1..=2_000)?;
+    let names = query.stages.map_or_else(|| Ok(vec![stage::TOTAL]), |text| names("stages", &text))?;
+    check_exists(&app, number).await?;
+    Ok(Json(Series::from(&app.store().series(number, &names, points).await?)))
+}
+
+/// Which distribution.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields, default)]
+#[into_params(parameter_in = Query)]
+struct HistogramQuery {
+    /// A node name; `total` unless given.
+    stage: Option<String>,
+    /// At most so many bins, 1 to 500; 50 unless given.
+    #[param(value_type = Option<u32>, minimum = 1, maximum = 500, default = 50)]
+    bins: Option<String>,
+}
+
+/// The distribution of one node name.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/histogram", operation_id = "getRunHistogram", tag = "runs", params(("run" = i64, Path), HistogramQuery), responses(
+    (status = 200, body = Histogram),
+    (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
+))]
+async fn histogram(
+    State(app): State<App>,
+    number: Result<Path<i64>, PathRejection>,
+    Parameters(query): Parameters<HistogramQuery>,
+) -> Result<Json<Histogram>, WebError> {
+    let number = path(number)?;
+    let bins = bounded("bins", query.bins.as_deref(), 50, 1..=500)?;
+    let name = query.stage.unwrap_or_else(|| stage::TOTAL.to_string());
+    check_exists(&app, number).await?;
+    let found = app.store().histogram(number, &name, bins).await?;
+    let found = found.ok_or_else(|| {
+        WebError::NotFound(format!("run {number} has no successful iteration with a {name}"))
+    })?;
+    Ok(Json(found.into()))
+}
+
+/// Statistics of a run per node name; successful iterations only, warm-up left out.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StageList {
+    pub stages: Vec<Stage>,
+    /// How well the one-way delays are known, also where none has a value.
+    pub bounds: Vec<Bound>,
+}
+
+/// Statistics of one node name over a run.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Stage {
+    pub name: String,
+    /// `s`, `B`, `bit/s` or the user's own.
+    pub unit: String,
+    /// Whether it is one of the stages that add up to `stages-total`.
+    pub is_stage: bool,
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// Of `total`, 0 to 1, for durations.
+    pub share: Option<f64>,
+    pub bound: Option<Bound>,
+}
+
+impl From<&store::StageStatistics> for Stage {
+    fn from(stage: &store::StageStatistics) -> Self {
+        Self {
+            name: stage.stage.to_string(),
+            unit: stage.unit.clone(),
+            is_stage: stage.is_stage,
+            figures: stage.figures,
+            share: stage.share,
+            bound: stage.bound.as_ref().map(Bound::from),
+        }
+    }
+}
+
+/// Distribution of one node name over a run, in bins of equal width.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Histogram {
+    pub name: String,
+    /// Unit of the edges.
+    pub unit: String,
+    /// One more than `counts`, rising.
+    pub edges: Vec<f64>,
+    pub counts: Vec<u64>,
+    /// Samples above the last edge.
+    pub beyond: u64,
+    pub figures: Figures,
+}
+
+impl From<store::Histogram> for Histogram {
+    fn from(histogram: store::Histogram) -> Self {
+        Self {
+            name: histogram.stage.to_string(),
+            unit: histogram.unit,
+            edges: histogram.edges,
+            counts: histogram.counts,
+            beyond: histogram.beyond,
+            figures: histogram.figures,
+        }
+    }
+}
+
+/// Node names over the time of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Series {
+    /// Width of a bucket, seconds.
+    pub bucket_s: u32,
+    pub stages: Vec<StageSeries>,
+    pub gaps: Vec<Gap>,
+}
+
+/// One node name over time. Buckets without samples are absent.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct StageSeries {
+    pub name: String,
+    pub unit: String,
+    pub points: Vec<Point>,
+}
+
+/// One bucket.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Point {
+    /// Its begin, on the edge's wall clock.
+    pub at: String,
+    pub count: u64,
+    pub mean: f64,
+    pub p50: f64,
+    /// Null below 60 samples.
+    pub p95: Option<f64>,
+}
+
+impl From<&store::Series> for Series {
+    fn from(series: &store::Series) -> Self {
+        let point = |point: &store::SeriesPoint| Point {
+            at: time(point.at),
+            count: point.count,
+            mean: point.mean,
+            p50: point.p50,
+            p95: point.p95,
+        };
+        let stages = series.stages.iter().map(|stage| StageSeries {
+            name: stage.stage.to_string(),
+            unit: stage.unit.clone(),
+            points: stage.points.iter().map(point).collect(),
+        });
+        Self {
+            bucket_s: series.bucket_s,
+            stages: stages.collect(),
+            gaps: series.gaps.iter().map(Gap::from).collect(),
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! What was found of the hosts of a run.
+
+use peernet_stream as stream;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// Something about a host that decides how far a measurement on it can be trusted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Condition {
+    /// Name of the host.
+    pub host: String,
+    /// What was looked at: `CPU governor`, `competing load`.
+    pub about: String,
+    /// In words, with unit.
+    pub found: String,
+    /// `good`, `unknown`, `doubtful` or `bad`.
+    pub grade: &'static str,
+    /// What to do about it; may be empty.
+    pub advice: String,
+}
+
+pub(crate) const fn word(grade: stream::Grade) -> &'static str {
+    match grade {
+        stream::Grade::Good => "good",
+        stream::Grade::Unknown => "unknown",
+        stream::Grade::Doubtful => "doubtful",
+        stream::Grade::Bad => "bad",
+    }
+}
+
+impl From<&stream::Condition> for Condition {
+    fn from(condition: &stream::Condition) -> Self {
+        let stream::Condition { host, about, found, grade, advice } = condition.clone();
+        Self { host, about, found, grade: word(grade), advice }
+    }
+}

@@ -1,0 +1,82 @@
+//! What a page registers: its routes, its entry in the navigation, its topic of the live stream.
+
+use std::fmt;
+
+use axum::Router;
+use futures::future::BoxFuture;
+use peernet_aggregator::Picture;
+
+use super::Update;
+use crate::error::WebError;
+use crate::state::{App, AppState};
+
+/// A page: the file of each holds one, and the list in `pages/mod.rs` names it.
+pub(crate) struct PageKind {
+    /// Its routes.
+    pub routes: fn() -> Router<App>,
+    /// Its entry in the navigation; `None` for a page that belongs to the entry of another.
+    pub entry: Option<NavigationEntry>,
+    /// What changes it while it is shown; `None` for a page that stays as it was when it was asked for.
+    pub topic: Option<LiveTopic>,
+}
+
+/// An entry of the navigation.
+pub(crate) struct NavigationEntry {
+    pub name: &'static str,
+    /// Address of the page; those of the pages that belong to it begin with it.
+    pub address: &'static str,
+    /// Key that opens it, pressed after `g`.
+    pub key: &'static str,
+}
+
+/// The updates of a page on the live stream.
+pub(crate) struct LiveTopic {
+    /// How the topic is written: `hosts`, or `host/HOST` where what follows the first slash says which page it is.
+    pub form: &'static str,
+    /// Renders what changes, from a picture and what follows the first slash.
+    pub update: for<'a> fn(&'a AppState, &'a Picture, &'a str) -> UpdateFuture<'a>,
+}
+
+pub(crate) type UpdateFuture<'a> = BoxFuture<'a, Result<Update, WebError>>;
+
+/// A topic that somebody listens to.
+#[derive(Clone)]
+pub(crate) struct PageTopic {
+    topic: &'static LiveTopic,
+    /// What follows the first slash.
+    rest: String,
+}
+
+impl PageTopic {
+    /// Finds the topic of a text among those of the pages.
+    pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
+        let (name, rest) = parts(text);
+        let is_meant = |topic: &&LiveTopic| {
+            let (known, form) = parts(topic.form);
+            known == name && form.is_some() == rest.is_some()
+        };
+        topics.find(is_meant).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
+    }
+
+    /// What of the page changed.
+    pub(crate) async fn update(&self, app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+        (self.topic.update)(app, picture, &self.rest).await
+    }
+}
+
+/// The name of a topic, and what follows its first slash.
+fn parts(text: &str) -> (&str, Option<&str>) {
+    text.split_once('/').map_or((text, None), |(name, rest)| (name, Some(rest)))
+}
+
+impl PartialEq for PageTopic {
+    fn eq(&self, other: &Self) -> bool {
+        (self.topic.form, &self.rest) == (other.topic.form, &other.rest)
+    }
+}
+
+impl fmt::Debug for PageTopic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {:?}", self.topic.form, self.rest)
+    }
+}
