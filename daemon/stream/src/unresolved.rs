@@ -72,8 +72,18 @@ impl Unresolved {
         let of_before = told.min(*untold);
         *untold -= of_before;
         told -= of_before;
-        let lost = resolved.lost.saturating_sub(told);
-        owed.extend(self.counted.gaps(&self.settled, resolved.taken + told, lost));
+        let of_lost = told.min(resolved.lost);
+        told -= of_lost;
+        // What a later process lost may stand in one gap with what was told.
+        while let Some(mut gap) = (told > 0).then(|| owed.pop_front()).flatten() {
+            let of_gap = told.min(gap.count);
+            told -= of_gap;
+            gap.count -= of_gap;
+            if gap.count > 0 {
+                owed.push_front(gap);
+            }
+        }
+        owed.extend(self.counted.gaps(&self.settled, resolved.taken + of_lost, resolved.lost - of_lost));
     }
 }
 
@@ -162,6 +172,17 @@ mod tests {
         unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut untold);
         assert_eq!(owed.front().map(|gap| gap.count), Some(4));
         assert_eq!(owed.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
+    }
+
+    #[test]
+    fn told_part_of_merged_gap_is_not_reported_again() {
+        let (_, unresolved) = unresolved(RunId::random());
+        let resolved = Resolved { lost: 1, told: 4, ..Resolved::default() };
+        let gap = |count| Gap { count, ..unresolved.counted.gaps(&Settled::default(), 0, 1)[0].clone() };
+        let (mut owed, mut untold) = (VecDeque::from([gap(5)]), 1);
+        unresolved.unreported(&resolved, &mut owed, &mut untold);
+        let counts: Vec<u64> = owed.iter().map(|gap| gap.count).collect();
+        assert_eq!((counts, untold), (vec![3], 0), "5 owed, 1 untold and 1 lost, of which 4 were told");
     }
 
     #[test]
