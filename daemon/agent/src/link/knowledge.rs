@@ -25,10 +25,34 @@ pub(super) struct Knowledge {
     last: Option<ClockSample>,
     edge: HostClock,
     cloud: HostClock,
+    restarts: RestartReports,
+}
+
+/// Decides what is reported of a restart of the relation.
+#[derive(Debug, Default)]
+struct RestartReports {
     /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
     stepped: (bool, bool),
-    /// The last restart was told to be a drift beyond the limit.
-    told_beyond: bool,
+    /// The last restart was reported as a drift beyond the limit.
+    is_beyond_limit: bool,
+}
+
+impl RestartReports {
+    /// Notes whose clock was stepped. A step without a restart counts only while another one waits for its report.
+    const fn note_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
+        let counts = restarted || self.stepped.0 || self.stepped.1;
+        self.stepped.0 |= counts && edge;
+        self.stepped.1 |= counts && cloud;
+    }
+
+    /// Returns the report of a restart that moved the offset by `moved`; `beyond_ppm` is the limit of drift where the clocks
+    /// seem not to keep it.
+    fn restarted(&mut self, moved: Option<Span>, beyond_ppm: Option<f64>) -> Option<Restart> {
+        let (edge, cloud) = std::mem::take(&mut self.stepped);
+        // Clocks beyond the limit begin anew several times a second: that is reported once, until they keep it again.
+        let was_beyond_limit = std::mem::replace(&mut self.is_beyond_limit, beyond_ppm.is_some());
+        (beyond_ppm.is_none() || !was_beyond_limit).then_some(Restart { moved, edge, cloud, beyond_ppm })
+    }
 }
 
 /// Samples and restarts to report.
@@ -78,8 +102,7 @@ impl Knowledge {
             last: None,
             edge,
             cloud,
-            stepped: (false, false),
-            told_beyond: false,
+            restarts: RestartReports::default(),
         };
         knowledge.disciplines();
         knowledge
@@ -216,9 +239,7 @@ impl Knowledge {
             self.last = None;
             self.void = true;
         }
-        let void = restarted || self.stepped != (false, false);
-        self.stepped.0 |= void && edge_new;
-        self.stepped.1 |= void && cloud_new;
+        self.restarts.note_steps(restarted, (edge_new, cloud_new));
         answer
     }
 
@@ -228,14 +249,9 @@ impl Knowledge {
             Learned::Refused(_) => return,
             Learned::Taken => {}
             Learned::Restarted(moved) => {
-                let (edge, cloud) = std::mem::take(&mut self.stepped);
                 let limit = self.relation.settings().max_drift_ppm;
                 let beyond_ppm = self.relation.in_doubt().then_some(limit);
-                // Clocks beyond the limit begin anew several times a second: that is told once, until they keep it again.
-                if beyond_ppm.is_none() || !self.told_beyond {
-                    news.restart = Some(Restart { moved, edge, cloud, beyond_ppm });
-                }
-                self.told_beyond = beyond_ppm.is_some();
+                news.restart = self.restarts.restarted(moved, beyond_ppm).or(news.restart.take());
             }
         }
         self.second.exchanged(&witnessed.exchange, self.relation.settings().max_drift_ppm);

@@ -12,7 +12,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_report::compare::{Comparison, Differences, Repeats, SEED, is_compared};
+use peernet_report::compare::{Comparison, Differences, Repeats, SEED, against_best, is_compared};
 use peernet_report::loaded::Loaded;
 use peernet_report::table::Captioned;
 
@@ -130,7 +130,7 @@ pub(crate) fn differences(
 /// The tables that stand below the paper's: these differences, or, without them, those from the best line.
 pub(crate) fn below(comparison: &Comparison, differences: &[Differences]) -> Vec<Captioned> {
     if differences.is_empty() {
-        return comparison.against_best().into_iter().collect();
+        return against_best(comparison).into_iter().collect();
     }
     // Nothing is compared with a line that measured nothing.
     let told = differences.iter().filter(|differences| !differences.stages.is_empty());

@@ -21,18 +21,70 @@ pub(super) struct Taking<'a> {
     watcher: &'a mut dyn Watcher,
     patience: Patience,
     most: Span,
-    limit: Limit,
-    /// Warm-up iterations at the least.
-    warm_up: u64,
+    progress: RunProgress,
     pipeline: Slug,
     /// The peer's address, then its name; `None` for a run on board.
     peer: Option<String>,
     /// Why the peer did not want at the first try.
     refused: bool,
-    began: Option<MonoTime>,
-    totals: Sketch,
     taken: Taken,
     writer: RowWriter,
+}
+
+/// How far a run is, by its limit.
+struct RunProgress {
+    limit: Limit,
+    /// Warm-up iterations at the least.
+    warm_up: u64,
+    began: Option<MonoTime>,
+    /// Iterations that ended.
+    done: u64,
+    /// Totals of those that count, seconds.
+    totals: Sketch,
+}
+
+impl RunProgress {
+    fn new(limit: Limit, warm_up: u64) -> Self {
+        Self { limit, warm_up, began: None, done: 0, totals: Sketch::default() }
+    }
+
+    fn add(&mut self, row: &Row) {
+        self.done += 1;
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
+            self.totals.record(total);
+        }
+    }
+
+    /// Returns the number of iterations that there will be, where it sets the end.
+    fn iterations(&self) -> Option<u64> {
+        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
+        let total = self.limit.total.map(std::num::NonZero::get);
+        counted.into_iter().chain(total).min()
+    }
+
+    fn is_complete(&self) -> bool {
+        self.limit.total.is_some_and(|total| self.done >= total.get())
+    }
+
+    /// Returns what is shown of it in this phase.
+    fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> Seen {
+        let (done, of) = (self.done, self.iterations());
+        let elapsed = self.began.map_or(0.0, |began| (now - began).seconds());
+        let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
+        let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
+        let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
+        let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
+        Seen {
+            phase,
+            done,
+            of,
+            rate,
+            p50: self.totals.quantile(0.5),
+            p99: p99(&self.totals),
+            left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
+            trouble,
+        }
+    }
 }
 
 /// What was seen.
@@ -74,13 +126,10 @@ impl<'a> Taking<'a> {
             clock,
             watcher,
             most,
-            limit: pipeline.limit,
-            warm_up: pipeline.warm_up.iterations,
+            progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
             pipeline: pipeline.name.clone(),
             peer,
             refused: false,
-            began: None,
-            totals: Sketch::default(),
             taken: Taken::default(),
             writer,
         }
@@ -93,21 +142,10 @@ impl<'a> Taking<'a> {
         taken
     }
 
-    /// Iterations that there will be, where they set the end.
-    fn of(&self) -> Option<u64> {
-        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
-        let total = self.limit.total.map(std::num::NonZero::get);
-        counted.into_iter().chain(total).min()
-    }
-
-    fn is_done(&self) -> bool {
-        self.limit.total.is_some_and(|total| self.taken.rows.len() as u64 >= total.get())
-    }
-
     fn began(&mut self, run: RunDescription) {
         let now = self.clock.mono();
         self.patience.heard(now);
-        self.began.get_or_insert(now);
+        self.progress.began.get_or_insert(now);
         self.watcher.begun(&run.conditions);
         if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
             *peer = name.to_string();
@@ -133,36 +171,19 @@ impl<'a> Taking<'a> {
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
             self.patience.heard(self.clock.mono());
         }
-        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
-            self.totals.record(total);
-        }
+        self.progress.add(row);
         self.writer.write(row);
         self.taken.rows.push(row);
     }
 
     fn seen(&self, trouble: Option<String>) -> Seen {
-        let (done, of) = (self.taken.rows.len() as u64, self.of());
-        let elapsed = self.began.map_or(0.0, |began| (self.clock.mono() - began).seconds());
-        let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
-        let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
-        let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
-        let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
-        let phase = match (&trouble, self.began, self.taken.rows.last()) {
+        let phase = match (&trouble, self.progress.began, self.taken.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
             (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
             _ => Phase::Measuring,
         };
-        Seen {
-            phase,
-            done,
-            of,
-            rate,
-            p50: self.totals.quantile(0.5),
-            p99: p99(&self.totals),
-            left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
-            trouble,
-        }
+        self.progress.show(phase, trouble, self.clock.mono())
     }
 }
 
@@ -212,7 +233,7 @@ impl Eyes for Taking<'_> {
     fn look(&mut self, running: &Running) -> Option<Ended> {
         self.writer.flush();
         // The peer may leave with the last answer: there is nothing to come back for.
-        if self.is_done() {
+        if self.progress.is_complete() {
             return Some(Ended::Finished);
         }
         let pipelines = running.live().pipelines;
@@ -238,7 +259,7 @@ impl Eyes for Taking<'_> {
             return None;
         };
         self.patience.look(&standing, now);
-        let trouble = match (&self.began, reason) {
+        let trouble = match (&self.progress.began, reason) {
             (None, None) => None,
             _ => self.patience.trouble(peer, reason, now, self.most),
         };

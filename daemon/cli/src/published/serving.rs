@@ -15,21 +15,27 @@ use crate::foreground::{Ended, Eyes, Progress, p99, told};
 /// The eyes on the agent.
 pub(super) struct Serving {
     model: Slug,
-    wanted: u64,
-    answered: u64,
-    /// How many of them said that there is none.
-    errors: u64,
+    answers: AnswerCounts,
     clock: SharedClock,
     progress: Progress,
-    /// When the first answer was seen, and how many there were by then.
-    first: Option<(MonoTime, u64)>,
-    last: Option<MonoTime>,
-    /// How many iterations of runs that are over never came here.
-    missed: u64,
     /// How long `inference` took.
     inference: String,
     sessions: usize,
     loading: Loading,
+}
+
+/// Answers of the server, and how many there are to be.
+struct AnswerCounts {
+    wanted: u64,
+    answered: u64,
+    /// Answers that report an error.
+    errors: u64,
+    /// Iterations of runs that are over and never came here.
+    missed: u64,
+    /// When the first answer was seen, and how many there were by then.
+    first: Option<(MonoTime, u64)>,
+    /// When the last answer was seen.
+    last: Option<MonoTime>,
 }
 
 /// The model on its way into memory.
@@ -39,42 +45,23 @@ enum Loading {
     Done,
 }
 
-impl Serving {
-    pub(super) fn new(model: Slug, arguments: &Arguments, clock: SharedClock) -> Self {
-        Self {
-            model,
-            wanted: arguments.iterations.get(),
-            answered: 0,
-            errors: 0,
-            progress: Progress::new(arguments.quiet, clock.mono()),
-            clock,
-            first: None,
-            last: None,
-            missed: 0,
-            inference: String::new(),
-            sessions: 0,
-            loading: Loading::NotBegun,
+impl AnswerCounts {
+    const fn new(wanted: u64) -> Self {
+        Self { wanted, answered: 0, errors: 0, missed: 0, first: None, last: None }
+    }
+
+    /// Takes the counts of the agent, which only grow.
+    fn update(&mut self, answers: u64, errors: u64, missed: u64, now: MonoTime) {
+        (self.errors, self.missed) = (errors, missed);
+        if answers > self.answered {
+            self.answered = answers;
+            self.first.get_or_insert((now, answers));
+            self.last = Some(now);
         }
     }
 
-    /// Whether there was an answer.
-    pub(super) const fn answered(&self) -> bool {
-        self.answered > 0
-    }
-
-    /// What came of it.
-    pub(super) fn summary(&self) -> String {
-        let rate = self.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
-        let answers = counted(self.answered, "answer");
-        format!("{answers}{}{}{rate}{}", self.failed(), self.without(), self.inference)
-    }
-
-    /// Why there were not all answers although there will be no more, if so.
-    pub(super) fn shortfall(&self) -> Option<String> {
-        let short = self.wanted.saturating_sub(self.answered);
-        let said = "the clients' results say why";
-        (short > 0)
-            .then(|| format!("{short} of {} never came here: {said}", counted(self.wanted, "iteration")))
+    const fn are_complete(&self) -> bool {
+        self.answered.saturating_add(self.missed) >= self.wanted
     }
 
     /// How many of the answers are errors, if any.
@@ -100,6 +87,41 @@ impl Serving {
         let seconds = (to - from).seconds();
         (seconds > 0.0).then(|| (self.answered - before) as f64 / seconds)
     }
+}
+
+impl Serving {
+    pub(super) fn new(model: Slug, arguments: &Arguments, clock: SharedClock) -> Self {
+        Self {
+            model,
+            answers: AnswerCounts::new(arguments.iterations.get()),
+            progress: Progress::new(arguments.quiet, clock.mono()),
+            clock,
+            inference: String::new(),
+            sessions: 0,
+            loading: Loading::NotBegun,
+        }
+    }
+
+    /// Whether there was an answer.
+    pub(super) const fn answered(&self) -> bool {
+        self.answers.answered > 0
+    }
+
+    /// What came of it.
+    pub(super) fn summary(&self) -> String {
+        let Self { answers, inference, .. } = self;
+        let rate = answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
+        let count = counted(answers.answered, "answer");
+        format!("{count}{}{}{rate}{inference}", answers.failed(), answers.without())
+    }
+
+    /// Why there were not all answers although there will be no more, if so.
+    pub(super) fn shortfall(&self) -> Option<String> {
+        let AnswerCounts { wanted, answered, .. } = self.answers;
+        let short = wanted.saturating_sub(answered);
+        let said = "the clients' results say why";
+        (short > 0).then(|| format!("{short} of {} never came here: {said}", counted(wanted, "iteration")))
+    }
 
     /// Brings the model into memory before anybody asks: what is wrong with it shows at once, and nobody waits for it.
     fn load(&mut self, running: &Running) -> Option<Ended<LoadError>> {
@@ -116,7 +138,7 @@ impl Serving {
                         let at = running.serves().map(ToString::to_string).unwrap_or_default();
                         self.progress.say(format_args!(
                             "serving {} on all interfaces at {at}; ends after {} answers or with Ctrl-C",
-                            self.model, self.wanted
+                            self.model, self.answers.wanted
                         ));
                         None
                     }
@@ -129,18 +151,19 @@ impl Serving {
     }
 
     fn describe(&self) -> (String, f64) {
-        let share = self.answered as f64 / self.wanted as f64;
-        let text = match (&self.loading, self.sessions, self.answered) {
+        let AnswerCounts { wanted, answered, .. } = self.answers;
+        let share = answered as f64 / wanted as f64;
+        let text = match (&self.loading, self.sessions, answered) {
             (Loading::NotBegun | Loading::UnderWay(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
             (Loading::Done, sessions, answered) => {
-                let rate = self.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
+                let rate = self.answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
                 let clients = match sessions {
                     0 => "no client".to_owned(),
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                let (wanted, failed, without) = (self.wanted, self.failed(), self.without());
+                let (failed, without) = (self.answers.failed(), self.answers.without());
                 let inference = &self.inference;
                 format!("{answered} of {wanted} answers{failed}{without}, {clients}{rate}{inference}")
             }
@@ -164,16 +187,12 @@ impl Eyes for Serving {
         let served = running.served().borrow().clone();
         let inference = served.inference.quantile(0.5).map(|p50| told(p50, p99(&served.inference)));
         self.inference = inference.map_or_else(String::new, |told| format!(", inference {told}"));
-        (self.sessions, self.errors, self.missed) = (served.sessions, served.errors, served.missed);
+        self.sessions = served.sessions;
         let now = self.clock.mono();
-        if served.answers > self.answered {
-            self.answered = served.answers;
-            self.first.get_or_insert((now, served.answers));
-            self.last = Some(now);
-        }
+        self.answers.update(served.answers, served.errors, served.missed, now);
         let state = self.describe();
         self.progress.show(now, None, || state);
-        (self.answered.saturating_add(self.missed) >= self.wanted).then_some(Ended::Finished)
+        self.answers.are_complete().then_some(Ended::Finished)
     }
 
     fn over(&mut self) {

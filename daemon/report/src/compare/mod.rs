@@ -15,6 +15,7 @@ mod differences;
 mod doubts;
 mod render;
 
+pub use best::against_best;
 pub use bootstrap::{Difference, Sample, Statistic, difference};
 pub use columns::is_opaque;
 pub use differences::{Differences, StageDifference};
@@ -137,7 +138,7 @@ impl Comparison {
         lines.iter_mut().for_each(|line| line.fill(runs, by));
         let (ties, untested, doubts) = (Vec::new(), Vec::new(), doubts::sentences(runs, &lines));
         let mut this = Self { axes, lines, best: None, ties, untested, by, rest, doubts };
-        this.mark(runs, seed);
+        best::mark(&mut this, runs, seed);
         this
     }
 }

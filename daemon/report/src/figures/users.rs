@@ -14,7 +14,7 @@ const MOST_NAMED: usize = 3;
 
 /// Whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
-    Users::of(runs).is_some_and(|users| users.curves().iter().any(|curve| curve.points.len() > 1))
+    Users::of(runs).is_some_and(|users| Curve::all(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
 /// One curve for each configuration; four to a picture.
@@ -25,7 +25,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
-    let curves = users.curves();
+    let curves = Curve::all(&users);
     let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let missing: Vec<String> = lacking(curves).into_iter().collect();

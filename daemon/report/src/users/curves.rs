@@ -11,40 +11,41 @@ pub struct Curve<'a> {
     pub points: Vec<&'a UsersLine>,
 }
 
-impl Users {
-    /// The lines as curves: those that differ in their number of edges alone are one. Which axis stands for that number is
+impl<'a> Curve<'a> {
+    /// Returns the lines as curves: those that differ in their number of edges alone are one. Which axis stands for that number is
     /// seen by its labels, which name it; where none does, every label is a curve of its own.
-    pub fn curves(&self) -> Vec<Curve<'_>> {
-        let counted = self.axis_of_edges();
+    pub fn all(users: &'a Users) -> Vec<Self> {
+        let Users { axes: names, lines } = users;
+        let counted = axis_of_edges(users);
         let varied = |axis: &usize| {
             Some(*axis) != counted
-                && self.lines.iter().any(|line| line.labels.get(*axis) != self.lines[0].labels.get(*axis))
+                && lines.iter().any(|line| line.labels.get(*axis) != lines[0].labels.get(*axis))
         };
-        let axes: Vec<usize> = (0..self.axes.len()).filter(varied).collect();
-        let mut curves: Vec<Curve<'_>> = Vec::new();
-        for line in &self.lines {
+        let axes: Vec<usize> = (0..names.len()).filter(varied).collect();
+        let mut curves: Vec<Self> = Vec::new();
+        for line in lines {
             let labels = axes.iter().filter_map(|axis| line.labels.get(*axis)).map(String::as_str);
             let name = labels.collect::<Vec<_>>().join(", ");
             match curves.iter_mut().find(|curve| curve.name == name) {
                 Some(curve) => curve.points.push(line),
-                None => curves.push(Curve { name, points: vec![line] }),
+                None => curves.push(Self { name, points: vec![line] }),
             }
         }
         curves.iter_mut().for_each(|curve| curve.points.sort_by_key(|line| line.edges));
         curves
     }
+}
 
-    /// The axis whose labels are the numbers of edges, such as `4` or `4 robots`.
-    fn axis_of_edges(&self) -> Option<usize> {
-        let of_all = |axis: usize, names: &dyn Fn(&str, usize) -> bool| {
-            self.lines.iter().all(|line| line.labels.get(axis).is_some_and(|label| names(label, line.edges)))
-        };
-        let varied = self.lines.windows(2).any(|pair| pair[0].edges != pair[1].edges);
-        let alone = |label: &str, edges: usize| label.parse() == Ok(edges);
-        let among = |label: &str, edges: usize| {
-            label.split(|char: char| !char.is_ascii_digit()).any(|number| number.parse() == Ok(edges))
-        };
-        let axes = || (0..self.axes.len()).filter(|_| varied);
-        axes().find(|axis| of_all(*axis, &alone)).or_else(|| axes().find(|axis| of_all(*axis, &among)))
-    }
+/// Returns the axis whose labels are the numbers of edges, such as `4` or `4 robots`.
+fn axis_of_edges(users: &Users) -> Option<usize> {
+    let of_all = |axis: usize, names: &dyn Fn(&str, usize) -> bool| {
+        users.lines.iter().all(|line| line.labels.get(axis).is_some_and(|label| names(label, line.edges)))
+    };
+    let varied = users.lines.windows(2).any(|pair| pair[0].edges != pair[1].edges);
+    let alone = |label: &str, edges: usize| label.parse() == Ok(edges);
+    let among = |label: &str, edges: usize| {
+        label.split(|char: char| !char.is_ascii_digit()).any(|number| number.parse() == Ok(edges))
+    };
+    let axes = || (0..users.axes.len()).filter(|_| varied);
+    axes().find(|axis| of_all(*axis, &alone)).or_else(|| axes().find(|axis| of_all(*axis, &among)))
 }

@@ -86,7 +86,7 @@ fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)
         |(labels, edges): &(&[&str], usize)| UsersLine::new(owned(labels), *edges, &[], Totals::default());
     let users = Users { axes: owned(axes), lines: lines.iter().map(line).collect() };
     let points = |curve: &Curve<'_>| curve.points.iter().map(|line| line.edges).collect();
-    users.curves().iter().map(|curve| (curve.name.clone(), points(curve))).collect()
+    Curve::all(&users).iter().map(|curve| (curve.name.clone(), points(curve))).collect()
 }
 
 #[test]

@@ -29,7 +29,7 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
     comparison.experiment.as_ref()?;
     let users =
         Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
-    let curves = users.curves();
+    let curves = Curve::all(&users);
     let edges = |line: Option<&&UsersLine>| line.map(|line| line.edges);
     let differ = |curve: &Curve<'_>| edges(curve.points.first()) != edges(curve.points.last());
     curves.iter().any(differ).then_some(())?;
