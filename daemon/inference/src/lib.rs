@@ -1,4 +1,4 @@
-//! Models: `onnx`, `python`, `exec`, `echo`, `sleep`; loaded once, run by their own threads behind a bounded queue.
+//! Models ([`model::ModelConfig`] lists the kinds): loaded once, run by their own threads behind a bounded queue.
 //!
 //! [`Bank`] is the list of models that a host offers and the only way to one. Asked for a model it loads it,
 //! once, and hands out its [`Pool`]: jobs go in by [`Pool::submit`], each comes back through its own `reply`.

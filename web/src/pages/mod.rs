@@ -1,7 +1,7 @@
 //! The dashboard: one file per page, its template beside it. A page is complete when it arrives; what of it is
 //! live is a block of its template, sent again by the live stream.
 //!
-//! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else.
+//! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else in the program.
 
 mod compare;
 mod error;

@@ -30,6 +30,8 @@ const MAX_QUEUE: usize = 65_536;
 /// A kind of model, implemented by the keys that it has beside the shared ones.
 pub trait ModelKind {
     /// The shared keys that a model of this kind has; `name` is one of them. Default: all.
+    ///
+    /// A kind whose [`Model::blocks`] is false has no `workers` and no `queue`: it runs on the thread of its caller.
     fn shared_keys() -> &'static [&'static str]
     where
         Self: Sized,

@@ -76,8 +76,11 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
         }
         let shared: Keys = K::shared_keys().iter().filter_map(|key| own.remove_entry(*key)).collect();
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
-        let own = serde_json::from_value(own.into()).map_err(de::Error::custom)?;
-        Ok(Self { shared, own })
+        // Of a kind without keys serde reads `struct Name {}` from a map and `struct Name;` from null.
+        let is_keyless = own.is_empty() && field_names::<K>().is_empty();
+        let read = serde_json::from_value(own.into());
+        let own = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
+        Ok(Self { shared, own: own.map_err(de::Error::custom)? })
     }
 }
 
@@ -85,6 +88,7 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let keys = |group: serde_json::Result<Value>| match group.map_err(ser::Error::custom)? {
             Value::Object(keys) => Ok(keys),
+            Value::Null => Ok(Keys::new()),
             _ => Err(ser::Error::custom("the keys of a model are no table")),
         };
         let mut own = keys(serde_json::to_value(&self.own))?;

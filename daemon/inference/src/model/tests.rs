@@ -101,3 +101,34 @@ fn table_is_written_with_the_keys_of_its_kind_in_their_order() {
         assert_eq!(read(&toml).expect("reads back"), config);
     }
 }
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct UnitConfig;
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct EmptyConfig {}
+
+macro_rules! keyless {
+    ($($kind:ty),*) => { $(
+        impl ModelKind for $kind {
+            fn load(&self, _: &SharedKeys, _: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+                Err(LoadError::TooMuch { key: "name", value: 1, most: 0 })
+            }
+        }
+    )* };
+}
+
+keyless!(UnitConfig, EmptyConfig);
+
+#[test]
+fn kind_without_keys_is_read_and_written() {
+    let (given, wrong) = (r#"{"name":"m","device":"cpu","workers":1,"queue":2}"#, r#"{"name":"m","zz":1}"#);
+    let unit: ModelTable<UnitConfig> = serde_json::from_str(given).expect("reads");
+    let empty: ModelTable<EmptyConfig> = serde_json::from_str(given).expect("reads");
+    assert_eq!(serde_json::to_string(&unit).expect("can be written"), given);
+    assert_eq!(serde_json::to_string(&empty).expect("can be written"), given);
+    assert!(serde_json::from_str::<ModelTable<UnitConfig>>(wrong).is_err());
+    assert!(serde_json::from_str::<ModelTable<EmptyConfig>>(wrong).is_err());
+}

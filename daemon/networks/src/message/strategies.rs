@@ -149,9 +149,9 @@ fn departure() -> impl Strategy<Value = Departure> {
     })
 }
 
-/// Reading replaces control characters, so there are none.
+/// Texts that reading leaves as they are: it replaces control characters and separators of lines.
 fn words() -> impl Strategy<Value = String> {
-    "[^\\pC]{0,30}"
+    "[^\\pC\\p{Zl}\\p{Zp}]{0,30}"
 }
 
 fn outcome() -> impl Strategy<Value = Outcome> {
