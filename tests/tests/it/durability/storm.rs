@@ -63,6 +63,10 @@ impl Storm {
         }
         fleet.aggregator_returns();
         fleet.start_all();
+        // An agent makes its host id at its first start, and cannot start where there is no room for that.
+        for agent in 0..AGENTS.len() {
+            fleet.account(agent, "the agent is known", |account| account.produced > 0);
+        }
         Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
     }
 
