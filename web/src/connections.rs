@@ -1,18 +1,17 @@
 //! The accept loop: what a connection may cost while it asks for nothing, and how all of them end.
 //!
-//! At most [`Limits::connections`] are open at a time; further ones wait in the kernel's queue until one closes. Of one
-//! address at most [`Limits::per_address`] are open; further ones are closed at once.
-//! Of the streams that go on for ever, at most [`Limits::streams`] are open and [`Limits::streams_per_address`] of one
-//! address, so that they leave connections to all other requests; further ones are answered with 503.
+//! At most [`Limits::connections`] are open at a time, and addresses share them ([`FairPlaces`]): a further one closes the
+//! oldest of the address that has most, or is closed itself.
+//! Of the streams that go on for ever, at most [`Limits::streams`] are open, shared in the same way, and
+//! [`Limits::streams_per_address`] of one address, so that they leave connections and processor to all other requests;
+//! further ones are answered with 503.
 //! A connection that does not complete the header of its first or next request within [`Limits::silence`] is
-//! closed, whether it is idle or sends byte by byte.
+//! closed, whether it is idle or sends byte by byte; so is one whose peer takes in nothing for [`Limits::unread`].
 
-use std::collections::HashMap;
 use std::io;
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::SocketAddr;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
@@ -23,13 +22,15 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use peernet_aggregator::LogThrottle;
 use peernet_clock::SharedClock;
+use peernet_networks::AddressGroup;
+use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 use crate::error::WebError;
+use crate::fair_places::{FairPlaces, NoPlace, Place};
 
 /// Most bytes read or written ahead on one connection.
 const BUFFER: usize = 64 << 10;
@@ -37,7 +38,7 @@ const BUFFER: usize = 64 << 10;
 const HEADER: usize = 64 << 10;
 /// Pause after an accept that failed for want of file descriptors or memory.
 const SHORTAGE: Duration = Duration::from_secs(1);
-/// Most streams of one address.
+/// Most streams of one address: what one host may have the server compute four times a second.
 const STREAMS: usize = 32;
 
 /// What connections may cost.
@@ -45,14 +46,14 @@ const STREAMS: usize = 32;
 pub(crate) struct Limits {
     /// Connections open at a time.
     pub connections: usize,
-    /// Of them those of one address, so that no single host can take all.
-    pub per_address: usize,
     /// Streams open at a time.
     pub streams: usize,
     /// Of them those of one address.
     pub streams_per_address: usize,
     /// Longest time without a complete header while no request is in progress.
     pub silence: Duration,
+    /// How long a peer may leave what was sent to it unread (`TCP_USER_TIMEOUT`).
+    pub unread: Duration,
     /// How long requests in progress may go on after the server was asked to stop.
     pub grace: Duration,
 }
@@ -60,13 +61,12 @@ pub(crate) struct Limits {
 impl Limits {
     /// Those of a running server. The grace fits into the time that the whole process has for stopping.
     pub(crate) fn server(connections: usize) -> Self {
-        let streams = (connections / 4).max(1);
         Self {
             connections,
-            per_address: (connections / 4).max(1),
-            streams,
-            streams_per_address: (streams / 2).clamp(1, STREAMS),
+            streams: connections / 4,
+            streams_per_address: STREAMS,
             silence: Duration::from_secs(10),
+            unread: Duration::from_secs(30),
             grace: Duration::from_millis(1_500),
         }
     }
@@ -80,16 +80,17 @@ pub(crate) async fn accept(
     stop: CancellationToken,
     limits: Limits,
 ) {
-    let mut places = Places::new(limits, clock);
-    let streams = Streams::new(limits);
+    let places = FairPlaces::new(limits.connections, usize::MAX);
+    let streams = FairPlaces::new(limits.streams, limits.streams_per_address);
     let open = TaskTracker::new();
     let cut = CancellationToken::new();
-    while let Some((stream, place)) = stop.run_until_cancelled(places.next(&listener)).await {
-        let streams = Streams { address: place.count.address, ..streams.clone() };
-        let served = serve(stream, router.clone(), streams, stop.clone(), limits.silence);
-        let cut = cut.clone();
+    let mut acceptor = Acceptor { places, cut: cut.clone(), clock, log: LogThrottle::default() };
+    while let Some(accepted) = stop.run_until_cancelled(acceptor.next(&listener)).await {
+        let Accepted { stream, address, leave, place } = accepted;
+        let streams = Streams { places: streams.clone(), address, leave: leave.clone() };
+        let served = serve(stream, router.clone(), streams, stop.clone(), limits);
         open.spawn(async move {
-            cut.run_until_cancelled(served).await;
+            leave.run_until_cancelled(served).await;
             drop(place);
         });
     }
@@ -103,125 +104,61 @@ pub(crate) async fn accept(
     }
 }
 
-/// What is open of each address, and how much may be.
-#[derive(Clone, Debug)]
-struct ByAddress {
-    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
-    most: usize,
-}
-
-/// One that is counted under an address until it is dropped.
-#[derive(Debug)]
-struct Count {
-    address: IpAddr,
-    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
-}
-
-impl ByAddress {
-    fn new(most: usize) -> Self {
-        Self { open: Arc::default(), most }
-    }
-
-    /// Counts one more of an address; `None` when that one has too many.
-    fn take(&self, address: IpAddr) -> Option<Count> {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = open.entry(address).or_default();
-        if *count >= self.most {
-            return None;
-        }
-        *count += 1;
-        Some(Count { address, open: Arc::clone(&self.open) })
-    }
-}
-
-impl Drop for Count {
-    fn drop(&mut self) {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = open.get_mut(&self.address) {
-            *count -= 1;
-            if *count == 0 {
-                open.remove(&self.address);
-            }
-        }
-    }
-}
-
-/// The streams that may be open, in all and by address, as the requests of one connection find them.
+/// The live streams that may be open, as the requests of one connection find them.
 #[derive(Clone, Debug)]
 pub(crate) struct Streams {
-    free: Arc<Semaphore>,
-    most: usize,
-    open: ByAddress,
-    address: IpAddr,
-}
-
-/// The place of one open connection or stream; free again when dropped.
-#[derive(Debug)]
-pub(crate) struct Place {
-    count: Count,
-    _permit: OwnedSemaphorePermit,
+    places: FairPlaces,
+    address: AddressGroup,
+    /// Ends the connection: a stream ends with the connection that carries it, also while its listener reads nothing.
+    leave: CancellationToken,
 }
 
 impl Streams {
-    fn new(limits: Limits) -> Self {
-        Self {
-            free: Arc::new(Semaphore::new(limits.streams)),
-            most: limits.streams,
-            open: ByAddress::new(limits.streams_per_address),
-            address: Ipv6Addr::UNSPECIFIED.into(),
-        }
-    }
-
     /// The place of one more stream.
-    pub(crate) fn take(&self) -> Result<Place, WebError> {
-        let count = self.open.take(self.address).ok_or_else(|| {
-            let most = self.open.most;
-            WebError::TooManyStreams(format!(
-                "{most} live streams are open from this address, as many as one may have; close one and try again"
-            ))
-        })?;
-        let permit = Arc::clone(&self.free).try_acquire_owned().map_err(|_| {
-            let most = self.most;
-            WebError::TooManyStreams(format!(
-                "{most} live streams are open, as many as there may be; try again when one has been closed"
-            ))
-        })?;
-        Ok(Place { count, _permit: permit })
+    pub(crate) async fn take(&self) -> Result<Place, WebError> {
+        self.places.take(self.address, self.leave.clone()).await.map_err(|refused| {
+            WebError::TooManyStreams(match refused {
+                NoPlace::AddressIsFull(count) => format!(
+                    "{count} live streams are open from this address, as many as one may have; close one and try again"
+                ),
+                NoPlace::AllTaken(count) => format!(
+                    "{count} live streams are open, as many as there may be; try again when one has been closed"
+                ),
+            })
+        })
     }
 }
 
-/// The connections that may be open: in all and by address.
-struct Places {
-    free: Arc<Semaphore>,
-    open: ByAddress,
+/// A connection that was taken in.
+struct Accepted {
+    stream: TcpStream,
+    address: AddressGroup,
+    /// Cancelled when another address needs the place.
+    leave: CancellationToken,
+    place: Place,
+}
+
+/// Takes connections in, as far as there are places.
+struct Acceptor {
+    places: FairPlaces,
+    /// Ends all connections.
+    cut: CancellationToken,
     clock: SharedClock,
     log: LogThrottle,
 }
 
-impl Places {
-    fn new(limits: Limits, clock: SharedClock) -> Self {
-        let free = Arc::new(Semaphore::new(limits.connections));
-        Self { free, open: ByAddress::new(limits.per_address), clock, log: LogThrottle::default() }
-    }
-
-    /// The next connection and its place, once there is one.
-    async fn next(&mut self, listener: &TcpListener) -> (TcpStream, Place) {
-        let now = self.clock.mono();
-        if self.free.available_permits() == 0
-            && let Some(times) = self.log.count("full", None, now)
-        {
-            tracing::warn!(
-                times,
-                "as many connections as allowed are open; further ones wait until one closes"
-            );
-        }
-        let permit = Arc::clone(&self.free).acquire_owned().await.expect("the semaphore is never closed");
+impl Acceptor {
+    /// The next connection that there is a place for.
+    async fn next(&mut self, listener: &TcpListener) -> Accepted {
         loop {
             match listener.accept().await {
-                Ok((stream, peer)) => match self.open.take(counted(peer.ip())) {
-                    Some(count) => return (stream, Place { count, _permit: permit }),
-                    None => self.refused(peer.ip()),
-                },
+                Ok((stream, peer)) => {
+                    let (address, leave) = (AddressGroup::of(peer), self.cut.child_token());
+                    match self.places.take(address, leave.clone()).await {
+                        Ok(place) => return Accepted { stream, address, leave, place },
+                        Err(_) => self.refused(peer),
+                    }
+                }
                 Err(error) if gone(&error) => {}
                 Err(error) => {
                     if let Some(times) = self.log.count(&error.to_string(), None, self.clock.mono()) {
@@ -233,19 +170,10 @@ impl Places {
         }
     }
 
-    fn refused(&mut self, peer: IpAddr) {
-        if let Some(times) = self.log.count("address", Some(counted(peer)), self.clock.mono()) {
-            let limit = self.open.most;
-            tracing::warn!(times, %peer, limit, "closed a connection: its address has as many open as one may have");
+    fn refused(&mut self, peer: SocketAddr) {
+        if let Some(times) = self.log.count("full", None, self.clock.mono()) {
+            tracing::warn!(times, %peer, "closed a connection: as many as allowed are open, and no address has more of them");
         }
-    }
-}
-
-/// The address under which a peer's connections are counted: of IPv6 the network, which is given to one host as a whole.
-fn counted(peer: IpAddr) -> IpAddr {
-    match peer.to_canonical() {
-        IpAddr::V6(address) => IpAddr::V6(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64)),
-        address @ IpAddr::V4(_) => address,
     }
 }
 
@@ -255,13 +183,12 @@ fn gone(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
-async fn serve(
-    stream: TcpStream,
-    router: Router,
-    streams: Streams,
-    stop: CancellationToken,
-    silence: Duration,
-) {
+async fn serve(stream: TcpStream, router: Router, streams: Streams, stop: CancellationToken, limits: Limits) {
+    if let Err(error) = SockRef::from(&stream).set_tcp_user_timeout(Some(limits.unread)) {
+        // Its peer is gone already, as a rule.
+        tracing::debug!(%error, "a connection cannot be given a time limit");
+        return;
+    }
     let asked = AtomicBool::new(false);
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(streams.clone());
@@ -270,7 +197,7 @@ async fn serve(
     });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(silence)
+        .header_read_timeout(limits.silence)
         .max_buf_size(BUFFER)
         .max_header_size(HEADER)
         .serve_connection(TokioIo::new(stream), service);

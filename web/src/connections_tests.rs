@@ -1,10 +1,15 @@
-use std::net::SocketAddr;
+use std::convert::Infallible;
+use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 
+use axum::body::Body;
 use axum::routing::get;
+use bytes::Bytes;
+use futures::stream;
 use peernet_clock::{ClockIdentity, SystemClock};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::sync::Notify;
+use tokio::net::TcpSocket;
+use tokio::sync::{Notify, Semaphore};
 use tokio::task::JoinHandle;
 
 use super::*;
@@ -12,7 +17,7 @@ use super::*;
 const HOUR: Duration = Duration::from_secs(3_600);
 const SOON: Duration = Duration::from_millis(20);
 const PATIENT: Limits =
-    Limits { connections: 8, per_address: 8, streams: 8, streams_per_address: 8, silence: HOUR, grace: HOUR };
+    Limits { connections: 8, streams: 8, streams_per_address: 8, silence: HOUR, unread: HOUR, grace: HOUR };
 
 /// A server whose `/wait` answers when it is let go.
 struct Server {
@@ -47,7 +52,13 @@ impl Server {
                 "waited"
             }
         };
-        let router = Router::new().route("/", get(|| async { "here" })).route("/wait", get(wait));
+        let endless = || async {
+            Body::from_stream(stream::repeat(Ok::<_, Infallible>(Bytes::from(vec![b'x'; 1 << 16]))))
+        };
+        let router = Router::new()
+            .route("/", get(|| async { "here" }))
+            .route("/wait", get(wait))
+            .route("/endless", get(endless));
         let task = tokio::spawn(accept(listener, router, clock, stop.clone(), limits));
         Self { address, stop, task, answers, entered, inside, most }
     }
@@ -74,6 +85,19 @@ impl Server {
             heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
         }
         stream
+    }
+
+    /// Asks until a connection is not closed for want of a place.
+    async fn finds_a_place(&self, request: &str) {
+        loop {
+            let mut stream = self.connect().await;
+            let sent = stream.write_all(request.as_bytes()).await;
+            let mut answer = String::new();
+            let heard = stream.read_to_string(&mut answer).await;
+            if sent.is_ok() && heard.is_ok() && answer.starts_with("HTTP/1.1 200") {
+                return;
+            }
+        }
     }
 
     async fn inside(&self, count: usize) {
@@ -106,6 +130,15 @@ async fn connections_that_ask_for_nothing_are_closed() {
 }
 
 #[tokio::test]
+async fn connections_whose_peer_reads_nothing_are_closed() {
+    let server = Server::start(Limits { connections: 1, unread: SOON, ..PATIENT }).await;
+    let unread = server.sent("GET /endless HTTP/1.1\r\nHost: here\r\n\r\n").await;
+    // It had the only place.
+    server.finds_a_place(&WAIT.replace("/wait", "/")).await;
+    drop(unread);
+}
+
+#[tokio::test]
 async fn a_request_in_progress_is_not_silence() {
     let server = Server::start(Limits { silence: SOON, ..PATIENT }).await;
     let waiting = server.sent(WAIT).await;
@@ -117,18 +150,37 @@ async fn a_request_in_progress_is_not_silence() {
 }
 
 #[tokio::test]
-async fn connections_beyond_the_limit_wait_for_a_place() {
+async fn connections_beyond_the_limit_are_closed() {
     let server = Server::start(Limits { connections: 2, ..PATIENT }).await;
-    let mut streams = Vec::new();
-    for _ in 0..6 {
-        streams.push(server.sent(WAIT).await);
-    }
+    let held = [server.sent(WAIT).await, server.sent(WAIT).await];
     server.inside(2).await;
-    server.answers.add_permits(6);
-    for stream in streams {
+    assert_eq!(rest(server.connect().await).await, "");
+    server.answers.add_permits(3);
+    for stream in held {
         assert!(rest(stream).await.ends_with("waited"));
     }
+    // Both places are free again, at the latest when their tasks have ended.
+    server.finds_a_place(WAIT).await;
     assert_eq!(server.most.load(Ordering::SeqCst), 2);
+}
+
+#[tokio::test]
+async fn another_address_takes_the_place_of_the_oldest_connection() {
+    let server = Server::start(Limits { connections: 2, ..PATIENT }).await;
+    let oldest = server.sent(WAIT).await;
+    server.inside(1).await;
+    let second = server.sent(WAIT).await;
+    server.inside(2).await;
+    // All of 127.0.0.0/8 is this machine.
+    let socket = TcpSocket::new_v4().expect("a socket");
+    socket.bind("127.0.0.2:0".parse().expect("an address")).expect("binds");
+    let mut other = socket.connect(server.address).await.expect("connects");
+    other.write_all(WAIT.as_bytes()).await.expect("sends");
+    assert_eq!(rest(oldest).await, "");
+    server.answers.add_permits(2);
+    for stream in [second, other] {
+        assert!(rest(stream).await.ends_with("waited"));
+    }
 }
 
 #[tokio::test]
@@ -165,65 +217,19 @@ async fn a_request_that_outlasts_the_grace_is_cut_off() {
 }
 
 #[tokio::test]
-async fn connections_of_one_address_beyond_its_limit_are_closed() {
-    let server = Server::start(Limits { per_address: 2, ..PATIENT }).await;
-    let first = server.sent(WAIT).await;
-    let second = server.sent(WAIT).await;
-    server.inside(2).await;
-    assert_eq!(rest(server.connect().await).await, "");
-    server.answers.add_permits(3);
-    for stream in [first, second] {
-        assert!(rest(stream).await.ends_with("waited"));
-    }
-    // Both places are free again, at the latest when their tasks have ended.
-    loop {
-        let mut again = server.connect().await;
-        let sent = again.write_all(WAIT.as_bytes()).await;
-        let mut text = String::new();
-        if sent.is_ok() && again.read_to_string(&mut text).await.is_ok() && text.ends_with("waited") {
-            break;
-        }
-    }
-}
-
-#[test]
-fn streams_take_a_quarter_of_the_connections_at_most() {
-    let of = |connections| {
-        let limits = Limits::server(connections);
-        (limits.streams, limits.streams_per_address)
+async fn streams_are_limited_by_address_and_in_all() {
+    let places = FairPlaces::new(3, 2);
+    let of = async |address: &str| {
+        let address = AddressGroup::of(format!("{address}:1").parse().expect("an address"));
+        let leave = CancellationToken::new();
+        Streams { places: places.clone(), address, leave }.take().await
     };
-    assert_eq!([of(1_024), of(110), of(16), of(1)], [(256, 32), (27, 13), (4, 2), (1, 1)]);
-}
-
-#[test]
-fn streams_are_limited_by_address_and_in_all() {
-    let all = Streams::new(Limits { streams: 3, streams_per_address: 2, ..PATIENT });
-    let of = |address: &str| {
-        Streams { address: counted(address.parse().expect("an address")), ..all.clone() }.take()
-    };
-    let refused = |address| of(address).expect_err("too many").to_string();
-    let held = [of("2001:db8::1"), of("2001:db8::2")].map(|place| place.expect("free"));
-    assert!(refused("2001:db8::3").starts_with("2 live streams are open from this address"));
-    let other = of("192.0.2.1").expect("free");
-    for address in ["192.0.2.1", "192.0.2.2"] {
-        assert!(refused(address).starts_with("3 live streams are open, "), "{address}");
-    }
-    drop(other);
-    drop(held);
-    let again = [of("2001:db8::1"), of("2001:db8::2"), of("192.0.2.2")].map(|place| place.expect("free"));
-    drop(again);
-    // What was refused for want of room in all is not counted under its address either.
-    assert!(all.open.open.lock().expect("whole").is_empty());
-}
-
-#[test]
-fn addresses_of_one_network_are_counted_together() {
-    let same =
-        |a: &str, b: &str| counted(a.parse().expect("an address")) == counted(b.parse().expect("an address"));
-    assert!(same("192.0.2.1", "::ffff:192.0.2.1"));
-    assert!(same("2001:db8::1", "2001:db8::ffff:2"));
-    assert!(!same("2001:db8::1", "2001:db8:0:1::1"));
-    assert!(!same("192.0.2.1", "192.0.2.2"));
+    let _held = [of("192.0.2.1").await, of("192.0.2.1").await].map(|place| place.expect("free"));
+    let refused = of("192.0.2.1").await.expect_err("too many").to_string();
+    assert!(refused.starts_with("2 live streams are open from this address"), "{refused}");
+    let _other = of("192.0.2.2").await.expect("free");
+    let refused = of("192.0.2.2").await.expect_err("too many").to_string();
+    assert!(refused.starts_with("3 live streams are open, "), "{refused}");
 }
 
 async fn with_headers(length: usize) -> String {

@@ -11,6 +11,7 @@ mod assets;
 mod config;
 mod connections;
 mod error;
+mod fair_places;
 mod look;
 mod metrics;
 mod pages;

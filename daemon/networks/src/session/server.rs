@@ -7,8 +7,7 @@ use crate::message::{
     Accepted, ClockNews, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
-use crate::transport::zmtp::AddressGroup;
-use crate::transport::{ConnectionId, Peer};
+use crate::transport::{AddressGroup, ConnectionId, Peer};
 use peernet_logger::HostId;
 use peernet_stream::VersionMismatch;
 

@@ -3,10 +3,12 @@
 //! A new transport is one file here with a `dial` and a `bind`, registered in [`NetworkKind`].
 
 mod address;
+mod address_group;
 mod zmq_tcp;
 pub mod zmtp;
 
 pub use address::{Address, InvalidAddress};
+pub use address_group::AddressGroup;
 
 use std::fmt;
 use std::net::SocketAddr;

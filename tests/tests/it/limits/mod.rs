@@ -4,6 +4,7 @@ mod connections;
 mod memory;
 mod probes;
 mod sessions;
+mod slow_readers;
 mod unknown_host;
 
 use std::io::{ErrorKind, Read, Write};

@@ -29,8 +29,9 @@ use utoipa_axum::routes;
 
 use self::schema::{PictureEvent, StatusEvent};
 use crate::api::schema::PipelineList;
-use crate::connections::{Place, Streams};
+use crate::connections::Streams;
 use crate::error::{ProblemDetails, WebError};
+use crate::fair_places::Place;
 use crate::pages::{self, PageTopic};
 use crate::parameters::Parameters;
 use crate::state::App;
@@ -135,7 +136,10 @@ async fn stream(
         query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
     let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
     // There is none without a socket.
-    let place = streams.map(|Extension(streams)| streams.take()).transpose()?;
+    let place = match streams {
+        Some(Extension(streams)) => Some(streams.take().await?),
+        None => None,
+    };
     let keep_alive = KeepAlive::new().interval(HEARTBEAT).event(Event::default().event("heartbeat").data(""));
     // Proxies that collect answers before they pass them on would make live figures late.
     let unbuffered = AppendHeaders([(HeaderName::from_static("x-accel-buffering"), "no")]);

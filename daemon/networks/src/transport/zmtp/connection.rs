@@ -12,9 +12,9 @@ use omq_proto::{Message, Payload, SocketType};
 use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::{Notify, OwnedSemaphorePermit};
 
-use super::limits::{AddressGroup, ListenerLimits};
+use super::limits::ListenerLimits;
 use super::memory::{MemoryBudget, Reservation};
-use crate::transport::{ConnectionId, Frames, SendFailure};
+use crate::transport::{AddressGroup, ConnectionId, Frames, SendFailure};
 
 /// Most slices that one write gathers.
 const MAX_SLICES: usize = 64;

@@ -15,11 +15,11 @@ use tokio_util::task::TaskTracker;
 
 use super::connection::{Phase, ZmtpConnection};
 use super::driver::{Budgets, Driver, End};
-use super::limits::{AddressGroup, ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
+use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
 use super::memory::{MemoryBudget, Reservation};
 use super::rejections::{Rejection, RejectionCounts};
 use super::table::{ConnectionTable, Inserted};
-use crate::transport::{Arrival, BindFailure, ConnectionId, Frames, SendFailure};
+use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
 
 /// Messages of all connections that may wait to be received; each is covered by a reservation until then.
 const MAX_WAITING: usize = 1_024;

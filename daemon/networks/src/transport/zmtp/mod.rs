@@ -22,7 +22,6 @@ mod memory;
 mod rejections;
 mod table;
 
-pub(crate) use limits::AddressGroup;
 pub use limits::ListenerLimits;
 pub use listener::{ZmtpListener, ZmtpSender};
 pub use rejections::{Rejection, RejectionCounts};

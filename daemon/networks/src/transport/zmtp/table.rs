@@ -4,9 +4,9 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::connection::{Phase, ZmtpConnection};
-use super::limits::{AddressGroup, ListenerLimits};
+use super::limits::ListenerLimits;
 use super::rejections::Rejection;
-use crate::transport::ConnectionId;
+use crate::transport::{AddressGroup, ConnectionId};
 
 /// All open connections.
 #[derive(Debug)]

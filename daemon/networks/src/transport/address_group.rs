@@ -1,0 +1,40 @@
+//! Which addresses one machine may have all of.
+
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+
+/// Addresses that count as one: an IPv4 address, or the /64 network of an IPv6 address, which one machine can
+/// have all of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct AddressGroup(IpAddr);
+
+impl AddressGroup {
+    /// The group of a peer.
+    pub fn of(address: SocketAddr) -> Self {
+        match address.ip().to_canonical() {
+            IpAddr::V6(ip) if !ip.is_loopback() => {
+                Self(IpAddr::V6(Ipv6Addr::from_bits(ip.to_bits() & !u128::from(u64::MAX))))
+            }
+            ip => Self(ip),
+        }
+    }
+
+    /// Whether it is this machine itself, whose processes can do worse than to open connections.
+    pub fn is_loopback(self) -> bool {
+        self.0.is_loopback()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ipv6_network_counts_as_one_address() {
+        let group = |text: &str| AddressGroup::of(text.parse().expect("an address"));
+        assert_eq!(group("[2001:db8::1]:1"), group("[2001:db8::ffff:1]:2"));
+        assert_ne!(group("[2001:db8:0:1::1]:1"), group("[2001:db8::1]:1"));
+        assert_eq!(group("[::ffff:192.0.2.7]:1"), group("192.0.2.7:2"));
+        assert_ne!(group("192.0.2.7:1"), group("192.0.2.8:1"));
+        assert!(group("[::1]:1").is_loopback() && group("127.0.0.1:1").is_loopback());
+    }
+}
