@@ -11,7 +11,7 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, TargetKind};
 /// From the lowest. The same stands in ARCHITECTURE.md.
 const LAYERS: [&[&str]; 8] = [
     &["peernet-clock", "peernet-permissions", "peernet-sample", "peernet-statistics"],
-    &["peernet-logger", "peernet-imaging", "peernet-external"],
+    &["peernet-logger", "peernet-imaging", "peernet-external", "peernet-ros"],
     &["peernet-stream"],
     &[
         "peernet-sensors",

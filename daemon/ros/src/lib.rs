@@ -1,0 +1,7 @@
+//! Clients of ROS 1 and ROS 2 that need no ROS installation.
+//!
+//! `messages` has the message types and their two wire forms, `ros1` and `ros2` exchange messages as bytes.
+
+pub mod messages;
+pub mod ros1;
+pub mod ros2;

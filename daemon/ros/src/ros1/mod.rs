@@ -1,0 +1,1 @@
+//! ROS 1: the master, and topics over TCP.
