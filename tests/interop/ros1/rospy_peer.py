@@ -1,0 +1,87 @@
+"""A rospy node that publishes, subscribes or echoes, as ros1_peer.rs does.
+
+rospy_peer.py publish NAME TOPIC COUNT BYTES
+rospy_peer.py subscribe NAME TOPIC COUNT
+rospy_peer.py echo NAME IN OUT
+"""
+import queue
+import sys
+
+import rospy
+from sensor_msgs.msg import CompressedImage
+
+# Bytes of the queues: rospy reads a message of 1 MB in one go only if its buffer holds it.
+BUFFER_BYTES = 1 << 24
+
+
+def say(line):
+    print(line, flush=True)
+
+
+def picture(number, length):
+    """Byte i of picture n is i + n (mod 251)."""
+    pattern = bytes((index + number) % 251 for index in range(251))
+    data = (pattern * (length // 251 + 1))[:length]
+    message = CompressedImage(format="raw", data=data)
+    message.header.frame_id = "camera"
+    message.header.stamp = rospy.Time(number, 0)
+    return message
+
+
+def publish(topic, count, length):
+    publisher = rospy.Publisher(topic, CompressedImage, queue_size=int(count))
+    say("ready")
+    while publisher.get_num_connections() == 0:
+        rospy.sleep(0.01)
+    for number in range(int(count)):
+        publisher.publish(picture(number, int(length)))
+    sys.stdin.read()
+
+
+def subscribe(topic, count):
+    arrived = queue.Queue()
+    rospy.Subscriber(topic, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    say("ready")
+    for _ in range(int(count)):
+        message = arrived.get()
+        number = message.header.stamp.secs
+        intact = message.data == picture(number, len(message.data)).data
+        say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
+
+
+def echo(source, target):
+    publisher = rospy.Publisher(target, CompressedImage, queue_size=1000, tcp_nodelay=True)
+    rospy.Subscriber(source, CompressedImage, publisher.publish, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    say("ready")
+    sys.stdin.read()
+
+
+def ping(out, back, count, length):
+    """Round trips, one at a time: prints the median and the 99th percentile in microseconds."""
+    import time
+
+    arrived = queue.Queue()
+    rospy.Subscriber(back, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    publisher = rospy.Publisher(out, CompressedImage, queue_size=1000, tcp_nodelay=True)
+    while publisher.get_num_connections() == 0:
+        rospy.sleep(0.01)
+    message = picture(0, int(length))
+    micros = []
+    for _ in range(int(count)):
+        start = time.monotonic_ns()
+        publisher.publish(message)
+        arrived.get()
+        micros.append((time.monotonic_ns() - start) // 1000)
+    micros.sort()
+    quantile = lambda percent: micros[(len(micros) - 1) * percent // 100]
+    say(f"median {quantile(50)} p99 {quantile(99)} rate {int(count) * 1e6 / sum(micros):.0f}")
+
+
+def main():
+    command, name, *arguments = sys.argv[1:]
+    rospy.init_node(name, disable_signals=True)
+    {"publish": publish, "subscribe": subscribe, "echo": echo, "ping": ping}[command](*arguments)
+    rospy.signal_shutdown("done")
+
+
+main()
