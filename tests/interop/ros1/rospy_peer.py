@@ -2,13 +2,16 @@
 
 rospy_peer.py publish NAME TOPIC COUNT BYTES
 rospy_peer.py subscribe NAME TOPIC COUNT
+rospy_peer.py refused NAME TOPIC
 rospy_peer.py echo NAME IN OUT
+rospy_peer.py ping NAME OUT IN COUNT BYTES
 """
 import queue
 import sys
 
 import rospy
 from sensor_msgs.msg import CompressedImage
+from std_msgs.msg import String
 
 # Bytes of the queues: rospy reads a message of 1 MB in one go only if its buffer holds it.
 BUFFER_BYTES = 1 << 24
@@ -49,6 +52,13 @@ def subscribe(topic, count):
         say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
 
 
+def refused(topic):
+    """Subscribes with another type than the topic has."""
+    rospy.Subscriber(topic, String, lambda message: say("message"))
+    say("ready")
+    sys.stdin.read()
+
+
 def echo(source, target):
     publisher = rospy.Publisher(target, CompressedImage, queue_size=1000, tcp_nodelay=True)
     rospy.Subscriber(source, CompressedImage, publisher.publish, buff_size=BUFFER_BYTES, tcp_nodelay=True)
@@ -80,7 +90,8 @@ def ping(out, back, count, length):
 def main():
     command, name, *arguments = sys.argv[1:]
     rospy.init_node(name, disable_signals=True)
-    {"publish": publish, "subscribe": subscribe, "echo": echo, "ping": ping}[command](*arguments)
+    commands = {"publish": publish, "subscribe": subscribe, "refused": refused, "echo": echo, "ping": ping}
+    commands[command](*arguments)
     rospy.signal_shutdown("done")
 
 
