@@ -5,6 +5,7 @@
 //! ros1_peer publish NAME TOPIC COUNT BYTES      waits for a subscriber, publishes, prints the counts
 //! ros1_peer latch NAME TOPIC TEXT               publishes a text as std_msgs/String, latching, until its input ends
 //! ros1_peer subscribe NAME TOPIC COUNT          prints a line for each message: its number and bytes
+//! ros1_peer rate NAME TOPIC COUNT               prints the messages per second between the first and the last
 //! ros1_peer state NAME TOPIC                    prints the states of the publishers of a std_msgs/String topic
 //! ros1_peer echo NAME IN OUT                    publishes what arrives, until its input ends
 //! ros1_peer ping NAME OUT IN COUNT BYTES        round trips: prints the median and the 99th percentile in microseconds
@@ -25,7 +26,9 @@ use peernet_ros::ros1::{
 };
 
 fn picture(number: usize, length: usize) -> CompressedImage {
-    let data: Vec<u8> = (0..length).map(|index| ((index + number) % 251).to_le_bytes()[0]).collect();
+    let pattern: Vec<u8> = (0..251).map(|index| ((index + number) % 251).to_le_bytes()[0]).collect();
+    let mut data = pattern.repeat(length / 251 + 1);
+    data.truncate(length);
     CompressedImage {
         header: Header { seq: 0, stamp: Time { sec: number as i64, nanosec: 0 }, frame_id: "camera".into() },
         format: "raw".into(),
@@ -97,6 +100,19 @@ async fn subscribe(node: &Node, topic: &str, count: usize) -> anyhow::Result<()>
     Ok(())
 }
 
+async fn rate(node: &Node, topic: &str, count: usize) -> anyhow::Result<()> {
+    let mut subscriber = node.subscribe(topic, TopicType::any(), SubscriberOptions::default()).await?;
+    print("ready");
+    let first = subscriber.recv().await?.received.mono;
+    let mut last = first;
+    for _ in 1..count {
+        last = subscriber.recv().await?.received.mono;
+    }
+    let seconds = (last - first).nanos() as f64 / 1e9;
+    print(&format!("rate {:.0} dropped {}", (count - 1) as f64 / seconds, subscriber.counts().dropped));
+    Ok(())
+}
+
 async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
     let kind = TopicType::of::<StringMessage>();
     let subscriber = node.subscribe(topic, kind, SubscriberOptions::default()).await?;
@@ -139,7 +155,6 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
     let publisher = node.publish(out, kind, PublisherOptions::default()).await?;
     publisher.wait_for_subscribers(1).await?;
     subscriber.wait_for_publishers(1).await?;
-    // The echo may still connect back: the first message is repeated by nobody, so that it is awaited for itself.
     let image = picture(0, length);
     let mut micros = Vec::with_capacity(count);
     for _ in 0..count {
@@ -169,6 +184,7 @@ async fn run(arguments: &[String]) -> anyhow::Result<()> {
         ("publish", [topic, count, length]) => publish(&node, topic, count.parse()?, length.parse()?).await,
         ("latch", [topic, text]) => latch(&node, topic, text).await,
         ("subscribe", [topic, count]) => subscribe(&node, topic, count.parse()?).await,
+        ("rate", [topic, count]) => rate(&node, topic, count.parse()?).await,
         ("state", [topic]) => state(&node, topic).await,
         ("echo", [from, to]) => echo(&node, from, to).await,
         ("ping", [out, back, count, length]) => ping(&node, out, back, count.parse()?, length.parse()?).await,

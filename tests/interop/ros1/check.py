@@ -26,7 +26,8 @@ PICTURES = 200
 PICTURE_BYTES = 1_000_000
 
 OURS = os.path.abspath(sys.argv[1])
-ROSPY = [sys.executable, os.path.join(os.path.dirname(os.path.abspath(__file__)), "rospy_peer.py")]
+# Debian's packages belong to Debian's Python.
+ROSPY = ["/usr/bin/python3", os.path.join(os.path.dirname(os.path.abspath(__file__)), "rospy_peer.py")]
 
 
 class Process:
@@ -150,7 +151,7 @@ def check_tools_see_our_publisher():
             information = tool("rosnode", "info", "/talker")
             assert "direction: outbound" in information, information
         talker.finish()
-    assert "/text" not in tool("rostopic", "list").split()
+    assert master.publishers("/text") == []
 
 
 def check_rosnode_kill_ends_our_node():
@@ -292,6 +293,18 @@ def measure():
                     figures = re.search(r"median (\d+) p99 (\d+) rate (\d+)", ping.wait_for("median"))
                     ping.finish()
                 print(f"{title:24}{length:>10}{figures[1]:>11}{figures[2]:>9}{figures[3]:>8}")
+
+
+    print(f"\n{'one way':24}{'bytes':>10}{'per s':>11}")
+    for title, source, sink in [("ours to rospy", ours, rospy), ("rospy to ours", rospy, ours),
+                                ("rospy to rospy", rospy, rospy), ("ours to ours", ours, ours)]:
+        for length, count in [(1000, 20_000), (PICTURE_BYTES, 200)]:
+            with sink("rate", "sink", "/flow", count) as meter:
+                meter.wait_for("ready")
+                with source("publish", "source", "/flow", count, length):
+                    rate = re.search(r"rate (\d+) dropped 0", meter.wait_for("rate"))
+                    meter.finish()
+                print(f"{title:24}{length:>10}{rate[1]:>11}")
 
 
 checks = [value for name, value in list(globals().items()) if name.startswith("check_")]

@@ -2,12 +2,14 @@
 
 rospy_peer.py publish NAME TOPIC COUNT BYTES
 rospy_peer.py subscribe NAME TOPIC COUNT
+rospy_peer.py rate NAME TOPIC COUNT
 rospy_peer.py refused NAME TOPIC
 rospy_peer.py echo NAME IN OUT
 rospy_peer.py ping NAME OUT IN COUNT BYTES
 """
 import queue
 import sys
+import time
 
 import rospy
 from sensor_msgs.msg import CompressedImage
@@ -52,6 +54,19 @@ def subscribe(topic, count):
         say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
 
 
+def rate(topic, count):
+    """Prints the messages per second between the first and the last."""
+    stamps = queue.Queue()
+    rospy.Subscriber(
+        topic, CompressedImage, lambda message: stamps.put(time.monotonic()), buff_size=BUFFER_BYTES, tcp_nodelay=True
+    )
+    say("ready")
+    first = last = stamps.get()
+    for _ in range(1, int(count)):
+        last = stamps.get()
+    say(f"rate {(int(count) - 1) / (last - first):.0f} dropped 0")
+
+
 def refused(topic):
     """Subscribes with another type than the topic has."""
     rospy.Subscriber(topic, String, lambda message: say("message"))
@@ -68,12 +83,10 @@ def echo(source, target):
 
 def ping(out, back, count, length):
     """Round trips, one at a time: prints the median and the 99th percentile in microseconds."""
-    import time
-
     arrived = queue.Queue()
-    rospy.Subscriber(back, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    subscriber = rospy.Subscriber(back, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
     publisher = rospy.Publisher(out, CompressedImage, queue_size=1000, tcp_nodelay=True)
-    while publisher.get_num_connections() == 0:
+    while publisher.get_num_connections() == 0 or subscriber.get_num_connections() == 0:
         rospy.sleep(0.01)
     message = picture(0, int(length))
     micros = []
@@ -90,7 +103,9 @@ def ping(out, back, count, length):
 def main():
     command, name, *arguments = sys.argv[1:]
     rospy.init_node(name, disable_signals=True)
-    commands = {"publish": publish, "subscribe": subscribe, "refused": refused, "echo": echo, "ping": ping}
+    commands = {
+        "publish": publish, "subscribe": subscribe, "rate": rate, "refused": refused, "echo": echo, "ping": ping
+    }
     commands[command](*arguments)
     rospy.signal_shutdown("done")
 

@@ -4,7 +4,6 @@ use std::net::SocketAddr;
 
 use thiserror::Error;
 
-use super::environment::RpcUri;
 use super::names::NameError;
 use super::rpc::RpcError;
 
@@ -15,7 +14,7 @@ pub enum NodeError {
     #[error("no ROS master answers at {uri}: {source}; start roscore there, or set ROS_MASTER_URI")]
     NoMaster {
         /// The master's URI.
-        uri: RpcUri,
+        uri: String,
         /// What happened.
         source: RpcError,
     },
@@ -23,7 +22,7 @@ pub enum NodeError {
     #[error("the ROS master at {uri} refuses {method}: {reason}")]
     MasterRefused {
         /// The master's URI.
-        uri: RpcUri,
+        uri: String,
         /// Method of the master's API.
         method: &'static str,
         /// What the master says.
@@ -33,7 +32,7 @@ pub enum NodeError {
     #[error("{uri} answers {method} with something else than a ROS master would; is ROS_MASTER_URI right?")]
     NotAMaster {
         /// The URI.
-        uri: RpcUri,
+        uri: String,
         /// Method of the master's API.
         method: &'static str,
     },

@@ -36,6 +36,10 @@ pub(super) const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a publisher that ends writes what waits in its queues.
 pub(super) const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 
+/// How long sent bytes may wait for the other end, because it is unreachable or reads nothing, before the kernel ends a TCP
+/// connection. Without it that takes a quarter of an hour.
+pub(super) const USER_TIMEOUT: Duration = Duration::from_secs(30);
+
 /// How long a silent TCP connection may be dead before the kernel ends it: keepalive after so long, and then
 /// [`KEEPALIVE_PROBES`] times as often as [`KEEPALIVE_INTERVAL`] says.
 pub(super) const KEEPALIVE_IDLE: Duration = Duration::from_secs(10);

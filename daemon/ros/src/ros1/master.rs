@@ -57,7 +57,7 @@ impl MasterClient {
         let answer = match rpc::call(&self.uri, method, params).await {
             Ok(answer) => answer,
             Err(RpcError::Fault { text, .. }) => return Err(self.refusal(method, text)),
-            Err(source) => return Err(NodeError::NoMaster { uri: self.uri.clone(), source }),
+            Err(source) => return Err(NodeError::NoMaster { uri: self.uri.to_string(), source }),
         };
         match split_answer(answer) {
             Some((SUCCESS, _, value)) => Ok(value),
@@ -67,11 +67,11 @@ impl MasterClient {
     }
 
     fn refusal(&self, method: &'static str, reason: String) -> NodeError {
-        NodeError::MasterRefused { uri: self.uri.clone(), method, reason }
+        NodeError::MasterRefused { uri: self.uri.to_string(), method, reason }
     }
 
     fn not_a_master(&self, method: &'static str) -> NodeError {
-        NodeError::NotAMaster { uri: self.uri.clone(), method }
+        NodeError::NotAMaster { uri: self.uri.to_string(), method }
     }
 
     /// Checks that a master answers.

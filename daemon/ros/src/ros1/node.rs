@@ -194,7 +194,7 @@ impl Node {
             Ok(())
         };
         let late = |_| {
-            let (uri, source) = (shared.master.uri().clone(), rpc::RpcError::TimedOut);
+            let (uri, source) = (shared.master.uri().to_string(), rpc::RpcError::TimedOut);
             Err(NodeError::NoMaster { uri, source })
         };
         timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(late)

@@ -69,6 +69,7 @@ pub enum RpcError {
 }
 
 impl RpcError {
+    #[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
     fn connection(error: impl ToString) -> Self {
         Self::Connection { reason: error.to_string() }
     }

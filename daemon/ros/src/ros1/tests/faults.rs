@@ -218,10 +218,12 @@ async fn malformed_header_is_answered_with_the_reason() {
 }
 
 #[tokio::test]
-async fn connections_have_nodelay_and_keepalive() {
+async fn connections_have_nodelay_keepalive_and_timeout() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
     crate::ros1::socket::configure(&stream).unwrap();
     assert!(stream.nodelay().unwrap());
-    assert!(socket2::SockRef::from(&stream).keepalive().unwrap());
+    let socket = socket2::SockRef::from(&stream);
+    assert!(socket.keepalive().unwrap());
+    assert!(socket.tcp_user_timeout().unwrap().is_some());
 }

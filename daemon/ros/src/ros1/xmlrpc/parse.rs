@@ -301,6 +301,7 @@ impl<'a> Parser<'a> {
     }
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
 fn malformed(error: impl ToString) -> ParseError {
     ParseError::Malformed { reason: error.to_string() }
 }
