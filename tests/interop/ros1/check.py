@@ -33,10 +33,11 @@ ROSPY = ["/usr/bin/python3", os.path.join(os.path.dirname(os.path.abspath(__file
 class Process:
     """A program whose lines are read one by one."""
 
-    def __init__(self, *command):
+    def __init__(self, *command, environment=None):
         self.command = [str(part) for part in command]
+        pipe = subprocess.PIPE
         self.process = subprocess.Popen(
-            self.command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            self.command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment
         )
         self.lines = queue.Queue()
         self.errors = []
@@ -272,6 +273,15 @@ def check_connections_have_nodelay():
             port = node.requestTopic("/check", "/text", [["TCPROS"]])[2][2]
             options = tcp_options(talker.process.pid, port)
             assert options and all(options), options
+
+
+def check_own_address_is_found_without_variables():
+    environment = {name: value for name, value in os.environ.items() if name != "ROS_IP"}
+    environment["ROS_MASTER_URI"] = f"http://localhost:{master.port}"
+    with Process(OURS, "latch", "talker", "/text", "found", environment=environment) as talker:
+        talker.wait_for("ready")
+        assert "found" in tool("rostopic", "echo", "-n", "1", "/text")
+        talker.finish()
 
 
 def check_no_master_is_named():

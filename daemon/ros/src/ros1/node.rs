@@ -25,7 +25,8 @@ use super::slave;
 use super::subscriber::{SubscribedTopic, Subscriber, SubscriberOptions};
 use super::tcpros::{Publication, Subscription, TopicType};
 
-/// A node of ROS 1. Publishers and subscribers end with it.
+/// A node of ROS 1. Publishers and subscribers end with it. The master is told by [`Node::shutdown`]; one that is only dropped
+/// stays in the master's lists.
 #[derive(Debug)]
 pub struct Node {
     shared: Arc<NodeShared>,
