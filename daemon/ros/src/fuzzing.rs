@@ -96,30 +96,55 @@ mod tests {
 
     use super::{any_connection, any_message, any_xml_rpc};
 
-    /// Runs the corpus of a fuzz target.
-    fn run_corpus(target: &str, run: fn(&[u8])) {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus").join(target);
-        let mut count = 0;
-        for entry in folder.read_dir().expect("the corpus is in the checkout") {
-            run(&std::fs::read(entry.unwrap().path()).unwrap());
-            count += 1;
-        }
-        assert!(count > 0, "{} is empty", folder.display());
+    /// A fuzz target: the name of its corpus, and its function.
+    type Target = (&'static str, fn(&[u8]));
+
+    const TARGETS: [Target; 3] =
+        [("xml_rpc", any_xml_rpc), ("ros1_connection", any_connection), ("ros_message", any_message)];
+
+    fn corpus(name: &str) -> Vec<Vec<u8>> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus").join(name);
+        let entries = folder.read_dir().expect("the corpus is in the checkout");
+        entries.map(|entry| std::fs::read(entry.unwrap().path()).unwrap()).collect()
     }
 
     #[test]
     fn corpora_are_survived() {
-        run_corpus("xml_rpc", any_xml_rpc);
-        run_corpus("ros1_connection", any_connection);
-        run_corpus("ros_message", any_message);
+        for (name, run) in TARGETS {
+            let corpus = corpus(name);
+            assert!(!corpus.is_empty(), "{name}");
+            corpus.iter().for_each(|data| run(data));
+        }
+    }
+
+    /// Inputs of all corpora, each with the function of its target.
+    fn inputs() -> impl Strategy<Value = (fn(&[u8]), Vec<u8>)> {
+        let pairs = |(name, run): Target| corpus(name).into_iter().map(move |data| (run, data));
+        proptest::sample::select(TARGETS.into_iter().flat_map(pairs).collect::<Vec<_>>())
     }
 
     proptest! {
         #[test]
         fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..400)) {
-            any_xml_rpc(&data);
-            any_connection(&data);
-            any_message(&data);
+            TARGETS.into_iter().for_each(|(_, run)| run(&data));
+        }
+
+        #[test]
+        fn damaged_corpora_are_survived(
+            (run, mut data) in inputs(),
+            changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
+        ) {
+            for (at, byte, how) in changes {
+                let at = at.index(data.len() + 1);
+                match how {
+                    0 => data.insert(at, byte),
+                    1 => data.truncate(at),
+                    2 => data.extend_from_within(at..),
+                    _ if at < data.len() => data[at] = byte,
+                    _ => {}
+                }
+            }
+            run(&data);
         }
     }
 }

@@ -8,7 +8,8 @@ use super::{TestMaster, clock, environment, node, within};
 use crate::messages::{CompressedImage, StringMessage};
 use crate::ros1::tcpros::{ConnectionHeader, Subscription};
 use crate::ros1::{
-    Node, NodeError, PublisherOptions, PublisherState, QueueLimits, SubscriberOptions, TopicType, WhenFull,
+    Node, NodeError, PublisherOptions, PublisherState, QueueLimits, RpcUri, SubscriberOptions, TopicType,
+    WhenFull,
 };
 
 fn message(length: usize) -> Bytes {
@@ -215,6 +216,36 @@ async fn malformed_header_is_answered_with_the_reason() {
     let mut stream = TcpStream::connect(("127.0.0.1", a.shared().tcpros_port)).await.unwrap();
     stream.write_all(&u32::MAX.to_le_bytes()).await.unwrap();
     assert_eq!(within(stream.read_to_end(&mut answer)).await.unwrap(), 0);
+}
+
+#[tokio::test]
+async fn garbage_at_both_ports_leaves_the_node_working() {
+    let master = TestMaster::start().await;
+    let a = node(&master, "a").await;
+    let kind = TopicType::of::<StringMessage>();
+    let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let rpc_port = RpcUri::parse(a.uri()).unwrap().port();
+    let long_line = "x".repeat(1_000_000);
+    for port in [rpc_port, a.shared().tcpros_port] {
+        for garbage in [
+            "",
+            "\0\0\0\0",
+            "GET / HTTP/1.1\r\n\r\n",
+            "POST / HTTP/1.1\r\nContent-Length: 9\r\n\r\n<a><b/></",
+            &long_line,
+        ] {
+            let mut stream = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
+            // It may be refused before all of it was sent.
+            let _ = stream.write_all(garbage.as_bytes()).await;
+            let _ = stream.shutdown().await;
+            let _ = within(stream.read_to_end(&mut Vec::new())).await;
+        }
+    }
+    let b = node(&master, "b").await;
+    let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
+    within(publisher.wait_for_subscribers(1)).await.unwrap();
+    publisher.publish(message(3)).unwrap();
+    within(subscriber.recv()).await.unwrap();
 }
 
 #[tokio::test]
