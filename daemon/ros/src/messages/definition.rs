@@ -1,4 +1,4 @@
-//! What ROS 1 knows of a message type.
+//! Definitions of message types in ROS 1.
 
 use std::fmt::Write;
 

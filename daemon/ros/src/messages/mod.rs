@@ -24,7 +24,7 @@ pub use writer::{EncodeError, EncodedMessage, Writer};
 
 use bytes::Bytes;
 
-/// How a version of ROS writes a message.
+/// The serialisation of a version of ROS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WireForm {
     /// Serialisation of ROS 1: little-endian, without alignment, texts without a final NUL, headers with `seq`.
@@ -36,7 +36,7 @@ pub enum WireForm {
 
 /// A message type that can be published as a topic of both versions of ROS.
 pub trait Message: Field {
-    /// What ROS 1 knows of the type.
+    /// Definition of the type in ROS 1.
     const DEFINITION: &'static MessageDefinition;
 
     /// Name of the type in DDS, such as `sensor_msgs::msg::dds_::Image_`.

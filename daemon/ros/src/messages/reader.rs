@@ -70,7 +70,7 @@ pub struct Reader {
     is_big_endian: bool,
     bytes: Bytes,
     offset: usize,
-    /// Where alignment counts from.
+    /// Position from which alignment counts.
     origin: usize,
 }
 
@@ -142,7 +142,7 @@ impl Reader {
     /// Reads the number of elements of a sequence, each of which takes at least `min_element_bytes`.
     ///
     /// # Errors
-    /// So many elements cannot be in the bytes that follow.
+    /// The bytes that follow cannot hold this number of elements.
     pub fn take_length(&mut self, min_element_bytes: usize) -> Result<usize, DecodeError> {
         let claimed = u32::from_le_bytes(self.take_number()?);
         // Saturating: an impossible claim stays impossible.

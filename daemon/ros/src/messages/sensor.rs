@@ -69,7 +69,7 @@ impl Message for CompressedImage {
 }
 
 /// `sensor_msgs/Imu`: readings of an inertial measurement unit. A covariance matrix is 3 × 3, row by row; −1 in its first
-/// element says that there is no such reading.
+/// element means that the unit has no such reading.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imu {
     /// Capture time and coordinate frame.

@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Bytes from which on a sequence of bytes becomes a segment of its own instead of being copied. Below it, the copy is
+/// Length in bytes from which a sequence of bytes becomes a separate segment instead of being copied. Below it, the copy is
 /// cheaper than one more entry of a vectored write.
 const MIN_SEGMENT_BYTES: usize = 4096;
 

@@ -85,7 +85,7 @@ impl std::fmt::Display for RpcUri {
 pub struct Environment {
     /// `ROS_MASTER_URI`; `http://localhost:11311` where it is not set.
     pub master: RpcUri,
-    /// `ROS_HOSTNAME`, or else `ROS_IP`: what other nodes connect to. Empty values count as not set.
+    /// `ROS_HOSTNAME`, or else `ROS_IP`: the host that other nodes connect to. Empty values count as not set.
     pub advertised_host: Option<String>,
     /// `ROS_NAMESPACE`; `/` where it is not set.
     pub namespace: String,
@@ -132,7 +132,7 @@ pub(super) fn listen_address(advertised: &str) -> IpAddr {
     }
 }
 
-/// Returns a host as it stands in a URI: an IPv6 address in brackets.
+/// Returns a host in the form that a URI needs: an IPv6 address in brackets.
 pub(super) fn uri_host(host: &str) -> String {
     if host.contains(':') { format!("[{host}]") } else { host.to_owned() }
 }

@@ -15,7 +15,7 @@ pub enum NodeError {
     NoMaster {
         /// The master's URI.
         uri: String,
-        /// What happened.
+        /// Reason.
         source: RpcError,
     },
     /// The master answered with an error.
@@ -25,10 +25,10 @@ pub enum NodeError {
         uri: String,
         /// Method of the master's API.
         method: &'static str,
-        /// What the master says.
+        /// Reason that the master gave.
         reason: String,
     },
-    /// What answers at the master's URI does not speak its API.
+    /// The server at the master's URI does not speak the master's API.
     #[error("{uri} answers {method} with something else than a ROS master would; is ROS_MASTER_URI right?")]
     NotAMaster {
         /// The URI.
@@ -51,7 +51,7 @@ pub enum NodeError {
         /// Global name of the topic.
         topic: String,
     },
-    /// A publisher needs a type of its own.
+    /// A publisher needs a specific type.
     #[error("topic {topic} cannot be published with the type *; name the type of its messages")]
     PublishedWildcard {
         /// Global name of the topic.
@@ -62,7 +62,7 @@ pub enum NodeError {
     Listen {
         /// Address with port 0: any free port.
         address: SocketAddr,
-        /// What the system says.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The node ended.

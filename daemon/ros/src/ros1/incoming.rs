@@ -15,13 +15,13 @@ use super::subscriber::PublisherInfo;
 pub struct ReceivedMessage {
     /// The message as it was sent, to be read with [`Message::decode`](crate::messages::Message::decode).
     pub bytes: Bytes,
-    /// Who published it.
+    /// Its publisher.
     pub publisher: Arc<PublisherInfo>,
-    /// When its last byte was read.
+    /// Time at which its last byte was read.
     pub received: Stamp,
 }
 
-/// What happens to a message that finds the queue full.
+/// Policy for a message that finds the queue full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
     /// Reading pauses, so that the publisher's queue fills next and the publisher decides. Nothing is lost here.

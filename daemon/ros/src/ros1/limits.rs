@@ -30,18 +30,18 @@ pub(super) const MAX_INCOMING_CONNECTIONS: usize = 256;
 /// Publishers of one topic that a subscriber connects to. More are left out, with a warning.
 pub(super) const MAX_PUBLISHERS: usize = 256;
 
-/// How long connecting and exchanging headers may take.
+/// Longest duration of connecting and exchanging headers.
 pub(super) const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long a publisher that ends writes what waits in its queues.
+/// Longest duration in which a publisher that ends writes the messages in its queues.
 pub(super) const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long sent bytes may wait for the other end, because it is unreachable or reads nothing, before the kernel ends a TCP
-/// connection. Without it that takes a quarter of an hour.
+/// Longest duration for which sent bytes may wait for the other end, because it is unreachable or reads nothing, before the
+/// kernel ends a TCP connection. Without it that takes a quarter of an hour.
 pub(super) const USER_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// How long a silent TCP connection may be dead before the kernel ends it: keepalive after so long, and then
-/// [`KEEPALIVE_PROBES`] times as often as [`KEEPALIVE_INTERVAL`] says.
+/// Silence of a TCP connection after which the kernel sends [`KEEPALIVE_PROBES`] keepalive probes, one every
+/// [`KEEPALIVE_INTERVAL`], and ends the connection if none is answered.
 pub(super) const KEEPALIVE_IDLE: Duration = Duration::from_secs(10);
 
 /// Time between keepalive probes.

@@ -17,7 +17,7 @@ pub struct NamedNodes {
     pub nodes: Vec<String>,
 }
 
-/// What the master knows of all nodes.
+/// The master's lists of topics, services and nodes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SystemState {
     /// Topics with their publishers.

@@ -1,10 +1,10 @@
 //! ROS 1: a node with topics over TCP (TCPROS) and its registration with the master (XML-RPC).
 //!
-//! [`Node::new`] checks that the master answers; [`Node::publish`] and [`Node::subscribe`] register topics. A master that
-//! was killed and started again is told all topics within five seconds of its return. Every message for a connected
+//! [`Node::new`] checks that the master answers; [`Node::publish`] and [`Node::subscribe`] register topics. After a
+//! restart of the master all topics are registered again within five seconds. Every message for a connected
 //! subscriber is counted as sent, dropped, lost or waiting ([`SendCounts`]).
 //!
-//! `xmlrpc` and `tcpros` have the protocols' texts and headers, `registration` what the master must be told, `slave` what
+//! `xmlrpc` and `tcpros` have the protocols' texts and headers, `registration` which calls of the master are due, `slave` what
 //! others may ask a node: all without I/O. `registrar`, `rpc`, `acceptor`, `publisher_link` and `outgoing` own tasks and
 //! sockets.
 

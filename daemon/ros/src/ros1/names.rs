@@ -39,7 +39,7 @@ pub enum NameError {
     },
 }
 
-/// Where relative and private names belong.
+/// Name of a node, by which relative and private names are resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeName {
     /// Begins with `/`, and ends with it only where it is the root.

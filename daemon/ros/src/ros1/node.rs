@@ -25,8 +25,8 @@ use super::slave;
 use super::subscriber::{SubscribedTopic, Subscriber, SubscriberOptions};
 use super::tcpros::{Publication, Subscription, TopicType};
 
-/// A node of ROS 1. Publishers and subscribers end with it. The master is told by [`Node::shutdown`]; one that is only dropped
-/// stays in the master's lists.
+/// A node of ROS 1. Publishers and subscribers end with it. [`Node::shutdown`] removes its registrations; a node that is only
+/// dropped stays in the master's lists.
 #[derive(Debug)]
 pub struct Node {
     shared: Arc<NodeShared>,
@@ -84,7 +84,7 @@ impl Node {
     /// Publishes a topic.
     ///
     /// # Errors
-    /// The name is not allowed, the type is `*`, the node publishes the topic already, or the master cannot be told.
+    /// The name is not allowed, the type is `*`, the node publishes the topic already, or the registration fails.
     pub async fn publish(
         &self,
         topic: &str,
@@ -122,7 +122,7 @@ impl Node {
     /// Subscribes to a topic. Publishers may come and go at any time.
     ///
     /// # Errors
-    /// The name is not allowed, the node subscribes to the topic already, or the master cannot be told.
+    /// The name is not allowed, the node subscribes to the topic already, or the registration fails.
     pub async fn subscribe(
         &self,
         topic: &str,
@@ -177,10 +177,11 @@ impl Node {
         self.shared.closed()
     }
 
-    /// Ends the node: what waits for subscribers is written within a second, and the master is told.
+    /// Ends the node: messages that wait for subscribers are written within a second, and all topics are
+    /// unregistered.
     ///
     /// # Errors
-    /// The master could not be told; it lists the node until somebody runs `rosnode cleanup`.
+    /// The topics could not be unregistered; the master lists the node until `rosnode cleanup` removes it.
     pub async fn shutdown(self) -> Result<(), NodeError> {
         let shared = &self.shared;
         shared.close("it was shut down".to_owned());
@@ -226,7 +227,7 @@ fn port(listener: &TcpListener) -> Result<u16, NodeError> {
     Ok(own.port())
 }
 
-/// What the tasks of a node share.
+/// The state that the tasks of a node share.
 #[derive(Debug)]
 pub(super) struct NodeShared {
     pub(super) name: Arc<str>,
@@ -234,7 +235,7 @@ pub(super) struct NodeShared {
     clock: SharedClock,
     /// URI of the own XML-RPC server.
     pub(super) uri: String,
-    /// What other nodes connect to.
+    /// Host name or address that other nodes connect to.
     pub(super) host: String,
     pub(super) tcpros_port: u16,
     pub(super) master: MasterClient,

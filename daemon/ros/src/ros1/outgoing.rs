@@ -16,7 +16,7 @@ use crate::messages::EncodedMessage;
 /// Pieces that one system call writes at most.
 const MAX_SLICES: usize = 64;
 
-/// What became of the messages for one subscriber. At any time `offered = sent + dropped + lost + waiting`.
+/// Counts of the messages for one subscriber by their fate. At any time `offered = sent + dropped + lost + waiting`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SendCounts {
     /// Messages that were published while the subscriber was connected.
@@ -44,7 +44,7 @@ impl SendCounts {
     }
 }
 
-/// What a queue did with a message.
+/// Result of offering a message to a queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Offer {
     Taken,
@@ -240,7 +240,7 @@ impl OutgoingConnection {
 }
 
 impl Queue {
-    /// Removes so many bytes from the front.
+    /// Removes a number of written bytes from the front.
     fn advance(&mut self, mut written: usize) {
         self.counts.sent_bytes += written as u64;
         while written > 0 {

@@ -14,7 +14,7 @@ use super::outgoing::{Offer, OutgoingConnection, SendCounts};
 use super::tcpros::Publication;
 use crate::messages::EncodedMessage;
 
-/// How a topic is published.
+/// Options of a publisher.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PublisherOptions {
     /// Whether a new subscriber gets the last message at once.
@@ -23,7 +23,7 @@ pub struct PublisherOptions {
     pub queue: QueueLimits,
 }
 
-/// What became of a message that was published.
+/// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Published {
     /// Subscribers in whose queue the message is, or to whom it is sent.
@@ -91,7 +91,7 @@ impl Publisher {
         Ok(published)
     }
 
-    /// Waits until so many subscribers are connected.
+    /// Waits until this number of subscribers is connected.
     ///
     /// # Errors
     /// The node has ended.

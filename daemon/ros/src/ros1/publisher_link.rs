@@ -1,4 +1,4 @@
-//! The connection of a subscriber to one publisher, which is opened anew when it breaks.
+//! The connection of a subscriber to one publisher, which is opened again when it breaks.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How often the master is asked whether it still knows the node.
+/// Time between two questions whether the master still knows the node.
 pub(super) const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Pause after the master was not reachable.
 pub(super) const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// What a node does with a topic.
+/// Role of a node in a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Role {
     Publisher,
@@ -35,11 +35,11 @@ pub(super) enum MasterCall {
     LookUpNode,
 }
 
-/// What became of a call.
+/// Outcome of a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallOutcome {
     Success,
-    /// The master does not know the node: it was started anew.
+    /// The master does not know the node: it was restarted.
     NodeUnknown,
     /// Another node has the name now.
     NodeReplaced {
@@ -64,7 +64,7 @@ pub(super) enum Notice {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Standing {
+enum RegistrationStatus {
     Registered,
     Missing,
     Leaving,
@@ -73,20 +73,20 @@ enum Standing {
 /// The registrations of a node.
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
-    entries: BTreeMap<Registration, Standing>,
+    entries: BTreeMap<Registration, RegistrationStatus>,
     is_unreachable: bool,
     is_check_due: bool,
 }
 
 impl Registrations {
-    /// Adds what the master has been told.
+    /// Adds a registration that the master has.
     pub(super) fn add(&mut self, registration: Registration) {
-        self.entries.insert(registration, Standing::Registered);
+        self.entries.insert(registration, RegistrationStatus::Registered);
     }
 
-    /// Removes a registration; the master is told next.
+    /// Marks a registration for removal; the call to unregister it is due next.
     pub(super) fn remove(&mut self, registration: Registration) {
-        self.entries.insert(registration, Standing::Leaving);
+        self.entries.insert(registration, RegistrationStatus::Leaving);
     }
 
     /// Notes that [`CHECK_INTERVAL`] or [`RETRY_INTERVAL`] has passed.
@@ -101,7 +101,7 @@ impl Registrations {
 
     /// Returns the next call to make now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
-        let with = |wanted| self.entries.iter().find(|(_, standing)| **standing == wanted);
+        let with = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
         // After an absence it may be another master: what it knows is asked first.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
@@ -109,13 +109,13 @@ impl Registrations {
         if self.is_unreachable {
             return None;
         }
-        if let Some((registration, _)) = with(Standing::Leaving) {
+        if let Some((registration, _)) = with(RegistrationStatus::Leaving) {
             return Some(MasterCall::Unregister(registration.clone()));
         }
-        with(Standing::Missing).map(|(registration, _)| MasterCall::Register(registration.clone()))
+        with(RegistrationStatus::Missing).map(|(registration, _)| MasterCall::Register(registration.clone()))
     }
 
-    /// Takes in what became of a call.
+    /// Handles the outcome of a call.
     pub(super) fn handle_outcome(&mut self, call: &MasterCall, outcome: CallOutcome) -> Option<Notice> {
         if *call == MasterCall::LookUpNode {
             self.is_check_due = false;
@@ -127,15 +127,15 @@ impl Registrations {
         let was_unreachable = std::mem::take(&mut self.is_unreachable);
         match (call, outcome) {
             (_, CallOutcome::NodeUnknown) => {
-                let had_registered = self.forget_standing();
+                let had_registered = self.mark_all_missing();
                 return had_registered.then_some(Notice::MasterRestarted);
             }
             (_, CallOutcome::NodeReplaced { uri }) => return Some(Notice::NodeReplaced { uri }),
             (MasterCall::Register(registration), CallOutcome::Success) => {
-                if let Some(standing) = self.entries.get_mut(registration)
-                    && *standing == Standing::Missing
+                if let Some(status) = self.entries.get_mut(registration)
+                    && *status == RegistrationStatus::Missing
                 {
-                    *standing = Standing::Registered;
+                    *status = RegistrationStatus::Registered;
                 }
             }
             (MasterCall::Unregister(registration), CallOutcome::Success) => self.end_leaving(registration),
@@ -154,21 +154,21 @@ impl Registrations {
     }
 
     /// Takes all registrations for missing, and returns whether there was one.
-    fn forget_standing(&mut self) -> bool {
-        let had_registered = self.entries.values().any(|standing| *standing == Standing::Registered);
-        self.entries.retain(|_, standing| *standing != Standing::Leaving);
-        self.entries.values_mut().for_each(|standing| *standing = Standing::Missing);
+    fn mark_all_missing(&mut self) -> bool {
+        let had_registered = self.entries.values().any(|status| *status == RegistrationStatus::Registered);
+        self.entries.retain(|_, status| *status != RegistrationStatus::Leaving);
+        self.entries.values_mut().for_each(|status| *status = RegistrationStatus::Missing);
         had_registered
     }
 
-    /// Ends a departure that the master was told of.
+    /// Removes a registration that the master has removed.
     fn end_leaving(&mut self, registration: &Registration) {
         match self.entries.get_mut(registration) {
-            Some(Standing::Leaving) => {
+            Some(RegistrationStatus::Leaving) => {
                 self.entries.remove(registration);
             }
             // Added again while the call was under way, which has removed the new one.
-            Some(standing) => *standing = Standing::Missing,
+            Some(status) => *status = RegistrationStatus::Missing,
             None => {}
         }
     }

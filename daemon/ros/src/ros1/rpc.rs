@@ -22,7 +22,7 @@ use super::xmlrpc::{
     Call, ParseError, Response, Value, parse_call, parse_response, write_call, write_response,
 };
 
-/// How long a call may take, with connecting.
+/// Longest duration of a call, with connecting.
 pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Longest answer that is read: the system state of a large robot is some hundred kilobytes.
@@ -34,16 +34,16 @@ const MAX_CALL_BYTES: usize = 256 * 1024;
 /// Connections to the server at a time. More wait to be accepted.
 const MAX_CONNECTIONS: usize = 64;
 
-/// How long a connection may be silent before and between calls, and how long a call may take to arrive.
+/// Longest silence of a connection before and between calls, and longest duration in which a call may arrive.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A call without a result.
 #[derive(Debug, Error)]
 pub enum RpcError {
-    /// Nobody accepts the connection, or it breaks.
+    /// The connection is refused, or it breaks.
     #[error("{reason}")]
     Connection {
-        /// What happened.
+        /// Reason.
         reason: String,
     },
     /// It takes too long.
@@ -77,7 +77,7 @@ impl RpcError {
 
 /// Calls a method and returns its result.
 ///
-/// Each call has a connection of its own: a node makes few of them, and one that was kept would break with the peer.
+/// Each call opens a connection: a node makes few calls, and a kept connection would break with the peer.
 ///
 /// # Errors
 /// The peer is not there, takes too long, or answers with a fault.

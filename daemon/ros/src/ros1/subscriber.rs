@@ -16,12 +16,12 @@ use super::node::RegistrationGuard;
 use super::publisher_link::PublisherLink;
 use super::tcpros::{Subscription, TopicType};
 
-/// How a topic is subscribed to.
+/// Options of a subscriber.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SubscriberOptions {
     /// Bound of the queue of received messages.
     pub queue: QueueLimits,
-    /// What happens to a message that finds it full.
+    /// Policy for a message that finds it full.
     pub when_full: WhenFull,
     /// Longest message that is read, in bytes. A publisher of a longer one is disconnected.
     pub max_message_bytes: usize,
@@ -52,7 +52,7 @@ pub struct PublisherInfo {
     pub remote: SocketAddr,
 }
 
-/// What arrived from one publisher.
+/// Counts of the messages from one publisher.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReceiveCounts {
     /// Messages that arrived whole, with those that were dropped.
@@ -92,7 +92,7 @@ pub struct PublisherStatus {
     pub uri: Arc<str>,
     /// State of the connection.
     pub state: PublisherState,
-    /// What arrived.
+    /// Counts of its messages.
     pub counts: ReceiveCounts,
 }
 
@@ -134,7 +134,7 @@ impl Subscriber {
         self.topic.counts()
     }
 
-    /// Waits until so many publishers are connected.
+    /// Waits until this number of publishers is connected.
     ///
     /// # Errors
     /// The node has ended.
@@ -224,7 +224,7 @@ impl SubscribedTopic {
     }
 
     /// Takes over the master's list of publishers. Connections to those that are no longer listed go on until they break: a
-    /// master that was started anew lists nobody at first.
+    /// restarted master has an empty list at first.
     pub(super) fn set_publishers(self: &Arc<Self>, uris: &[String]) {
         let mut state = self.state();
         for (uri, link) in &state.links {

@@ -1,4 +1,4 @@
-//! What was encoded is decoded to the same value, in both wire forms.
+//! Round trips: decoding returns the value that was encoded, in both wire forms.
 
 use std::fmt::Debug;
 

@@ -1,4 +1,4 @@
-//! Frames: a length of four bytes, little-endian, and so many bytes.
+//! Frames: a length of four bytes, little-endian, and as many bytes as it says.
 
 use bytes::{Buf, Bytes, BytesMut};
 use thiserror::Error;
@@ -24,7 +24,7 @@ pub struct FrameError {
 
 /// Bytes that arrived on a connection, split into frames.
 ///
-/// A frame refers to the bytes as they were read. A long one is read into a buffer of its own.
+/// A frame refers to the bytes as they were read. A long frame is read into a separate buffer.
 #[derive(Debug)]
 pub struct FrameBuffer {
     bytes: BytesMut,
@@ -32,7 +32,7 @@ pub struct FrameBuffer {
 }
 
 impl FrameBuffer {
-    /// Creates a buffer for frames of at most so many bytes.
+    /// Creates a buffer for frames of at most `max_frame_bytes` bytes.
     pub fn new(max_frame_bytes: usize) -> Self {
         Self { bytes: BytesMut::new(), max_frame_bytes }
     }

@@ -1,4 +1,4 @@
-//! What publisher and subscriber check when they connect.
+//! The checks of publisher and subscriber when they connect.
 
 use std::sync::Arc;
 
@@ -87,7 +87,7 @@ pub enum HandshakeError {
     Refused {
         /// Topic.
         topic: String,
-        /// What the publisher says.
+        /// Reason that the publisher gave.
         reason: String,
     },
 }

@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::MAX_HEADER_BYTES;
 
-/// Most fields of a header. Clients send fewer than ten.
+/// Largest number of fields of a header. Clients send fewer than ten.
 const MAX_FIELDS: usize = 100;
 
 /// Bytes that are not a connection header.
@@ -89,8 +89,8 @@ impl ConnectionHeader {
 
     /// Returns the bytes of the header with its length before them.
     ///
-    /// A header that peers would refuse for its length comes without the definition of the message type: nobody needs that
-    /// to exchange messages.
+    /// A header that peers would refuse for its length is sent without the definition of the message type, which is not
+    /// needed to exchange messages.
     pub fn encode(&self) -> Bytes {
         let size = |fields: &[(&String, &String)]| -> usize {
             fields.iter().map(|(name, value)| 4 + name.len() + 1 + value.len()).sum()

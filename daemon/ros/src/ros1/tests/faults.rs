@@ -1,4 +1,4 @@
-//! What happens when something is missing, slow, restarted or wrong.
+//! Peers that are missing, slow, restarted or wrong.
 
 use bytes::Bytes;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};

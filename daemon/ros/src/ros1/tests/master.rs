@@ -23,7 +23,7 @@ struct State {
     nodes: BTreeMap<String, String>,
 }
 
-/// A master on a port of its own.
+/// A master on a separate port.
 #[derive(Debug)]
 pub(super) struct TestMaster {
     address: SocketAddr,

@@ -1,4 +1,4 @@
-//! What other nodes and tools may ask a node.
+//! Calls of other nodes and tools to a node.
 
 use super::{TestMaster, node, within};
 use crate::messages::StringMessage;

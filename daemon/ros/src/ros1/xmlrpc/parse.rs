@@ -18,7 +18,7 @@ pub enum ParseError {
     /// It is not XML.
     #[error("the XML is malformed: {reason}")]
     Malformed {
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// It has a document type, which can define entities.
@@ -33,9 +33,9 @@ pub enum ParseError {
     /// Another element or text than XML-RPC has there.
     #[error("expected {expected} in the XML-RPC message, found {found}")]
     Unexpected {
-        /// What should be there.
+        /// The element or text that should be there.
         expected: &'static str,
-        /// What is there.
+        /// The element or text that is there.
         found: String,
     },
     /// A value that is not of its type.

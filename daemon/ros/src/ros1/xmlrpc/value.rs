@@ -82,7 +82,7 @@ pub struct Call {
     pub params: Vec<Value>,
 }
 
-/// What a call is answered with.
+/// The answer to a call.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Response {
     /// The method's result.
