@@ -26,6 +26,7 @@ mod host;
 pub mod limits;
 mod live;
 mod message;
+mod network_name;
 mod receiving;
 mod secret;
 mod sending;
@@ -47,6 +48,7 @@ pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
 pub use message::{Batch, BatchHead, MOST_UNDER_WAY, Proof, ToAgent, ToAggregator, batch_weight};
+pub use network_name::NetworkName;
 pub use receiving::{
     Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
 };

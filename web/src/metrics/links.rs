@@ -13,7 +13,8 @@ const WINDOW: Span = Span::from_seconds(60);
 pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkPicture) -> Option<Sample>) {
     for link in &scrape.links {
         if let Some(sample) = of(link) {
-            to(&[link.edge_name.as_str(), link.live.peer_name.as_str()], sample);
+            let live = &link.live;
+            to(&[link.edge_name.as_str(), live.peer_name.as_str(), live.network().as_str()], sample);
         }
     }
 }

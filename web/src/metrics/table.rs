@@ -57,7 +57,7 @@ const OUTCOME: &[&str] = &["host", "pipeline", "outcome", "window"];
 const WINDOW: &[&str] = &["host", "pipeline", "window"];
 const STAGE: &[&str] = &["host", "pipeline", "stage", "quantile"];
 const DIRECTION: &[&str] = &["host", "pipeline", "direction"];
-const LINK: &[&str] = &["edge", "cloud"];
+const LINK: &[&str] = &["edge", "cloud", "network"];
 
 use Kind::{Counter, Gauge};
 

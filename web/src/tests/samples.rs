@@ -13,7 +13,8 @@ use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
 use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
 use peernet_stream::{
     Accounting, ClockSample, DelayPoint, DelaySecond, Hardware, HostClock, HostDescription, HostMetrics,
-    LinkLive, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,
+    LinkLive, NetworkName, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing,
+    RoundTrip,
 };
 use tokio_util::sync::CancellationToken;
 
@@ -264,6 +265,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         round_trip: Some(RoundTrip { min: seconds(0.0013), median: seconds(0.00175) }),
         up: Some(delay(0.0063, 1.2e6)),
         down: Some(delay(0.0006, 3.3e3)),
+        network: NetworkName::default(),
     }
 }
 
@@ -307,6 +309,15 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkPicture {
         },
         history: known.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
     }
+}
+
+/// The same link over `zmq-udp`.
+pub(crate) fn link_over_udp(half: Option<f64>) -> LinkPicture {
+    let mut link = link(half, &[]);
+    let network: NetworkName = "zmq-udp".parse().expect("a name");
+    link.live.networks = vec![network.to_string()];
+    link.live.now.network = network;
+    link
 }
 
 pub(crate) fn refused(reason: &str) -> RefusedHost {

@@ -19,7 +19,7 @@ use crate::message::{
     SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
 use crate::transport::{Dialled, EdgeSender, SendFailure};
-use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
+use crate::{Address, NetworkFigures, SessionSettings};
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
@@ -75,19 +75,18 @@ pub(crate) enum Answer {
 }
 
 impl Session {
-    /// Opens a session with the cloud at `address`.
+    /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
     /// # Errors
     /// When nobody answers, not in time, or with a refusal.
     pub async fn open(
-        kind: NetworkKind,
         address: &Address,
         hello: SessionHello,
         settings: SessionSettings,
         clock: SharedClock,
     ) -> Result<Self, OpenError> {
         let settings = settings.clamped();
-        let (dialled, accepted) = Box::pin(handshake(kind, address, hello, &settings)).await?;
+        let (dialled, accepted) = Box::pin(handshake(address, hello, &settings)).await?;
         Ok(Self::start(dialled, accepted, &settings, clock))
     }
 

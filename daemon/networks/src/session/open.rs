@@ -6,7 +6,7 @@ use tokio::time::{Instant, timeout_at};
 use super::client::{Opened, opened};
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::transport::{DialFailure, Dialled};
-use crate::{Address, NetworkKind, SessionSettings};
+use crate::{Address, SessionSettings};
 
 /// Why a session could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -60,7 +60,6 @@ impl OpenError {
 
 /// Connects and shakes hands within the time that the settings allow.
 pub(crate) async fn handshake(
-    kind: NetworkKind,
     address: &Address,
     hello: SessionHello,
     settings: &SessionSettings,
@@ -68,7 +67,7 @@ pub(crate) async fn handshake(
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
-    let dialled = timeout_at(deadline, kind.dial(address, settings)).await;
+    let dialled = timeout_at(deadline, address.network().dial(address, settings)).await;
     let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
         // Not how long: the system may have been asked for less time than the settings allow.

@@ -6,7 +6,7 @@ use peernet_clock::{
 };
 use peernet_logger::{HostId, stage};
 use peernet_stream::{
-    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
+    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, NetworkName, ProbeCounts, Probing, RoundTrip,
 };
 
 use super::{Clocks, Line, Numbers, slug};
@@ -137,6 +137,7 @@ pub(super) fn sample(
         round_trip: trip,
         up: Some(delays(line, "upload", numbers)),
         down: Some(delays(line, "download", numbers)),
+        network: NetworkName::default(),
     }
 }
 
