@@ -80,14 +80,10 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
 #[tokio::test]
 async fn two_networks_of_one_pair_are_two_links() {
     let mut bed = Bed::new().await;
-    bed.run_of(20).await;
     let other: NetworkName = "zmq-udp".parse().expect("a name");
     let over_other = |second| ClockSample { network: other.clone(), ..sample(bed.cloud, second, 60) };
     let samples = [over_other(1), over_other(2)];
     store(&mut bed, samples.clone()).await;
-    let judged = bed.store.recompute(1).await.expect("answers").expect("exists");
-    assert_eq!(judged.samples, 0, "the run went over zmq-tcp");
-
     let [first, last] = [1, 2].map(|second| sample(bed.cloud, second, 40));
     store(&mut bed, [first.clone(), last.clone()]).await;
     let links = bed.store.links().await.expect("answers");
@@ -97,8 +93,6 @@ async fn two_networks_of_one_pair_are_two_links() {
         let series = bed.store.clock_series(key, ALWAYS.0, ALWAYS.1, 10).await.expect("answers");
         assert_eq!(series.points, expected.map(point), "{key:?}");
     }
-    let judged = bed.store.recompute(1).await.expect("answers").expect("exists");
-    assert!(judged.samples > 0, "{judged:?}");
     assert_eq!(bed.count("SELECT count(*) FROM clock_ms WHERE network = 'zmq-udp'").await, 2);
 }
 
