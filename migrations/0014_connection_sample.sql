@@ -8,7 +8,6 @@ CREATE TABLE connection_sample (
     link                   INTEGER NOT NULL,  -- link.id
     at_ns                  INTEGER NOT NULL,  -- on the edge's wall clock
     pipeline               TEXT NOT NULL,
-    network                TEXT NOT NULL,
     local_address          TEXT,              -- the edge's end; another one is another connection
     remote_address         TEXT,
     interface              TEXT,              -- of the edge
@@ -35,12 +34,12 @@ CREATE TABLE connection_sample (
     round_trip_min_ns      INTEGER,
     round_trip_ns          INTEGER,
     round_trip_variation_ns INTEGER,
-    PRIMARY KEY (link, at_ns, pipeline, network)
+    PRIMARY KEY (link, at_ns, pipeline)
 ) STRICT, WITHOUT ROWID;
 
 -- For people.
 CREATE VIEW connection_total AS
-SELECT edge.name AS edge, coalesce(cloud.name, link.cloud_name) AS cloud, sample.pipeline, sample.network,
+SELECT edge.name AS edge, coalesce(cloud.name, link.cloud_name) AS cloud, link.network, sample.pipeline,
        strftime('%Y-%m-%d %H:%M:%f', sample.at_ns / 1e9, 'unixepoch') AS at_utc,
        sample.local_address, sample.interface, sample.interface_type, sample.mtu_bytes,
        sample.sent_bytes, sample.sent_messages, sample.sent_datagrams, sample.sent_retransmitted,

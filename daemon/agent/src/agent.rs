@@ -45,7 +45,7 @@ pub struct Running {
     host: Host,
     bank: Arc<Bank>,
     live: LiveSources,
-    serves: Option<Address>,
+    serves: Vec<Address>,
     served: watch::Receiver<Served>,
     tap: Option<Tap>,
     parts: Parts,
@@ -138,7 +138,11 @@ async fn start(
     let events = EventSinks { feed, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
     let doors = io.within(Doors::open(&config, &probes, &host)).await?;
-    let serves = doors.as_ref().map(|doors| doors.address().clone());
+    let serves = doors.as_ref().map(Doors::addresses).unwrap_or_default();
+
+    for address in &serves {
+        tracing::info!(%address, network = %address.network(), "peers may ask for models");
+    }
 
     let (travelling, beside) = (io.handle(), Handle::current());
     let mut tasks = Tasks::new(&stop);
@@ -182,7 +186,7 @@ async fn start(
     }
     let outbox = match (exit, spool, &config.agent.aggregator) {
         (Some(exit), Some(spool), Some(address)) => {
-            let description = describe(&host, &bank, serves.as_ref());
+            let description = describe(&host, &bank, &serves);
             let identity = (description, host_secret(&config.agent.state_dir)?);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
             let sources = Sources { clock, incidents: events.incidents, runs: events.runs, live };
@@ -219,12 +223,12 @@ impl Running {
 
     /// What the host tells of itself. Reads its hardware and the folders of models: not for every second.
     pub fn description(&self) -> HostDescription {
-        describe(&self.host, &self.bank, self.serves.as_ref())
+        describe(&self.host, &self.bank, &self.serves)
     }
 
-    /// Where peers may ask for models, with the real port.
-    pub fn serves(&self) -> Option<&Address> {
-        self.serves.as_ref()
+    /// Where peers may ask for models, with the real ports; empty where they may not.
+    pub fn serves(&self) -> &[Address] {
+        &self.serves
     }
 
     /// What peers were sent so far.
@@ -348,14 +352,15 @@ fn start_pipelines(
     Board::new(config.pipelines.iter().map(start).collect())
 }
 
-fn describe(host: &Host, bank: &Bank, serves: Option<&Address>) -> HostDescription {
+fn describe(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {
+    let addresses: Vec<String> = serves.iter().map(Address::to_string).collect();
     HostDescription {
         id: host.id,
         name: host.name.clone(),
         clock: host.clock.identity().clone(),
         version: host.version.to_owned(),
         hardware: telemetry::hardware(),
-        serves: serves.map(Address::to_string),
+        serves: (!addresses.is_empty()).then(|| addresses.join(", ")),
         models: bank.offered(),
     }
 }

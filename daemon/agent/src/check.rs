@@ -14,7 +14,7 @@ use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
-use peernet_networks::SessionSettings;
+use peernet_networks::{Address, SessionSettings};
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
 use rustix::fs::{Access, access};
@@ -160,17 +160,25 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
         report.add("serve", text);
     }
     report.settings("serve.session", &serve.session);
-    let (host, port) = (serve.listen.host(), serve.listen.port());
+    for address in serve.listen.all() {
+        report.unless_ok("serve.network", address.check_network(serve.network));
+        check_listen(report, address);
+    }
+}
+
+fn check_listen(report: &mut Report, address: &Address) {
+    let (host, port) = (address.host(), address.port());
     // A port in use is not wrong in itself: this may be the check of an agent that is running. Starting tells.
     if let Err(error) = TcpListener::bind((host.as_str(), port))
         && error.kind() != io::ErrorKind::AddrInUse
     {
+        let everywhere = format!("use {}://0.0.0.0:… for all addresses of this machine", address.scheme());
         let advice = match error.kind() {
-            io::ErrorKind::AddrNotAvailable => "use tcp://0.0.0.0:… for all addresses of this machine",
+            io::ErrorKind::AddrNotAvailable => everywhere.as_str(),
             io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege, choose a higher one",
             _ => "check the address",
         };
-        report.add("serve.listen", format!("cannot listen on {}: {error}; {advice}", serve.listen));
+        report.add("serve.listen", format!("cannot listen on {address}: {error}; {advice}"));
     }
 }
 
@@ -190,6 +198,7 @@ fn check_pipeline(
     report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.settings(&format!("{at}.placement.session"), &remote.session);
+        report.unless_ok(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)

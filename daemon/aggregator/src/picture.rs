@@ -27,7 +27,7 @@ pub struct Picture {
     pub hosts: Vec<Arc<HostPicture>>,
     /// Every pipeline heard of, by host name and name.
     pub pipelines: Vec<Arc<PipelinePicture>>,
-    /// Every link heard of, by the edge's and the cloud's name.
+    /// Every link heard of, by the edge's and the cloud's name and the network.
     pub links: Vec<Arc<LinkPicture>>,
     /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
@@ -77,7 +77,7 @@ pub struct CatchingUp {
     pub left: Span,
 }
 
-/// One link, now: the relation between an edge's clock and a cloud's.
+/// One link, now: an edge and a cloud over one network.
 #[derive(Clone, Debug, Serialize)]
 pub struct LinkPicture {
     /// The edge.

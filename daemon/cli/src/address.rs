@@ -2,7 +2,7 @@
 
 use std::net::{IpAddr, Ipv6Addr};
 
-use peernet_networks::{Address, InvalidAddress};
+use peernet_networks::{Address, InvalidAddress, NetworkKind};
 
 /// Where agents listen when no port is given.
 pub(crate) const DEFAULT_PORT: u16 = 5551;
@@ -18,12 +18,12 @@ pub(crate) enum AddressError {
     Invalid(InvalidAddress),
 }
 
-/// An address, or a host with or without a port.
+/// An address, or a host with or without a port, which is one of `network` then.
 ///
 /// # Errors
 /// When it is neither.
-pub(crate) fn address(text: &str, port: u16) -> Result<Address, AddressError> {
-    let (scheme, rest) = text.split_once("://").unwrap_or(("tcp", text));
+pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Address, AddressError> {
+    let (scheme, rest) = text.split_once("://").unwrap_or((network.schemes()[0], text));
     let is_zoned =
         rest.split_once('%').is_some_and(|(ip, _)| ip.trim_start_matches('[').parse::<Ipv6Addr>().is_ok());
     if is_zoned {
@@ -44,7 +44,7 @@ mod tests {
 
     #[test]
     fn a_peer_is_an_address_or_a_host() {
-        let read = |text| address(text, DEFAULT_PORT);
+        let read = |text| address(text, DEFAULT_PORT, NetworkKind::default());
         for (text, address) in [
             ("cloud", "tcp://cloud:5551"),
             ("cloud:6000", "tcp://cloud:6000"),

@@ -19,8 +19,8 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_logger::{HostId, Measure, Recorder, Slug};
 use peernet_networks::{
-    Address, Incoming, Listener, NetworkKind, PeerClock, SESSION_VERSIONS, Session, SessionAccepted,
-    SessionHello, SessionSettings,
+    Address, Incoming, Listener, PeerClock, SESSION_VERSIONS, Session, SessionAccepted, SessionHello,
+    SessionSettings,
 };
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
@@ -167,8 +167,7 @@ fn word(bytes: &[u8]) -> u64 {
 async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -> Anyhow<()> {
     let (host, clock) = (HostId::random(), clock());
     let any = "tcp://127.0.0.1:0".parse()?;
-    let mut listener =
-        Listener::bind(NetworkKind::ZmqTcp, &any, SessionSettings::default(), host, clock.clone()).await?;
+    let mut listener = Listener::bind(&any, SessionSettings::default(), host, clock.clone()).await?;
     tell.send(listener.address().clone())?;
     while let Some(incoming) = listener.next().await {
         match incoming {
@@ -227,7 +226,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
         model: Some("echo".parse::<Slug>()?),
         device: None,
     };
-    let opening = Session::open(NetworkKind::ZmqTcp, address, hello, SessionSettings::default(), clock());
+    let opening = Session::open(address, hello, SessionSettings::default(), clock());
     let session = runtime.block_on(opening)?;
     println!(
         "{} runtimes, {}, answers of {}\n",

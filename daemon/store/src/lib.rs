@@ -34,7 +34,7 @@ mod wall_clock;
 mod write;
 
 use peernet_clock::WallTime;
-use peernet_logger::{HostId, Name};
+use peernet_logger::Name;
 use peernet_stream::Iteration;
 
 use readers::Readers;
@@ -48,8 +48,8 @@ pub use stored::{ClockPoint, Stored};
 pub use types::{
     AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
-    LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary,
-    Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
+    LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics,
+    RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.
@@ -216,7 +216,7 @@ impl Store {
         read::incidents::hosts(&self.readers).await
     }
 
-    /// All links by the edge's and the cloud's name.
+    /// All links by the edge's and the cloud's name and the network.
     pub async fn links(&self) -> Result<Vec<LinkRow>, StoreError> {
         read::clocks::links(&self.readers).await
     }
@@ -225,13 +225,12 @@ impl Store {
     /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. No points for a link that the store does not know.
     pub async fn clock_series(
         &self,
-        edge: HostId,
-        cloud: HostId,
+        link: &LinkKey,
         from: WallTime,
         to: WallTime,
         most_points: u32,
     ) -> Result<ClockSeries, StoreError> {
-        read::clocks::series(&self.readers, (edge, cloud), (from, to), most_points).await
+        read::clocks::series(&self.readers, link, (from, to), most_points).await
     }
 
     /// Judges the one-way delays of a run again, with the exchanges that came after them too. Writes nothing.

@@ -13,7 +13,7 @@ pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
-use peernet_stream::{Condition, ExperimentPlace, HostDescription, OutcomeCounts, Placement};
+use peernet_stream::{Condition, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts, Placement};
 use serde::Serialize;
 
 use crate::figures::Figures;
@@ -352,6 +352,17 @@ pub struct HostRow {
     pub stored: Stored,
 }
 
+/// What a link is known by: two hosts that use several networks have a link over each.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+pub struct LinkKey {
+    /// The edge.
+    pub edge: HostId,
+    /// The cloud.
+    pub cloud: HostId,
+    /// The network.
+    pub network: NetworkName,
+}
+
 /// A link that the store knows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LinkRow {
@@ -363,10 +374,19 @@ pub struct LinkRow {
     pub cloud: HostId,
     /// Its name.
     pub cloud_name: Slug,
+    /// The network.
+    pub network: NetworkName,
     /// The first stored sample, on the edge's wall clock.
     pub first: WallTime,
     /// The last one.
     pub last: WallTime,
+}
+
+impl LinkRow {
+    /// What the link is known by.
+    pub fn key(&self) -> LinkKey {
+        LinkKey { edge: self.edge, cloud: self.cloud, network: self.network.clone() }
+    }
 }
 
 /// The clock relation of a link over time.

@@ -5,13 +5,16 @@ use peernet_clock::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::Connection;
 use super::bounded::at_most;
+use super::{Connection, NetworkName};
 use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
 use peernet_logger::{HostId, Slug};
 
-/// One second of the relation between an edge's wall clock and a cloud's. Stored, so that the delays of a past run
-/// can be computed again with what was learnt after it.
+/// One second of a link: the relation between an edge's wall clock and a cloud's, and the delays of data over one network.
+/// Stored, so that the delays of a past run can be computed again with what was learnt after it.
+///
+/// The relation belongs to the pair of hosts. Where two hosts use several networks in a second, the sample of each has the
+/// same window, exchanges, offset and probes, and delays of its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockSample {
     /// The cloud.
@@ -41,6 +44,9 @@ pub struct ClockSample {
     pub up: Option<DelaySecond>,
     /// From cloud to edge.
     pub down: Option<DelaySecond>,
+    /// The network of the link. Left out where it is `zmq-tcp`, and last, so that earlier releases read the rest.
+    #[serde(default, skip_serializing_if = "NetworkName::is_default")]
+    pub network: NetworkName,
 }
 
 /// The delays of data in one direction within a second.
@@ -85,14 +91,15 @@ pub struct RoundTrip {
     pub median: Span,
 }
 
-/// A link of an agent, now: the relation to one cloud, fed by all of the agent's pipelines and probes to it.
+/// A link of an agent, now: one cloud over one network. The relation of the clocks is that of the pair of hosts, fed by all
+/// of the agent's pipelines and probes to the cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinkLive {
     /// The cloud.
     pub peer: HostId,
     /// Its name.
     pub peer_name: Slug,
-    /// Kinds of network in use, such as `zmq-tcp`; at most [`MAX_NETWORKS`].
+    /// Kinds of network in use: that of the link, which counts as [`network`](Self::network). At most [`MAX_NETWORKS`].
     #[serde(deserialize_with = "at_most::<MAX_NETWORKS, _, _>")]
     pub networks: Vec<String>,
     /// The pipelines that use it, at most [`MAX_PIPELINES`].
@@ -117,6 +124,13 @@ pub struct LinkLive {
         deserialize_with = "at_most::<MAX_PIPELINES, _, _>"
     )]
     pub connections: Vec<Connection>,
+}
+
+impl LinkLive {
+    /// The network of the link.
+    pub const fn network(&self) -> &NetworkName {
+        &self.now.network
+    }
 }
 
 /// How a link is probed.

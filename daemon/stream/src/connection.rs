@@ -4,13 +4,15 @@ use peernet_clock::Span;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
+use crate::NetworkName;
+
 /// A connection of a link, by the account of its edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Connection {
     /// The pipeline that uses it.
     pub pipeline: Slug,
     /// Kind of network, such as `zmq-tcp`.
-    pub network: String,
+    pub network: NetworkName,
     /// The edge's address and port; `None` where the transport has none.
     pub local: Option<String>,
     /// The cloud's address and port.

@@ -18,7 +18,7 @@ pub struct HostDescription {
     pub version: String,
     /// What it is made of.
     pub hardware: Hardware,
-    /// Address at which it serves models, if it does.
+    /// Addresses at which it serves models, with `, ` between them, if it does.
     pub serves: Option<String>,
     /// Models it offers.
     pub models: Vec<Slug>,

@@ -27,6 +27,7 @@ mod host;
 pub mod limits;
 mod live;
 mod message;
+mod network_name;
 mod receiving;
 mod secret;
 mod sending;
@@ -51,6 +52,7 @@ pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
 pub use message::{Batch, BatchHead, MOST_UNDER_WAY, Proof, ToAgent, ToAggregator, batch_weight};
+pub use network_name::NetworkName;
 pub use receiving::{
     Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
 };

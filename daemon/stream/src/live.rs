@@ -19,7 +19,7 @@ pub struct LiveUpdate {
     pub sent: WallTime,
     /// Every pipeline of the agent.
     pub pipelines: Vec<PipelineLive>,
-    /// Every cloud that the agent has to do with, at most [`MAX_LINKS`].
+    /// Every cloud and network that the agent has to do with, at most [`MAX_LINKS`].
     #[serde(deserialize_with = "at_most::<MAX_LINKS, _, _>")]
     pub links: Vec<LinkLive>,
     /// The host's own clock.

@@ -17,6 +17,7 @@ mod fixtures;
 mod layers;
 mod lifecycle;
 mod limits;
+mod listening;
 mod maintenance;
 mod models;
 mod ownership;

@@ -14,7 +14,8 @@ const WINDOW: Span = Span::from_seconds(60);
 pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkPicture) -> Option<Sample>) {
     for link in &scrape.links {
         if let Some(sample) = of(link) {
-            to(&[link.edge_name.as_str(), link.live.peer_name.as_str()], sample);
+            let live = &link.live;
+            to(&[link.edge_name.as_str(), live.peer_name.as_str(), live.network().as_str()], sample);
         }
     }
 }
@@ -73,5 +74,5 @@ pub(super) fn interfaces(scrape: &Scrape, to: &mut Sink<'_>) {
 
 fn names<'a>(link: &'a LinkPicture, connection: &'a Connection) -> [&'a str; 4] {
     let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
-    [edge, cloud, &connection.network, connection.pipeline.as_str()]
+    [edge, cloud, connection.network.as_str(), connection.pipeline.as_str()]
 }

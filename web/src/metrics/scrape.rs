@@ -57,7 +57,8 @@ impl Scrape {
             .links
             .iter()
             .filter(|link| {
-                shown.contains(&link.edge) && names.insert((&link.edge_name, &link.live.peer_name))
+                let live = &link.live;
+                shown.contains(&link.edge) && names.insert((&link.edge_name, &live.peer_name, live.network()))
             })
             .cloned()
             .collect();

@@ -19,8 +19,8 @@ use crate::error::WebError;
 use crate::state::{App, AppState};
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
+use crate::view::link::Subject;
 use crate::view::link::panels::{claims, discipline};
-use crate::view::link::{self, Subject};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::{cut, rehearsal};
 use crate::zone::Moment;
@@ -141,7 +141,7 @@ fn steps(clock: &HostClock) -> String {
 fn links(picture: &Picture, name: &str) -> Vec<(String, String)> {
     let mine = picture.links.iter().map(|link| Subject::live(link));
     let mine = mine.filter(|link| link.edge == name || link.cloud == name);
-    mine.map(|link| (link.route(), link::href(&link.edge, &link.cloud))).take(cut::LIST).collect()
+    mine.map(|link| (link.route(), link.href())).take(cut::LIST).collect()
 }
 
 fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {

@@ -27,7 +27,7 @@ use crate::view::link::origin::Origin;
 use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
-use crate::view::link::{Subject, find, name, no_link};
+use crate::view::link::{Subject, canonical, find, no_link};
 use crate::view::rehearsal::{self, Rehearsed};
 
 /// This page.
@@ -144,7 +144,7 @@ async fn show(
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<Query>,
 ) -> Page {
-    let wanted = path(link)?;
+    let wanted = canonical(path(link)?);
     let picture = app.picture();
     let incidents = AppState::beside_live(app.store().incidents(INCIDENTS, None).await)?;
     if let Some(link) = find(&picture, &wanted) {
@@ -157,18 +157,16 @@ async fn show(
         return page(&link_page(&app, &picture, &subject, &now, shown.as_ref(), query, &incidents));
     }
     let rows = app.store().links().await?;
-    let row = rows.iter().find(|row| name(row.edge_name.as_str(), row.cloud_name.as_str()) == wanted);
-    let row = row.ok_or_else(|| no_link(&wanted))?;
-    let subject = Subject::past(row);
+    let mut stored_links = rows.iter().map(Subject::past);
+    let subject = stored_links.find(|link| link.name() == wanted).ok_or_else(|| no_link(&wanted))?;
     let course = stored(&app, &subject, query.range).await?;
     let subject = subject.remembering(&course);
     page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
 }
 
 async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {
-    let (edge, cloud) = subject.ids;
     let (from, to) = (subject.end - Span::from_seconds(range.seconds()), subject.end);
-    let series = app.store().clock_series(edge, cloud, from, to, POINTS).await?;
+    let series = app.store().clock_series(&subject.key, from, to, POINTS).await?;
     Ok(Course::stored(series, from, to))
 }
 
@@ -234,9 +232,8 @@ fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> V
 }
 
 fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
-    let mut facts = Vec::new();
+    let mut facts = vec![subject.key.network.to_string()];
     if let Some(link) = subject.live {
-        facts.extend(link.live.networks.iter().cloned());
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
             let ago = peernet_statistics::number::length((picture.at - link.last_seen).seconds().max(0.0));
@@ -257,7 +254,7 @@ pub(super) fn link_page(
     incidents: &[IncidentRow],
 ) -> Link {
     let course = shown.unwrap_or(now);
-    let name = name(&subject.edge, &subject.cloud);
+    let name = subject.name();
     let mine = concerning(subject, course, incidents);
     let address =
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.word(), offset.word());

@@ -13,8 +13,9 @@ use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
 use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
 use peernet_stream::{
     Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
-    Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, OutcomeCounts,
-    PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
+    Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, NetworkName,
+    OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,
+    TransportRoundTrip,
 };
 use tokio_util::sync::CancellationToken;
 
@@ -265,6 +266,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         round_trip: Some(RoundTrip { min: seconds(0.0013), median: seconds(0.00175) }),
         up: Some(delay(0.0063, 1.2e6)),
         down: Some(delay(0.0006, 3.3e3)),
+        network: NetworkName::default(),
     }
 }
 
@@ -331,7 +333,7 @@ fn connection() -> Connection {
     };
     Connection {
         pipeline: slug("line"),
-        network: "zmq-tcp".into(),
+        network: NetworkName::default(),
         local: Some("192.0.2.7:40112".into()),
         remote: Some("192.0.2.5:5551".into()),
         interface: Some(NetworkInterface {
@@ -351,6 +353,15 @@ fn connection() -> Connection {
             ..ConnectionStatistics::default()
         },
     }
+}
+
+/// The same link over `zmq-udp`.
+pub(crate) fn link_over_udp(half: Option<f64>) -> LinkPicture {
+    let mut link = link(half, &[]);
+    let network: NetworkName = "zmq-udp".parse().expect("a name");
+    link.live.networks = vec![network.to_string()];
+    link.live.now.network = network;
+    link
 }
 
 pub(crate) fn refused(reason: &str) -> RefusedHost {

@@ -4,6 +4,7 @@
 
 mod clock;
 mod host;
+mod listen;
 mod pipeline;
 mod probes;
 mod rehearsal;
@@ -12,6 +13,7 @@ mod spool;
 
 pub use clock::{ClockConfig, DisciplineSource, Timestamps};
 pub use host::HostConfig;
+pub use listen::{ListenAddresses, ListenAddressesError};
 pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
 pub use probes::ProbesConfig;
 pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};

@@ -83,11 +83,11 @@ pub enum PlacementConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RemoteConfig {
-    /// Address of the peer's `[serve] listen`: `tcp://host:port`.
+    /// An address of the peer's `[serve] listen`: `tcp://host:port`. Its scheme selects the network.
     pub peer: Address,
-    /// Kind of network. Default: `zmq-tcp`.
-    #[serde(default)]
-    pub network: NetworkKind,
+    /// Kind of network, which must be that of `peer`. Default: whatever `peer` selects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<NetworkKind>,
     /// Name of one of the peer's models. Default: the only one that the peer offers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<Slug>,

@@ -12,7 +12,7 @@ pub struct ProbesConfig {
     pub reflect: bool,
     /// Whether probes are sent to the peers of this host's pipelines. Default: true.
     pub send: bool,
-    /// UDP port at the address of `[serve] listen` on which probes are answered; peers are told. Ports below 1024,
+    /// UDP port at each IP address of `[serve] listen` on which probes are answered; peers are told. Ports below 1024,
     /// such as the standard's 862, need a capability, which the systemd unit grants. A port given here must be
     /// free; 0 is any free one. Default: 8620, or any free one when that is taken.
     #[serde(skip_serializing_if = "Option::is_none")]

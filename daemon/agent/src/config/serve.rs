@@ -5,27 +5,31 @@ use std::net::{IpAddr, Ipv4Addr};
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use serde::{Deserialize, Serialize};
 
+use super::ListenAddresses;
+
 /// `[serve]`: where peers may ask for this host's models.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServeConfig {
-    /// Address to listen on: `tcp://0.0.0.0:5551` takes peers on every interface.
-    /// Default: `tcp://127.0.0.1:5551`, which takes those of this machine only.
-    pub listen: Address,
-    /// Kind of network. Default: `zmq-tcp`.
-    pub network: NetworkKind,
+    /// Address to listen on, or a list of them; the scheme of each selects its network. `tcp://0.0.0.0:5551` takes peers on
+    /// every interface. Default: `tcp://127.0.0.1:5551`, which takes those of this machine only.
+    pub listen: ListenAddresses,
+    /// Kind of network, which must be that of every address in `listen`. Default: whatever the addresses select.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub network: Option<NetworkKind>,
     /// Whether peers may ask for the built-in echo model `calibration`, which `peernet calibrate` uses.
     /// Default: true.
     pub calibration: bool,
-    /// Time limits and bounds of each session.
+    /// Time limits and bounds of each session. What bounds all sessions together, such as `max_sessions`, holds for each
+    /// address.
     pub session: SessionSettings,
 }
 
 impl Default for ServeConfig {
     fn default() -> Self {
         Self {
-            listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551),
-            network: NetworkKind::default(),
+            listen: Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 5551).into(),
+            network: None,
             calibration: true,
             session: SessionSettings::default(),
         }

@@ -46,7 +46,7 @@ impl Connections {
         let addresses = session.statistics.addresses();
         Some(Connection {
             pipeline: session.pipeline.clone(),
-            network: session.network.name().to_owned(),
+            network: session.network.clone(),
             local: addresses.map(|addresses| addresses.local.to_string()),
             remote: addresses.map(|addresses| addresses.remote.to_string()),
             // It stays the same as long as the connection has this local address.

@@ -1,11 +1,13 @@
 //! What an edge knows of its own clock and a cloud's. No I/O: time comes in as an argument.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use peernet_clock::{
     Direction, Judged, Learned, Offset, OneWayDelay, Relation, Span, Verdict, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_probes::ProbeResult;
-use peernet_stream::{ClockSample, HostClock};
+use peernet_stream::{ClockSample, HostClock, NetworkName};
 use uuid::Uuid;
 
 use super::second::Second;
@@ -21,8 +23,10 @@ pub(super) struct Knowledge {
     /// What was learnt is void: another window begins as soon as a time is known to close the second at.
     void: bool,
     second: Second,
-    /// The last second that was closed.
-    last: Option<ClockSample>,
+    /// The last second that was closed, for each network in use.
+    last: Vec<ClockSample>,
+    /// Sessions by their networks. The last network stays when its sessions are over: what follows them is told of it.
+    networks: BTreeMap<NetworkName, usize>,
     edge: HostClock,
     cloud: HostClock,
     restarts: RestartReports,
@@ -99,7 +103,8 @@ impl Knowledge {
             window: random(),
             void: false,
             second,
-            last: None,
+            last: Vec::new(),
+            networks: BTreeMap::new(),
             edge,
             cloud,
             restarts: RestartReports::default(),
@@ -108,9 +113,25 @@ impl Knowledge {
         knowledge
     }
 
-    /// An exchange of data finished: judges its two delays, for which so many bits were sent.
+    /// A session over this network was opened.
+    pub(super) fn join(&mut self, network: &NetworkName) {
+        *self.networks.entry(network.clone()).or_default() += 1;
+    }
+
+    /// A session over this network is over.
+    pub(super) fn leave(&mut self, network: &NetworkName) {
+        if let Some(sessions) = self.networks.get_mut(network) {
+            *sessions = sessions.saturating_sub(1);
+        }
+        if self.networks.values().any(|sessions| *sessions > 0) {
+            self.networks.retain(|_, sessions| *sessions > 0);
+        }
+    }
+
+    /// An exchange of data over a network finished: judges its two delays, for which so many bits were sent.
     pub(super) fn judge(
         &mut self,
+        network: &NetworkName,
         witnessed: &Witnessed,
         bits: [Option<f64>; 2],
         now: WallTime,
@@ -118,19 +139,24 @@ impl Knowledge {
         let mut news = self.turn(now);
         let Judged { learned, up, down } = self.told(whose(witnessed), |relation| relation.judge(witnessed));
         self.learned(learned, witnessed, now, &mut news);
-        self.second.judged(Direction::Up, &up, bits[0]);
-        self.second.judged(Direction::Down, &down, bits[1]);
+        self.second.judged(network, Direction::Up, &up, bits[0]);
+        self.second.judged(network, Direction::Down, &down, bits[1]);
         ([up, down], news)
     }
 
     /// An exchange of data finished during which one of the hosts says that its clock was stepped.
-    pub(super) fn stepped(&mut self, ways: [Way; 2], now: WallTime) -> ([OneWayDelay; 2], News) {
+    pub(super) fn stepped(
+        &mut self,
+        network: &NetworkName,
+        ways: [Way; 2],
+        now: WallTime,
+    ) -> ([OneWayDelay; 2], News) {
         let news = self.turn(now);
         let delays =
             ways.map(|way| OneWayDelay { verdict: Verdict::Stepped, ..OneWayDelay::unsynchronised(way.raw) });
         for (direction, (delay, way)) in [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(ways))
         {
-            self.second.judged(*direction, delay, way.bits);
+            self.second.judged(network, *direction, delay, way.bits);
         }
         (delays, news)
     }
@@ -197,15 +223,15 @@ impl Knowledge {
         news
     }
 
-    /// The second that is over if it is the last one, else what the current one holds so far.
-    pub(super) fn now(&self, now: WallTime) -> ClockSample {
+    /// The second of a network that is over if it is the last one, else what the current one holds so far.
+    pub(super) fn now(&self, network: &NetworkName, now: WallTime) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.unix_seconds() == self.second.at;
-        let last =
-            self.last.as_ref().filter(|last| current && last.at == previous && last.window == self.window);
+        let last = self.last.iter().find(|last| last.network == *network);
+        let last = last.filter(|last| current && last.at == previous && last.window == self.window);
         // What holds since a step is not told under the name of the window before it.
         let offset = || self.relation.offset(now).filter(|_| !self.void);
-        last.cloned().unwrap_or_else(|| self.sample(now, offset()))
+        last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
     /// What is known of the two clocks: the edge's, the cloud's.
@@ -236,7 +262,7 @@ impl Knowledge {
         let restarted = self.relation.counts().restarts > before;
         if restarted {
             // It is not to be shown any more.
-            self.last = None;
+            self.last.clear();
             self.void = true;
         }
         self.restarts.note_steps(restarted, (edge_new, cloud_new));
@@ -262,7 +288,7 @@ impl Knowledge {
         if std::mem::take(&mut self.void) {
             let at = if now.unix_seconds() == self.second.at { now } else { self.second.end() };
             self.close(at, None, now, news);
-            self.last = None;
+            self.last.clear();
             self.window = random();
         }
     }
@@ -270,14 +296,17 @@ impl Knowledge {
     /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
     fn close(&mut self, at: WallTime, offset: Option<Offset>, now: WallTime, news: &mut News) {
         if !self.second.is_empty() {
-            let sample = self.sample(at, offset);
-            self.last = Some(sample.clone());
-            news.samples.push(sample);
+            let networks: BTreeSet<&NetworkName> =
+                self.networks.keys().chain(self.second.networks()).collect();
+            let sample = |network| self.sample(network, at, offset.clone());
+            let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
+            news.samples.extend_from_slice(&samples);
+            self.last = samples;
         }
         self.second = Second::new(now.unix_seconds());
     }
 
-    fn sample(&self, at: WallTime, offset: Option<Offset>) -> ClockSample {
+    fn sample(&self, network: &NetworkName, at: WallTime, offset: Option<Offset>) -> ClockSample {
         ClockSample {
             peer: self.peer,
             peer_name: self.name.clone(),
@@ -290,8 +319,9 @@ impl Knowledge {
             probes: self.second.probes,
             exchanges: self.relation.counts(),
             round_trip: self.second.round_trips(),
-            up: self.second.delays(Direction::Up),
-            down: self.second.delays(Direction::Down),
+            up: self.second.delays(network, Direction::Up),
+            down: self.second.delays(network, Direction::Down),
+            network: network.clone(),
         }
     }
 

@@ -1,12 +1,13 @@
 //! This host and a cloud.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use peernet_clock::{ClockIdentity, Direction, MonoTime, OneWayDelay, Relation, Span, Stamp, Witnessed};
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
 use peernet_networks::{Exchange, PeerClock, SessionAccepted};
 use peernet_probes::ProbeResult;
-use peernet_stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
+use peernet_stream::{Event, HostClock, IncidentKind, LinkLive, NetworkName, Probing};
 use tokio::sync::watch;
 
 use super::connections::Connections;
@@ -19,8 +20,8 @@ use crate::incidents::Concerning;
 /// Data this long ago does not keep the probes at their full rate.
 const IN_USE: Span = Span::from_seconds(3);
 
-/// What this host has to do with one cloud. Locks are held for microseconds, never while waiting; that of the connections
-/// is taken by live updates alone.
+/// What this host has to do with one cloud, over whatever networks. Locks are held for microseconds, never while waiting;
+/// that of the connections is taken by live updates alone.
 #[derive(Debug)]
 pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
@@ -67,9 +68,9 @@ impl Link {
         link
     }
 
-    /// Judges the delays of an exchange that came back, sets them in its tree, and returns how long both ways took
+    /// Judges the delays of an exchange over a network that came back, sets them in its tree, and returns how long both ways took
     /// together by the hosts' monotonic clocks: known even when a wall clock was stepped meanwhile.
-    pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
+    pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
         let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
             // It never came back: nothing relates the clocks, and of the two ways none is known to have ended.
             return None;
@@ -78,7 +79,7 @@ impl Link {
         let tree = exchange.log.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
         let ways = [Way { raw: raw(tree, up)?, bits: bits[0] }, Way { raw: raw(tree, down)?, bits: bits[1] }];
-        let ([first, second], news) = self.judge(exchange.witnessed.as_ref(), ways, arrived);
+        let ([first, second], news) = self.judge(network, exchange.witnessed.as_ref(), ways, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
         self.tell(news);
@@ -86,13 +87,19 @@ impl Link {
     }
 
     /// Without witness one of the clocks was stepped meanwhile, and says so.
-    fn judge(&self, witnessed: Option<&Witnessed>, ways: [Way; 2], now: Stamp) -> ([OneWayDelay; 2], News) {
+    fn judge(
+        &self,
+        network: &NetworkName,
+        witnessed: Option<&Witnessed>,
+        ways: [Way; 2],
+        now: Stamp,
+    ) -> ([OneWayDelay; 2], News) {
         *lock(&self.used) = now.mono;
         self.pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
         match witnessed {
-            Some(witnessed) => knowledge.judge(witnessed, ways.map(|way| way.bits), now.wall),
-            None => knowledge.stepped(ways, now.wall),
+            Some(witnessed) => knowledge.judge(network, witnessed, ways.map(|way| way.bits), now.wall),
+            None => knowledge.stepped(network, ways, now.wall),
         }
     }
 
@@ -141,18 +148,27 @@ impl Link {
         lock(&self.probing).clone()
     }
 
-    /// As it is shown.
-    pub(super) fn live(&self) -> LinkLive {
-        let (mut networks, mut pipelines) = (Vec::new(), Vec::new());
+    /// A session was opened.
+    pub(super) fn join(&self, session: Session) {
+        lock(&self.knowledge).join(&session.network);
+        self.sessions.send_modify(|sessions| sessions.push(session));
+    }
+
+    /// A session is over. Returns whether it was the last one.
+    pub(super) fn leave(&self, id: u64, network: &NetworkName) -> bool {
+        lock(&self.knowledge).leave(network);
+        self.sessions.send_modify(|sessions| sessions.retain(|session| session.id != id));
+        self.sessions.borrow().is_empty()
+    }
+
+    /// As it is shown: a link for each network in use.
+    pub(super) fn live(&self) -> Vec<LinkLive> {
         // Cloned, because reading statistics takes longer than sessions may wait to join.
         let sessions = self.sessions.borrow().clone();
+        let mut networks: BTreeMap<NetworkName, Vec<Slug>> = BTreeMap::new();
         for session in &sessions {
-            networks.push(session.network.name().to_owned());
-            pipelines.push(session.pipeline.clone());
+            networks.entry(session.network.clone()).or_default().push(session.pipeline.clone());
         }
-        networks.sort_unstable();
-        networks.dedup();
-        pipelines.sort_unstable();
         let mut probing = lock(&self.probing).clone();
         if let Probing::On { rate_hz, .. } = &mut probing {
             *rate_hz = *self.rate_hz.borrow();
@@ -162,18 +178,26 @@ impl Link {
         let now = clock.wall();
         let knowledge = lock(&self.knowledge);
         let (edge, cloud) = knowledge.clocks();
-        LinkLive {
-            peer: self.peer,
-            peer_name: self.name.clone(),
-            networks,
-            pipelines,
-            same_clock: self.same_clock,
-            probing,
-            edge: Some(edge),
-            cloud: Some(cloud),
-            now: knowledge.now(now),
-            connections,
-        }
+        let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
+            pipelines.sort_unstable();
+            LinkLive {
+                peer: self.peer,
+                peer_name: self.name.clone(),
+                networks: vec![network.to_string()],
+                pipelines,
+                same_clock: self.same_clock,
+                probing: probing.clone(),
+                edge: Some(edge.clone()),
+                cloud: Some(cloud.clone()),
+                now: knowledge.now(&network, now),
+                connections: connections
+                    .iter()
+                    .filter(|connection| connection.network == network)
+                    .cloned()
+                    .collect(),
+            }
+        };
+        networks.into_iter().map(link).collect()
     }
 
     /// Probes go out quickly while data does. Between two ends on one clock there is nothing to be estimated: the

@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures::FutureExt;
+use peernet_clock::Span;
 use peernet_logger::{HostId, Slug};
-use peernet_networks::{Address, NetworkKind, SessionAccepted};
-use peernet_stream::{Hardware, LinkLive};
+use peernet_networks::{Address, Exchange, SessionAccepted};
+use peernet_stream::{Hardware, LinkLive, NetworkName};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
@@ -59,6 +60,7 @@ pub(crate) struct Attached {
     link: Arc<Link>,
     links: Links,
     session: u64,
+    network: NetworkName,
 }
 
 impl Links {
@@ -79,7 +81,6 @@ impl Links {
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
-        network: NetworkKind,
         address: &Address,
         pipeline: &Slug,
     ) -> Attached {
@@ -93,30 +94,30 @@ impl Links {
         let joining = Session {
             id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
-            network,
+            network: NetworkName::from(address.network()),
             host: address.host(),
             probes: accepted.probes,
             instance: accepted.instance,
             clock: session.peer_clock(),
             statistics: session.statistics_reader(),
         };
-        let id = joining.id;
+        let (id, network) = (joining.id, joining.network.clone());
         let mut open = self.open();
         let link = match open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted)) {
             Some(link) => {
-                link.sessions.send_modify(|sessions| sessions.push(joining));
+                link.join(joining);
                 Arc::clone(link)
             }
             None => {
                 let link = Arc::new(Link::new(&self.0.shared, accepted));
-                link.sessions.send_modify(|sessions| sessions.push(joining));
+                link.join(joining);
                 open.insert(accepted.host, Arc::clone(&link));
                 self.0.tasks.spawn(self.clone().tend(Arc::clone(&link)));
                 link
             }
         };
         drop(open);
-        Attached { link, links: self.clone(), session: id }
+        Attached { link, links: self.clone(), session: id, network }
     }
 
     /// The last cloud of a pipeline, which may be gone.
@@ -127,7 +128,7 @@ impl Links {
     /// All links as they are shown.
     pub(crate) fn live(&self) -> Vec<LinkLive> {
         let links: Vec<_> = self.open().values().cloned().collect();
-        links.iter().map(|link| link.live()).collect()
+        links.iter().flat_map(|link| link.live()).collect()
     }
 
     /// Looks after the links' tasks until it is told to stop and all sessions are over.
@@ -164,6 +165,14 @@ impl Links {
     }
 }
 
+impl Attached {
+    /// Judges the delays of an exchange of the session that came back, sets them in its tree, and returns how long both ways
+    /// took together by the hosts' monotonic clocks.
+    pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
+        self.link.correct(&self.network, exchange)
+    }
+}
+
 impl std::ops::Deref for Attached {
     type Target = Link;
 
@@ -175,8 +184,7 @@ impl std::ops::Deref for Attached {
 impl Drop for Attached {
     fn drop(&mut self) {
         let mut open = self.links.open();
-        self.link.sessions.send_modify(|sessions| sessions.retain(|session| session.id != self.session));
-        let over = self.link.sessions.borrow().is_empty();
+        let over = self.link.leave(self.session, &self.network);
         if over && open.get(&self.link.peer).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
             open.remove(&self.link.peer);
         }

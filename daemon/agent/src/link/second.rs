@@ -1,7 +1,9 @@
-//! What happened on a link within one second. No I/O.
+//! What happened between two hosts within one second. No I/O.
+
+use std::collections::BTreeMap;
 
 use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
-use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
+use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
 use super::thinned::Thinned;
 
@@ -19,6 +21,13 @@ pub(super) struct Second {
     pub(super) lower: Option<Exchange>,
     trips: Thinned<Span>,
     shortest: Option<Span>,
+    /// Of data, by the network that it went over.
+    delays: BTreeMap<NetworkName, Ways>,
+}
+
+/// The delays of both directions.
+#[derive(Debug, Default)]
+struct Ways {
     up: Delays,
     down: Delays,
 }
@@ -40,8 +49,7 @@ impl Second {
             lower: None,
             trips: Thinned::default(),
             shortest: None,
-            up: Delays::default(),
-            down: Delays::default(),
+            delays: BTreeMap::new(),
         }
     }
 
@@ -52,8 +60,7 @@ impl Second {
 
     /// Whether anything happened.
     pub(super) fn is_empty(&self) -> bool {
-        let delays = self.up.count() + self.down.count();
-        self.upper.is_none() && self.probes == ProbeCounts::default() && delays == 0
+        self.upper.is_none() && self.probes == ProbeCounts::default() && self.delays.is_empty()
     }
 
     /// An exchange was believed. Which of two says more at the end of the second depends on when they were, too:
@@ -77,12 +84,24 @@ impl Second {
         self.trips.push(trip);
     }
 
-    /// A delay of data was judged.
-    pub(super) fn judged(&mut self, direction: Direction, delay: &OneWayDelay, bits: Option<f64>) {
+    /// A delay of data over a network was judged.
+    pub(super) fn judged(
+        &mut self,
+        network: &NetworkName,
+        direction: Direction,
+        delay: &OneWayDelay,
+        bits: Option<f64>,
+    ) {
+        let ways = self.delays.entry(network.clone()).or_default();
         match direction {
-            Direction::Up => self.up.add(delay, bits),
-            Direction::Down => self.down.add(delay, bits),
+            Direction::Up => ways.up.add(delay, bits),
+            Direction::Down => ways.down.add(delay, bits),
         }
+    }
+
+    /// The networks that data went over.
+    pub(super) fn networks(&self) -> impl Iterator<Item = &NetworkName> {
+        self.delays.keys()
     }
 
     /// Round trips of probes.
@@ -90,11 +109,12 @@ impl Second {
         Some(RoundTrip { min: self.shortest?, median: self.trips.median(|trip| *trip)? })
     }
 
-    /// Delays of one direction.
-    pub(super) fn delays(&self, direction: Direction) -> Option<DelaySecond> {
+    /// Delays of one direction over a network.
+    pub(super) fn delays(&self, network: &NetworkName, direction: Direction) -> Option<DelaySecond> {
+        let ways = self.delays.get(network)?;
         match direction {
-            Direction::Up => self.up.summary(),
-            Direction::Down => self.down.summary(),
+            Direction::Up => ways.up.summary(),
+            Direction::Down => ways.down.summary(),
         }
     }
 }
@@ -172,13 +192,13 @@ mod tests {
     fn the_worst_verdict_counts_unless_it_is_rare() {
         let ok = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
         let stepped = ok(-1);
-        let mut second = Second::new(0);
-        assert_eq!(second.delays(Direction::Up), None);
+        let (mut second, network) = (Second::new(0), NetworkName::default());
+        assert_eq!(second.delays(&network, Direction::Up), None);
         for millis in 1..=20 {
-            second.judged(Direction::Up, &ok(millis), Some(1e6));
+            second.judged(&network, Direction::Up, &ok(millis), Some(1e6));
         }
-        second.judged(Direction::Up, &stepped, None);
-        let up = second.delays(Direction::Up).expect("judged");
+        second.judged(&network, Direction::Up, &stepped, None);
+        let up = second.delays(&network, Direction::Up).expect("judged");
         assert_eq!((up.count, up.verdict), (21, Verdict::Ok), "one of twenty-one is rare");
         let median = up.median.expect("has a value");
         assert_eq!(
@@ -187,10 +207,10 @@ mod tests {
         );
         assert!(median.bits_per_second.is_some_and(|rate| (rate * 0.011 - 1e6).abs() < 1.0), "{median:?}");
 
-        second.judged(Direction::Up, &stepped, None);
-        assert_eq!(second.delays(Direction::Up).map(|up| up.verdict), Some(Verdict::Stepped));
-        second.judged(Direction::Down, &stepped, None);
-        let down = second.delays(Direction::Down).expect("judged");
+        second.judged(&network, Direction::Up, &stepped, None);
+        assert_eq!(second.delays(&network, Direction::Up).map(|up| up.verdict), Some(Verdict::Stepped));
+        second.judged(&network, Direction::Down, &stepped, None);
+        let down = second.delays(&network, Direction::Down).expect("judged");
         assert_eq!((down.count, down.median), (1, None), "nothing is averaged in");
     }
 }

@@ -4,9 +4,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
-use peernet_networks::{NetworkKind, PeerClock, StatisticsReader};
+use peernet_networks::{PeerClock, StatisticsReader};
 use peernet_probes::{Key, KeyError, Stamps};
-use peernet_stream::HostClock;
+use peernet_stream::{HostClock, NetworkName};
 use tokio::sync::watch;
 
 use crate::config::{ClockConfig, ProbesConfig, Timestamps};
@@ -70,7 +70,7 @@ impl ProbeSettings {
 pub(super) struct Session {
     pub(super) id: u64,
     pub(super) pipeline: Slug,
-    pub(super) network: NetworkKind,
+    pub(super) network: NetworkName,
     /// Where the cloud is found.
     pub(super) host: String,
     /// UDP port of its probe reflector.

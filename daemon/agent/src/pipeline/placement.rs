@@ -84,8 +84,8 @@ impl Placement {
                     ..remote.session.clone()
                 };
                 let clock = Arc::clone(&context.host.clock);
-                let session = Session::open(remote.network, &remote.peer, hello, settings, clock).await?;
-                let link = context.links.attach(&session, remote.network, &remote.peer, &config.name);
+                let session = Session::open(&remote.peer, hello, settings, clock).await?;
+                let link = context.links.attach(&session, &remote.peer, &config.name);
                 Ok(Self::Remote { session, link, config: remote.clone() })
             }
             PlacementConfig::None {} => Ok(Self::None),
@@ -201,7 +201,7 @@ fn remote(config: &RemoteConfig) -> Description {
     Description {
         kind: PlacementKind::Remote,
         peer: None,
-        network: Some(config.network.name().to_owned()),
+        network: Some(config.peer.network().name().to_owned()),
         address: Some(config.peer.to_string()),
         model: config.model.clone().unwrap_or_else(Slug::any),
         device: config.device.clone(),

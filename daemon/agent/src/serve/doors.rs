@@ -1,7 +1,5 @@
 //! What a serving host has open to its peers, before anyone comes in.
 
-use std::sync::Arc;
-
 use peernet_inference::ModelConfig;
 use peernet_logger::Slug;
 use peernet_networks::{Address, Listener, PeerClock};
@@ -18,15 +16,19 @@ use crate::link::ProbeSettings;
 /// The name of the built-in model that `peernet calibrate` asks for.
 const CALIBRATION: &str = "calibration";
 
-/// The port for sessions, and the one for probes unless that is switched off.
+/// The ports for sessions, and those for probes unless that is switched off.
 #[derive(Debug)]
 pub(crate) struct Doors {
     /// Tells this process from others behind the same address, and from those before it.
     pub(super) instance: u64,
     /// The name of the built-in model, if it is offered.
     pub(super) built_in: Option<Slug>,
-    pub(super) listener: Listener,
-    pub(super) reflector: Option<Reflector>,
+    /// One for each address of `[serve] listen`, in that order.
+    pub(super) listeners: Vec<Listener>,
+    /// One for each of these machine's addresses that peers know.
+    pub(super) reflectors: Vec<Reflector>,
+    /// The port at which the probes of a listener's peers are answered, for each listener.
+    pub(super) probes: Vec<Option<u16>>,
 }
 
 impl Doors {
@@ -37,26 +39,21 @@ impl Doors {
         host: &Host,
     ) -> Result<Option<Self>, StartError> {
         let Some(serve) = &config.serve else { return Ok(None) };
-        let (session, clock) = (serve.session.clone(), Arc::clone(&host.clock));
-        let listener = Listener::bind(serve.network, &serve.listen, session, host.id, clock).await?;
+        let listen = serve.listen.all();
+        let listeners = Listener::bind_all(listen, &serve.session, host.id, &host.clock).await?;
         let instance = Uuid::new_v4().as_u64_pair().0;
-        let reflector = if config.probes.reflect {
-            Some(reflector::bind(&serve.listen, &config.probes, probes, instance, &host.clock).await?)
+        let (reflectors, probes) = if config.probes.reflect {
+            reflector::bind_all(listen, &config.probes, probes, instance, &host.clock).await?
         } else {
-            None
+            (Vec::new(), vec![None; listeners.len()])
         };
         let built_in = calibration(config).map(|model| model.name().clone());
-        Ok(Some(Self { instance, built_in, listener, reflector }))
+        Ok(Some(Self { instance, built_in, listeners, reflectors, probes }))
     }
 
-    /// Where peers may ask for models, with the real port.
-    pub(crate) const fn address(&self) -> &Address {
-        self.listener.address()
-    }
-
-    /// The port at which probes are answered.
-    pub(super) fn probes(&self) -> Option<u16> {
-        self.reflector.as_ref().map(|reflector| reflector.address().port())
+    /// Where peers may ask for models, with the real ports.
+    pub(crate) fn addresses(&self) -> Vec<Address> {
+        self.listeners.iter().map(|listener| listener.address().clone()).collect()
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod asked;
 mod doors;
+mod listeners;
 mod reflector;
 mod served;
 
@@ -27,6 +28,7 @@ use tokio_util::sync::CancellationToken;
 
 use self::asked::Asked;
 use self::doors::to_peers;
+use self::listeners::Listeners;
 use crate::conditions::Places;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents};
@@ -56,14 +58,14 @@ pub(crate) enum ServeError {
     Reflector(#[from] ReceiveError),
 }
 
-/// Serves until it is told to stop, and counts the answers. The error is why a port was lost.
+/// Serves at all ports until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
     doors: Doors,
     context: ServeContext,
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    let named = Named { probes: doors.probes(), instance: doors.instance, built_in: doors.built_in.clone() };
+    let named = Named { probes: doors.probes, instance: doors.instance, built_in: doors.built_in };
     let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     let server = Server {
@@ -72,40 +74,41 @@ pub(crate) async fn run(
         hardware,
         served,
         peers: HashMap::new(),
-        probing: doors.reflector.as_ref().map(Reflector::peers),
+        probing: doors.reflectors.iter().map(Reflector::peers).collect(),
         asked: Asked::default(),
     };
-    let announcer = doors.listener.announcer();
+    let announcers = doors.listeners.iter().map(Listener::announcer).collect();
     let announcing = async {
-        announce(own, announcer, stop.clone()).await;
+        announce(own, announcers, stop.clone()).await;
         Ok(())
     };
+    let reflectors = doors.reflectors.into_iter().map(|reflector| reflector.run(stop.clone()));
     let reflecting = async {
-        match doors.reflector {
-            Some(reflector) => reflector.run(stop.clone()).await.map_err(ServeError::from),
-            None => Ok(()),
-        }
+        futures::future::try_join_all(reflectors).await?;
+        Ok(())
     };
-    let serving = sessions(doors.listener, server, stop.clone());
+    let serving = sessions(Listeners::new(doors.listeners), server, stop.clone());
     let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
     Ok(())
 }
 
 /// Tells all peers at once what becomes known of this host's clock.
-async fn announce(mut own: watch::Receiver<HostClock>, announcer: Announcer, stop: CancellationToken) {
+async fn announce(mut own: watch::Receiver<HostClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
     while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
         let clock = own.borrow_and_update().clone();
-        announcer.announce(to_peers(clock));
+        for announcer in &announcers {
+            announcer.announce(to_peers(clock.clone()));
+        }
     }
 }
 
 /// Serves sessions until it is told to stop.
 async fn sessions(
-    mut listener: Listener,
+    mut listeners: Listeners,
     mut server: Server,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    // Models that are being loaded for a peer; the listener bounds how many peers there are.
+    // Models that are being loaded for a peer; each listener bounds how many peers it has.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
     loop {
@@ -117,30 +120,30 @@ async fn sessions(
                 // The wish was dropped with the panic, and so refused.
                 Err(error) => tracing::error!(%error, "loading a model for a peer panicked"),
             },
-            incoming = listener.next() => match incoming {
+            (listener, incoming) = listeners.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(wish)) => {
                     let context = server.context.clone();
-                    loading.spawn_blocking(move || prepare(wish, &context));
+                    loading.spawn_blocking(move || prepare(wish, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
                     server.closed(session, said_goodbye, ordered);
                 }
-                None => return Err(ServeError::PortLost(listener.address().clone())),
+                None => return Err(ServeError::PortLost(listeners.address(listener).clone())),
             },
         }
     }
-    listener.close().await;
+    listeners.close().await;
     Ok(())
 }
 
 /// Gets ready what a peer asks for. Blocks while a model loads.
-fn prepare(wish: OpenRequest, context: &ServeContext) -> Loaded {
+fn prepare(wish: OpenRequest, listener: usize, context: &ServeContext) -> Loaded {
     // First, because a model that loads is a competing load itself.
     let conditions = conditions(context);
     let model = wish.hello.model.clone().map_or_else(|| context.bank.only(), Ok);
     let pool = model.and_then(|model| context.bank.load(&model, wish.hello.device.as_deref()));
-    Loaded { wish, pool, conditions }
+    Loaded { wish, listener, pool, conditions }
 }
 
 /// What a peer is told of this host before a session.
@@ -153,8 +156,8 @@ fn conditions(context: &ServeContext) -> Vec<Condition> {
 /// How a peer finds the one whose clock it must know.
 #[derive(Clone, Debug)]
 struct Named {
-    /// The port at which probes are answered.
-    probes: Option<u16>,
+    /// The port at which the probes of a listener's peers are answered, for each listener.
+    probes: Vec<Option<u16>>,
     /// Who answers them.
     instance: u64,
     /// The model whose answers do not count.
@@ -164,6 +167,8 @@ struct Named {
 /// A wish for a session whose model has been loaded, or could not be.
 struct Loaded {
     wish: OpenRequest,
+    /// The place of the listener that it came to.
+    listener: usize,
     pool: Result<Arc<Pool>, LoadError>,
     conditions: Vec<Condition>,
 }
@@ -187,24 +192,24 @@ struct Server {
     hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
-    /// Tells the reflector the addresses of the peers with a session.
-    probing: Option<watch::Sender<Vec<IpAddr>>>,
+    /// Tells each reflector the addresses of the peers with a session.
+    probing: Vec<watch::Sender<Vec<IpAddr>>>,
     asked: Asked,
 }
 
 impl Server {
     /// Accepts or refuses.
-    fn answer(&mut self, Loaded { wish, pool, conditions }: Loaded) {
+    fn answer(&mut self, Loaded { wish, listener, pool, conditions }: Loaded) {
         let hello = &wish.hello;
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
         match pool {
             Ok(pool) => {
                 let text =
                     format!("{name} opened a session for its pipeline {pipeline} with {}", pool.name());
-                let (session, accepted) = (wish.session, self.accepted(&pool, conditions));
+                let (session, accepted) = (wish.session, self.accepted(listener, &pool, conditions));
                 let address = wish.address.map(|address| address.ip());
                 // Before the peer knows where to send its probes.
-                self.tell_reflector(address);
+                self.tell_reflectors(address);
                 if wish.accept(accepted) {
                     let counts = self.named.built_in.as_ref() != Some(pool.name());
                     let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
@@ -212,7 +217,7 @@ impl Server {
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 } else {
-                    self.tell_reflector(None);
+                    self.tell_reflectors(None);
                 }
             }
             Err(error) => {
@@ -226,15 +231,15 @@ impl Server {
         }
     }
 
-    /// Tells the reflector which addresses have a session, with one that is being opened.
-    fn tell_reflector(&self, opening: Option<IpAddr>) {
-        if let Some(probing) = &self.probing {
+    /// Tells the reflectors which addresses have a session, with one that is being opened.
+    fn tell_reflectors(&self, opening: Option<IpAddr>) {
+        for probing in &self.probing {
             let open = self.peers.values().filter_map(|peer| peer.address);
             probing.send_replace(open.chain(opening).collect());
         }
     }
 
-    fn accepted(&self, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
+    fn accepted(&self, listener: usize, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
             host: self.context.host.id,
             name: self.context.host.name.clone(),
@@ -244,7 +249,7 @@ impl Server {
             device: pool.device(),
             facts: pool.facts(),
             host_clock: to_peers(self.context.own.borrow().clone()),
-            probes: self.named.probes,
+            probes: self.named.probes.get(listener).copied().flatten(),
             instance: self.named.instance,
             conditions,
             hardware: self.hardware.clone(),
@@ -280,7 +285,7 @@ impl Server {
     fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted has nothing to take leave of.
         let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
-        self.tell_reflector(None);
+        self.tell_reflectors(None);
         let is_farewell = said_goodbye && counted.is_some();
         let missed = if is_farewell { self.asked.missed(host, &pipeline, ordered) } else { 0 };
         self.served.send_modify(|served| {

@@ -1,7 +1,7 @@
-//! The port at which peers' probes are answered.
+//! The ports at which peers' probes are answered.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
@@ -12,19 +12,53 @@ use crate::config::ProbesConfig;
 use crate::error::ReflectorError;
 use crate::link::ProbeSettings;
 
-/// Binds to the address at which peers are awaited. The standard port may be another program's, as long as nobody
-/// insists on it: peers are told which one it is.
-pub(super) async fn bind(
-    listen: &Address,
+/// Binds to the addresses at which peers are awaited. Returns one reflector for each IP address, and for each of `listen`
+/// the port of its reflector.
+pub(super) async fn bind_all(
+    listen: &[Address],
+    config: &ProbesConfig,
+    settings: &ProbeSettings,
+    instance: u64,
+    clock: &SharedClock,
+) -> Result<(Vec<Reflector>, Vec<Option<u16>>), ReflectorError> {
+    let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
+    let mut wanted = Vec::with_capacity(listen.len());
+    for address in listen {
+        let at = resolve(address, port).await.map_err(|error| ReflectorError::Address {
+            listen: address.clone(),
+            reason: error.to_string(),
+        })?;
+        wanted.push(at);
+    }
+    let mut by_reach = wanted.clone();
+    // Those of all interfaces first: they answer for each single address, too.
+    by_reach.sort_by_key(|at| !at.ip().is_unspecified());
+    let mut reflectors: Vec<Reflector> = Vec::new();
+    for at in by_reach {
+        if find(&reflectors, at.ip()).is_none() {
+            reflectors.push(bind(at, config, settings, instance, clock)?);
+        }
+    }
+    let ports = wanted.iter().map(|at| find(&reflectors, at.ip())).collect();
+    Ok((reflectors, ports))
+}
+
+/// The port of the reflector that answers at an IP address.
+fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
+    let answers =
+        |at: &SocketAddr| at.ip() == ip || (at.ip().is_unspecified() && at.ip().is_ipv4() == ip.is_ipv4());
+    reflectors.iter().map(Reflector::address).find(answers).map(|at| at.port())
+}
+
+/// Binds to one address. The standard port may be another program's, as long as nobody insists on it: peers are told which
+/// one it is.
+fn bind(
+    at: SocketAddr,
     config: &ProbesConfig,
     settings: &ProbeSettings,
     instance: u64,
     clock: &SharedClock,
 ) -> Result<Reflector, ReflectorError> {
-    let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
-    let at = resolve(listen, port)
-        .await
-        .map_err(|error| ReflectorError::Address { listen: listen.clone(), reason: error.to_string() })?;
     let bind = |at: SocketAddr| {
         let config = ReflectorConfig {
             listen: at,

@@ -8,6 +8,7 @@ mod checking;
 mod clocks;
 mod conditions;
 mod limits;
+mod listening;
 mod load;
 mod midnight;
 mod outage;

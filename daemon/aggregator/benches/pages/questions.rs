@@ -43,7 +43,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
     let end = run.last_iteration.expect("it has iterations");
     let links = store.links().await.expect("answers");
     let link = links.first().expect("there is a link");
-    let (edge, cloud) = (link.edge, link.cloud);
+    let key = &link.key();
     let slowest = store.slowest(number, 1_000).await.expect("answers");
     let ranked = slowest.last().expect("there are some").number;
     let [total, upload] = [stage::TOTAL, stage::UPLOAD];
@@ -144,10 +144,10 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
         time("incidents", clock, || store.incidents(100, None)).await,
         time("links", clock, || store.links()).await,
         time("a link's hour", clock, || {
-            store.clock_series(edge, cloud, end - Span::from_seconds(3_600), end, CLOCK_POINTS)
+            store.clock_series(key, end - Span::from_seconds(3_600), end, CLOCK_POINTS)
         })
         .await,
-        time("a link's day", clock, || store.clock_series(edge, cloud, day, end, CLOCK_POINTS)).await,
+        time("a link's day", clock, || store.clock_series(key, day, end, CLOCK_POINTS)).await,
     ]
 }
 

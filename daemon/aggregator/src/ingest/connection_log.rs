@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::{HostId, Slug};
 use peernet_store::writing::ConnectionSample;
+use peernet_stream::NetworkName;
 
 use crate::picture::Picture;
 
@@ -14,7 +15,7 @@ use crate::picture::Picture;
 const INTERVAL: Span = Span::from_seconds(60);
 
 /// What tells connections apart: edge, cloud, pipeline, kind of network and the edge's end.
-type Key = (HostId, HostId, Slug, String, Option<String>);
+type Key = (HostId, HostId, Slug, NetworkName, Option<String>);
 
 /// Connections as they were seen last.
 #[derive(Debug, Default)]
@@ -77,7 +78,7 @@ mod tests {
     fn connection(local: &str, bytes: u64) -> Connection {
         Connection {
             pipeline: slug("line"),
-            network: "zmq-tcp".into(),
+            network: NetworkName::default(),
             local: Some(local.into()),
             remote: None,
             interface: None,
@@ -92,6 +93,7 @@ mod tests {
     fn picture(connected: bool, connections: Vec<Connection>) -> Picture {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {
+            network: NetworkName::default(),
             peer,
             peer_name: slug("cloud"),
             at,

@@ -39,8 +39,7 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
 
 /// A connection of a link.
 fn connection(connection: &mut Connection) {
-    let Connection { network, local, remote, interface, .. } = connection;
-    text(network);
+    let Connection { local, remote, interface, .. } = connection;
     [local, remote].into_iter().flatten().for_each(text);
     if let Some(NetworkInterface { name, kind, .. }) = interface {
         text(name);

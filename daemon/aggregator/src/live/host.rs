@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{HostId, RunId, Slug};
-use peernet_stream::{HostClock, HostDescription, LinkLive, LiveUpdate};
+use peernet_stream::{HostClock, HostDescription, LinkLive, LiveUpdate, NetworkName};
 
 use super::bounds;
 use super::event_account::EventAccount;
@@ -28,7 +28,8 @@ pub(super) struct Host {
     /// Values that were left out of what it told, because they were beyond the limits.
     left_out: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
-    links: BTreeMap<HostId, Link>,
+    /// By the cloud and the network.
+    links: BTreeMap<(HostId, NetworkName), Link>,
     picture: Option<Arc<HostPicture>>,
 }
 
@@ -112,10 +113,11 @@ impl Host {
     }
 
     fn link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
-        if let Some(link) = self.links.get_mut(&live.peer) {
+        let key = (live.peer, live.network().clone());
+        if let Some(link) = self.links.get_mut(&key) {
             link.update(live, sent, now, &mut self.left_out);
         } else if self.links.len() < MOST_LINKS {
-            self.links.insert(live.peer, Link::new(live, sent, now, &mut self.left_out));
+            self.links.insert(key, Link::new(live, sent, now, &mut self.left_out));
         } else {
             self.left_out += 1;
         }
@@ -227,10 +229,10 @@ impl Host {
         })
     }
 
-    /// Its links as they are shown, by the cloud's name.
+    /// Its links as they are shown, by the cloud's name and the network.
     pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
         let last = self.is_connected().then_some(self.presence.seen().mono);
-        let mut links: Vec<(&HostId, &mut Link)> = self.links.iter_mut().collect();
+        let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
         let drawn = links
             .into_iter()

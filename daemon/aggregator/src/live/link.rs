@@ -1,4 +1,4 @@
-//! What is known of one link, now.
+//! What is known of one link, now: an edge and a cloud over one network.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

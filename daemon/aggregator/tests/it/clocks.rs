@@ -3,7 +3,7 @@
 use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, Span, Verdict};
 use peernet_logger::HostId;
 use peernet_stream::{
-    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
+    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, NetworkName, ProbeCounts, Probing, RoundTrip,
 };
 
 use super::generate;
@@ -65,6 +65,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
         }),
         up: Some(delays),
         down: Some(DelaySecond { count: 4, verdict: Verdict::Limited, ..delays }),
+        network: NetworkName::default(),
     }
 }
 

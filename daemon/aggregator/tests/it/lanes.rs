@@ -101,7 +101,7 @@ async fn what_is_told_of_clocks_is_shown_and_stored() {
     let links = store.links().await.expect("answers");
     assert_eq!((links.len(), links[0].edge, links[0].cloud), (1, agent.id, cloud));
     let series =
-        store.clock_series(agent.id, cloud, links[0].first, links[0].last, 200).await.expect("answers");
+        store.clock_series(&links[0].key(), links[0].first, links[0].last, 200).await.expect("answers");
     assert_eq!((series.bucket_s, series.points.len()), (1, 200));
     for (point, sample) in series.points.iter().zip(&samples) {
         assert_eq!((point.at, &point.offset, point.up), (sample.at, &sample.offset, sample.up));

@@ -3,6 +3,7 @@
 use std::num::{NonZeroU64, ParseFloatError, ParseIntError};
 use std::path::PathBuf;
 
+use anyhow::Context;
 use peernet_networks::{Address, NetworkKind};
 
 use crate::address::{AddressError, DEFAULT_PORT, address};
@@ -14,7 +15,7 @@ use crate::seconds::{SecondsError, seconds};
 pub(crate) struct Arguments {
     /// The agent at the other end, which needs a table [serve]: tcp://host:5551, or host.
     #[arg(value_parser = peer)]
-    pub(super) peer: Address,
+    pub(super) peer: String,
     /// Payload sizes, at least three: 100, 1kB, 1.2MB.
     #[arg(
         long,
@@ -41,16 +42,29 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
-    #[arg(long, default_value_t, value_parser = network)]
-    pub(super) network: NetworkKind,
+    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet [default: that of the address; of a host, zmq-tcp].
+    #[arg(long, value_parser = network)]
+    pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.
     #[arg(long, short)]
     pub(super) quiet: bool,
 }
 
-fn peer(text: &str) -> Result<Address, AddressError> {
-    address(text, DEFAULT_PORT)
+/// Checks the address or host, whose network another option may name.
+fn peer(text: &str) -> Result<String, AddressError> {
+    address(text, DEFAULT_PORT, NetworkKind::default()).map(|_| text.to_owned())
+}
+
+impl Arguments {
+    /// The peer's address, on the network that was named.
+    ///
+    /// # Errors
+    /// When the address is one of another network.
+    pub(super) fn peer_address(&self) -> anyhow::Result<Address> {
+        let peer = address(&self.peer, DEFAULT_PORT, self.network.unwrap_or_default())?;
+        peer.check_network(self.network).context("--network")?;
+        Ok(peer)
+    }
 }
 
 /// A text that is no number of repeats.

@@ -40,7 +40,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
     let ready = Ready::new(config)?;
     let started = ready.truth.wall();
-    let folder = Folder::make(arguments, &arguments.peer, started)?;
+    let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut watch = Watch::new(&plan, ready.clock.clone(), arguments.quiet);
     let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
@@ -64,10 +64,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         };
     }
     let setting = Setting {
-        peer: arguments.peer.to_string(),
+        peer: plan.peer.to_string(),
         edge,
         cloud: observed.cloud,
-        network: arguments.network.name().to_owned(),
+        network: plan.peer.network().name().to_owned(),
         started: rfc3339(started),
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),

@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::exit::{Exit, Failure};
 use anyhow::{Context, bail};
 use peernet_agent::AgentConfig;
+use peernet_networks::Address;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -28,6 +29,8 @@ const BESIDE_PAYLOAD: u64 = 1 << 20;
 /// The sweep.
 pub(super) struct Plan {
     sizes: Vec<u64>,
+    /// Who is asked.
+    pub(super) peer: Address,
     /// Sizes in the order in which they are sent, over and over.
     order: Vec<u64>,
     warm_up: u64,
@@ -40,7 +43,7 @@ pub(super) struct Plan {
 
 impl Plan {
     /// # Errors
-    /// With fewer than three sizes there is no line.
+    /// With fewer than three sizes there is no line; and the peer's address may be one of another network than the named one.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();
@@ -48,6 +51,7 @@ impl Plan {
         if sizes.len() < 3 {
             bail!("--sizes needs at least three different sizes for a line");
         }
+        let peer = arguments.peer_address()?;
         let mut random = StdRng::seed_from_u64(SEED);
         let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
         let round = |_| {
@@ -65,8 +69,7 @@ impl Plan {
             "sensor": { "kind": "synthetic", "sizes_bytes": order },
             "placement": {
                 "kind": "remote",
-                "peer": arguments.peer,
-                "network": arguments.network,
+                "peer": peer,
                 "model": "calibration",
                 "session": {
                     "open_timeout_ms": OPEN_TIMEOUT_MS,
@@ -78,7 +81,7 @@ impl Plan {
             "warm_up": { "iterations": warm_up },
             "limit": { "iterations": iterations, "duration_s": arguments.seconds },
         });
-        Ok(Self { sizes, order, warm_up, iterations, seconds: arguments.seconds, pipeline })
+        Ok(Self { sizes, order, peer, warm_up, iterations, seconds: arguments.seconds, pipeline })
     }
 
     /// Sizes, smallest first.

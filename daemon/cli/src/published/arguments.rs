@@ -24,9 +24,10 @@ pub(crate) struct Arguments {
     /// This device's name in the network configuration.
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
-    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
-    #[arg(long, default_value_t, value_parser = network)]
-    pub(super) network: NetworkKind,
+    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet [default: that of the server's address in the network
+    /// configuration; of a host name, zmq-tcp].
+    #[arg(long, value_parser = network)]
+    pub(super) network: Option<NetworkKind>,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` the name of the one that
     /// serves, and if it is to be another than 5551, `start_port:`.
     #[arg(long, value_name = "FILE")]
@@ -131,7 +132,7 @@ mod tests {
     fn what_is_not_said_is_as_published() {
         let read = read("peernet --name a --network-config b.yaml --iterations 7");
         assert!(!read.client && !read.generate_plots && !read.overwrite && !read.pickle && !read.quiet);
-        assert_eq!((read.network, read.sensor_type), (NetworkKind::ZmqTcp, SensorType::Image));
+        assert_eq!((read.network, read.sensor_type), (None, SensorType::Image));
         assert_eq!((read.encoding, read.model_name.as_str()), (Encoding::Pixels, "dummy"));
         assert!(read.result_loc.is_none() && read.device.is_none() && read.dataset_loc.is_none());
     }

@@ -56,7 +56,6 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         "placement": {
             "kind": "remote",
             "peer": devices.address,
-            "network": arguments.network,
             "session": { "open_timeout_ms": OPEN_TIMEOUT_MS },
         },
         "load": { "mode": "closed" },
@@ -78,7 +77,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     };
     Ok(Order {
         agent,
-        title: format!("{} → {}, {}", arguments.name, devices.server, arguments.network.name()),
+        title: format!("{} → {}, {}", arguments.name, devices.server, devices.address.network()),
         folder: folder.unwrap_or_else(|| PathBuf::from(RESULTS)),
         overwrite,
         plots: arguments.generate_plots,

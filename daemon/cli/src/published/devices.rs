@@ -8,7 +8,7 @@ use crate::output::complain;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_logger::Slug;
-use peernet_networks::Address;
+use peernet_networks::{Address, NetworkKind};
 use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -47,9 +47,9 @@ impl File {
         Ok(read)
     }
 
-    /// Where the device `name` listens, which is said to be `at`.
-    fn address(&self, name: &str, at: &str) -> Result<Address, DeviceError> {
-        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT));
+    /// Where the device `name` listens, which is said to be `at`: on this network if that is not an address.
+    fn address(&self, name: &str, at: &str, network: NetworkKind) -> Result<Address, DeviceError> {
+        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT), network);
         let invalid = |source| DeviceError::Address { at: at.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
         if address.port() == 0 {
@@ -59,15 +59,19 @@ impl File {
     }
 }
 
-/// Where each device of the file listens, whoever serves; and the file.
+/// Where each device of the file listens, whoever serves, on this network where the file names none; and the file.
 ///
 /// # Errors
 /// When the file cannot be read (66) or does not say what it must (78).
-pub(crate) fn addresses(path: &Path) -> Result<(BTreeMap<String, Address>, NetworkConfig), Failure> {
+pub(crate) fn addresses(
+    path: &Path,
+    network: NetworkKind,
+) -> Result<(BTreeMap<String, Address>, NetworkConfig), Failure> {
     let (file, text) = (path.display().to_string(), text(path)?);
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let read = File::read(&text, &file).map_err(wrong)?;
-    let addresses = read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at)?)));
+    let addresses =
+        read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at, network)?)));
     let addresses = addresses.collect::<Result<_, DeviceError>>();
     let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
     Ok((addresses, NetworkConfig { file, text }))
@@ -92,17 +96,17 @@ pub(super) struct Devices {
 }
 
 impl Devices {
-    /// Reads the file.
+    /// Reads the file. A network that was named is that of the server.
     ///
     /// # Errors
-    /// When it cannot be read (66) or does not say what it must (78).
-    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+    /// When it cannot be read (66), does not say what it must (78), or has the server on another network (78).
+    pub(super) fn read(path: &Path, network: Option<NetworkKind>) -> Result<Self, Failure> {
         let file = path.display().to_string();
         let text = text(path)?;
-        Self::parse(&text, &file).map_err(|error| Failure::new(Exit::Configuration, error))
+        Self::parse(&text, &file, network).map_err(|error| Failure::new(Exit::Configuration, error))
     }
 
-    fn parse(text: &str, file: &str) -> anyhow::Result<Self> {
+    fn parse(text: &str, file: &str, network: Option<NetworkKind>) -> anyhow::Result<Self> {
         let read = File::read(text, file)?;
         let known: Vec<String> = read.devices.keys().cloned().collect();
         let server = read.server.clone().ok_or_else(|| {
@@ -111,7 +115,10 @@ impl Devices {
         let at = read.devices.get(&server).ok_or_else(|| {
             anyhow!("{file}: the server {server} is none of its devices; there is {}", listed(&known))
         })?;
-        let address = read.address(&server, at).map_err(|problem| anyhow!("{file}: {problem}"))?;
+        let address = read.address(&server, at, network.unwrap_or_default());
+        let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
+        let agreed = address.check_network(network);
+        agreed.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
         Ok(Self { server, address, config, known })
     }
@@ -157,21 +164,21 @@ server: cluster
 ";
 
     fn wrong(text: &str) -> String {
-        Devices::parse(text, "net.yaml").expect_err("something is wrong").to_string()
+        Devices::parse(text, "net.yaml", None).expect_err("something is wrong").to_string()
     }
 
     #[test]
     fn the_published_file_is_read() {
-        let devices = Devices::parse(PUBLISHED, "net.yaml").expect("reads");
+        let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
-        let devices = Devices::parse(&text, "net.yaml").expect("reads");
+        let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:6000");
     }
 
     #[test]
     fn who_may_be_started_how() {
-        let devices = Devices::parse(PUBLISHED, "net.yaml").expect("reads");
+        let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         let check = |name: &str, serves| {
             let name = name.parse().expect("a name");
             devices.check(&name, serves).map_err(|failure| failure.to_string())

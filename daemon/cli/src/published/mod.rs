@@ -28,7 +28,7 @@ use crate::foreground::{Shows, listen};
 /// # Errors
 /// Each kind with its exit code: `docs/cli.md`.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let devices = Devices::read(&arguments.network_config)?;
+    let devices = Devices::read(&arguments.network_config, arguments.network)?;
     let serves = !arguments.client;
     devices.check(&arguments.name, serves)?;
     complain(

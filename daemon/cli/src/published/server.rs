@@ -24,11 +24,8 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let model = model::of(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
-    config.serve = Some(ServeConfig {
-        listen: everywhere(&devices.address),
-        network: arguments.network,
-        ..ServeConfig::default()
-    });
+    config.serve =
+        Some(ServeConfig { listen: everywhere(&devices.address).into(), ..ServeConfig::default() });
     config.bank.folders.clear();
     config.models = vec![model];
     let home = Home::of(&config.agent)?;
@@ -63,5 +60,5 @@ fn everywhere(address: &Address) -> Address {
         Ok(IpAddr::V6(_)) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
         _ => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
     };
-    Address::of_ip(ip, address.port())
+    address.at_ip(ip, address.port())
 }

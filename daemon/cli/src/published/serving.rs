@@ -135,7 +135,8 @@ impl Serving {
                 self.loading = Loading::Done;
                 match loaded {
                     Ok(Ok(())) => {
-                        let at = running.serves().map(ToString::to_string).unwrap_or_default();
+                        let at =
+                            running.serves().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
                         self.progress.say(format_args!(
                             "serving {} on all interfaces at {at}; ends after {} answers or with Ctrl-C",
                             self.model, self.answers.wanted

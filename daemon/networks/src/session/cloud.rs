@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -23,7 +24,7 @@ use crate::message::{
 };
 use crate::statistics::{ConnectionStatistics, Counters, TransportStatistics};
 use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer};
-use crate::{Address, NetworkKind, SessionSettings};
+use crate::{Address, SessionSettings};
 
 /// Why a port could not be listened on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -41,7 +42,8 @@ pub enum BindError {
     Denied(Address),
     /// The address is another machine's.
     #[error(
-        "cannot listen on {0}: this machine has no such address; use tcp://0.0.0.0:{port} for all of its interfaces",
+        "cannot listen on {0}: this machine has no such address; use {scheme}://0.0.0.0:{port} for all of its interfaces",
+        scheme = .0.scheme(),
         port = .0.port()
     )]
     NotLocal(Address),
@@ -78,19 +80,50 @@ pub(crate) struct PortState {
 }
 
 impl Listener {
-    /// Listens at `address`; port 0 lets the system choose one.
+    /// Listens at `address`, on the network that its scheme selects; port 0 lets the system choose one.
     ///
     /// # Errors
     /// When the port is taken or the address is not this machine's; says what to do.
     pub async fn bind(
-        kind: NetworkKind,
+        address: &Address,
+        settings: SessionSettings,
+        host: HostId,
+        clock: SharedClock,
+    ) -> Result<Self, BindError> {
+        Self::bind_one_of(NonZeroUsize::MIN, address, settings, host, clock).await
+    }
+
+    /// Listens at several addresses. The settings hold for each of them; the connections that the process may have are
+    /// shared.
+    ///
+    /// # Errors
+    /// Those of [`bind`](Self::bind), for the first address that cannot be had; the others are closed again.
+    pub async fn bind_all(
+        addresses: &[Address],
+        settings: &SessionSettings,
+        host: HostId,
+        clock: &SharedClock,
+    ) -> Result<Vec<Self>, BindError> {
+        let ports = NonZeroUsize::new(addresses.len()).unwrap_or(NonZeroUsize::MIN);
+        let mut listeners = Vec::with_capacity(addresses.len());
+        for address in addresses {
+            let (settings, clock) = (settings.clone(), SharedClock::clone(clock));
+            listeners.push(Self::bind_one_of(ports, address, settings, host, clock).await?);
+        }
+        Ok(listeners)
+    }
+
+    /// Listens at one of so many addresses.
+    async fn bind_one_of(
+        ports: NonZeroUsize,
         address: &Address,
         settings: SessionSettings,
         host: HostId,
         clock: SharedClock,
     ) -> Result<Self, BindError> {
         let settings = settings.clamped();
-        let bound = kind.bind(address, &settings).await.map_err(|failure| match failure {
+        let bound = address.network().bind(address, &settings, ports).await;
+        let bound = bound.map_err(|failure| match failure {
             BindFailure::InUse => BindError::InUse(address.clone()),
             BindFailure::Denied => BindError::Denied(address.clone()),
             BindFailure::NotLocal => BindError::NotLocal(address.clone()),

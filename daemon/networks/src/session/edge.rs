@@ -19,7 +19,7 @@ use crate::message::{
 };
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::transport::{Dialled, EdgeSender, SendFailure};
-use crate::{Address, NetworkKind, SessionSettings};
+use crate::{Address, SessionSettings};
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
@@ -75,12 +75,11 @@ pub(crate) enum Answer {
 }
 
 impl Session {
-    /// Opens a session with the cloud at `address`.
+    /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
     /// # Errors
     /// When nobody answers, not in time, or with a refusal.
     pub async fn open(
-        kind: NetworkKind,
         address: &Address,
         hello: SessionHello,
         settings: SessionSettings,
@@ -88,7 +87,7 @@ impl Session {
     ) -> Result<Self, OpenError> {
         let settings = settings.clamped();
         let counters = Counters::default();
-        let opening = Box::pin(handshake(kind, address, hello, &settings, &counters));
+        let opening = Box::pin(handshake(address, hello, &settings, &counters));
         let (dialled, accepted) = opening.await?;
         Ok(Self::start(dialled, accepted, &settings, clock, counters))
     }

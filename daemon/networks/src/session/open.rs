@@ -8,7 +8,7 @@ use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
 use crate::transport::{DialFailure, Dialled};
-use crate::{Address, NetworkKind, SessionSettings};
+use crate::{Address, SessionSettings};
 
 /// Why a session could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -62,7 +62,6 @@ impl OpenError {
 
 /// Connects and shakes hands within the time that the settings allow.
 pub(crate) async fn handshake(
-    kind: NetworkKind,
     address: &Address,
     hello: SessionHello,
     settings: &SessionSettings,
@@ -71,7 +70,7 @@ pub(crate) async fn handshake(
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
-    let dialled = timeout_at(deadline, kind.dial(address, settings)).await;
+    let dialled = timeout_at(deadline, address.network().dial(address, settings)).await;
     let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
         // Not how long: the system may have been asked for less time than the settings allow.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::NetworkKind;
 
-/// The address of a peer or of a listener: `tcp://host:port`.
+/// The address of a peer or of a listener: `tcp://host:port`. Its scheme selects the network.
 ///
 /// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on every
 /// interface; port 0 lets the system choose one.
@@ -21,9 +21,26 @@ pub struct Address {
     port: u16,
 }
 
-/// What stands before `://`: that of a [`NetworkKind`].
+/// What stands before `://`, and the network that it selects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct Scheme(&'static str);
+struct Scheme {
+    network: NetworkKind,
+    text: &'static str,
+}
+
+impl Scheme {
+    /// The scheme of a network that was named without an address.
+    const fn of(network: NetworkKind) -> Self {
+        Self { network, text: network.schemes()[0] }
+    }
+
+    fn find(text: &str) -> Option<Self> {
+        NetworkKind::ALL.iter().find_map(|network| {
+            let text = network.schemes().iter().copied().find(|known| *known == text)?;
+            Some(Self { network: *network, text })
+        })
+    }
+}
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Host {
@@ -79,10 +96,47 @@ pub enum AddressProblem {
     PortTooLarge(String),
 }
 
+/// A network that was named beside an address of another one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the network is {named}, but {address} is an address of {}; leave the network out, or write {}", .address.network(), forms_of(&[*.named]))]
+pub struct NetworkMismatch {
+    /// The network that was named.
+    pub named: NetworkKind,
+    /// The address of another network.
+    pub address: Address,
+}
+
 impl Address {
     /// The address of an IP address and a port: `tcp://…`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { scheme: Scheme("tcp"), host: Host::Ip(ip), port }
+        Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port }
+    }
+
+    /// The same network at an IP address and a port.
+    #[must_use]
+    pub const fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
+        Self { scheme: self.scheme, host: Host::Ip(ip), port }
+    }
+
+    /// The network that the scheme selects.
+    pub const fn network(&self) -> NetworkKind {
+        self.scheme.network
+    }
+
+    /// What stands before `://`.
+    pub const fn scheme(&self) -> &'static str {
+        self.scheme.text
+    }
+
+    /// Checks that a network that was named beside the address is the one that the scheme selects.
+    ///
+    /// # Errors
+    /// When it is another one.
+    pub fn check_network(&self, named: Option<NetworkKind>) -> Result<(), NetworkMismatch> {
+        match named {
+            Some(named) if named != self.network() => Err(NetworkMismatch { named, address: self.clone() }),
+            _ => Ok(()),
+        }
     }
 
     /// The host, without brackets.
@@ -128,8 +182,7 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
     let Some((scheme, rest)) = text.split_once("://") else {
         return Err(AddressProblem::NoScheme);
     };
-    let Some(scheme) = NetworkKind::ALL.iter().map(|kind| kind.scheme()).find(|known| *known == scheme)
-    else {
+    let Some(scheme) = Scheme::find(scheme) else {
         return Err(AddressProblem::UnknownScheme(scheme.to_owned()));
     };
     let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
@@ -145,13 +198,18 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
         return Err(AddressProblem::InvalidPort(port.to_owned()));
     }
     let port = port.parse().map_err(|_| AddressProblem::PortTooLarge(port.to_owned()))?;
-    Ok(Address { scheme: Scheme(scheme), host, port })
+    Ok(Address { scheme, host, port })
 }
 
 /// How addresses are written, for messages: `tcp://host:port`.
 fn forms() -> String {
-    let forms: BTreeSet<String> =
-        NetworkKind::ALL.iter().map(|kind| format!("{}://host:port", kind.scheme())).collect();
+    forms_of(NetworkKind::ALL)
+}
+
+/// How addresses of these networks are written.
+fn forms_of(networks: &[NetworkKind]) -> String {
+    let schemes = networks.iter().flat_map(|network| network.schemes());
+    let forms: BTreeSet<String> = schemes.map(|scheme| format!("{scheme}://host:port")).collect();
     forms.into_iter().collect::<Vec<_>>().join(" or ")
 }
 
@@ -181,7 +239,7 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}://{}", self.scheme.0, self.authority())
+        write!(f, "{}://{}", self.scheme(), self.authority())
     }
 }
 
@@ -200,6 +258,9 @@ impl From<Address> for String {
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+
+    use peernet_stream::NetworkName;
     use proptest::prelude::*;
 
     use super::*;
@@ -235,6 +296,22 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Address>().expect_err(text).problem.to_string(), problem);
         }
+    }
+
+    #[test]
+    fn every_scheme_selects_its_network() {
+        for network in NetworkKind::ALL {
+            assert_eq!(NetworkName::from(*network).as_str(), network.name());
+            for scheme in network.schemes() {
+                let address: Address = format!("{scheme}://cloud:1").parse().expect("a scheme");
+                assert_eq!((address.network(), address.scheme()), (*network, *scheme));
+                assert_eq!(address.check_network(Some(*network)), Ok(()));
+                assert_eq!(address.check_network(None), Ok(()));
+                let bound = address.at_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7);
+                assert_eq!(bound.to_string(), format!("{scheme}://127.0.0.1:7"));
+            }
+        }
+        assert_eq!(Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7).to_string(), "tcp://127.0.0.1:7");
     }
 
     proptest! {

@@ -8,23 +8,26 @@ mod tcp_info;
 mod zmq_tcp;
 pub mod zmtp;
 
-pub use address::{Address, InvalidAddress};
+pub use address::{Address, InvalidAddress, NetworkMismatch};
 pub use address_group::AddressGroup;
 
 use std::fmt;
 use std::net::SocketAddr;
+use std::num::NonZeroUsize;
 use std::time::Duration;
 
 use bytes::Bytes;
 use futures::future::BoxFuture;
+use peernet_stream::NetworkName;
 use serde::{Deserialize, Serialize};
 
 use crate::SessionSettings;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
-/// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`.
+/// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`. A network whose addresses have one of
+/// several schemes lists them all, as in `at "ros1" | "ros2"`; its module asks the address which one it is.
 macro_rules! networks {
-    ($($(#[$about:meta])* $variant:ident = $name:literal at $scheme:literal in $module:ident;)*) => {
+    ($($(#[$about:meta])* $variant:ident = $name:literal at $($scheme:literal)|+ in $module:ident;)*) => {
         /// The networks a sample can travel over.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
         pub enum NetworkKind {
@@ -40,9 +43,10 @@ macro_rules! networks {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// How the addresses of its peers begin: `tcp` of `tcp://host:port`.
-            pub const fn scheme(self) -> &'static str {
-                match self { $(Self::$variant => $scheme),* }
+            /// How the addresses of its peers begin: `tcp` of `tcp://host:port`. Where there are several, the first is taken
+            /// for an address without one.
+            pub const fn schemes(self) -> &'static [&'static str] {
+                match self { $(Self::$variant => &[$($scheme),+]),* }
             }
 
             pub(crate) async fn dial(
@@ -57,8 +61,9 @@ macro_rules! networks {
                 self,
                 address: &Address,
                 settings: &SessionSettings,
+                ports: NonZeroUsize,
             ) -> Result<Bound, BindFailure> {
-                match self { $(Self::$variant => $module::bind(address, settings).await),* }
+                match self { $(Self::$variant => $module::bind(address, settings, ports).await),* }
             }
         }
     };
@@ -74,6 +79,12 @@ networks! {
 impl fmt::Display for NetworkKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
+    }
+}
+
+impl From<NetworkKind> for NetworkName {
+    fn from(kind: NetworkKind) -> Self {
+        kind.name().parse().expect("the names of networks keep to the rules of names")
     }
 }
 
@@ -211,4 +222,67 @@ pub enum BindFailure {
     /// Anything else.
     #[error("{0}")]
     Other(String),
+}
+
+#[cfg(test)]
+mod tests {
+    /// A module as a transport's is, which only has to compile.
+    mod nowhere {
+        use std::num::NonZeroUsize;
+
+        use super::super::{Address, BindFailure, Bound, DialFailure, Dialled};
+        use crate::SessionSettings;
+
+        pub(super) async fn dial(address: &Address, _: &SessionSettings) -> Result<Dialled, DialFailure> {
+            Err(DialFailure::Unreachable(address.to_string()))
+        }
+
+        pub(super) async fn bind(
+            _: &Address,
+            _: &SessionSettings,
+            _: NonZeroUsize,
+        ) -> Result<Bound, BindFailure> {
+            Err(BindFailure::NotLocal)
+        }
+    }
+
+    /// Networks that are registered like the real ones.
+    #[expect(unreachable_pub, reason = "the macro makes a public enum")]
+    mod registered {
+        use std::num::NonZeroUsize;
+
+        use serde::{Deserialize, Serialize};
+
+        use super::super::{Address, BindFailure, Bound, DialFailure, Dialled};
+        use super::nowhere;
+        use crate::SessionSettings;
+
+        networks! {
+            /// Has one scheme.
+            #[default]
+            Wire = "wire" at "wire" in nowhere;
+            /// Has two.
+            Robot = "robot" at "robot1" | "robot2" in nowhere;
+        }
+    }
+
+    use std::num::NonZeroUsize;
+
+    use registered::NetworkKind;
+
+    use super::{Address, BindFailure, DialFailure};
+    use crate::SessionSettings;
+
+    #[tokio::test]
+    async fn one_name_may_stand_for_several_schemes() {
+        let schemes = NetworkKind::ALL.iter().map(|kind| (kind.name(), kind.schemes()));
+        let expected: [(&str, &[&str]); 2] = [("wire", &["wire"]), ("robot", &["robot1", "robot2"])];
+        assert_eq!(schemes.collect::<Vec<_>>(), expected);
+        let (address, settings): (Address, _) =
+            ("tcp://a:1".parse().expect("an address"), SessionSettings::default());
+        let dialled = NetworkKind::Robot.dial(&address, &settings).await;
+        assert!(matches!(dialled, Err(DialFailure::Unreachable(where_to)) if where_to == "tcp://a:1"));
+        let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN).await;
+        assert!(matches!(bound, Err(BindFailure::NotLocal)));
+    }
 }

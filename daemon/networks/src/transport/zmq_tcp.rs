@@ -4,6 +4,7 @@
 //! that sends writes to the connection itself, and only what the kernel does not take at once is left to the
 //! connection's own task.
 
+use std::num::NonZeroUsize;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
@@ -208,16 +209,20 @@ impl EdgeReceiver for Dealer {
 }
 
 /// Listens on a port.
-pub(crate) async fn bind(address: &Address, settings: &SessionSettings) -> Result<Bound, BindFailure> {
-    let listener = ZmtpListener::bind(&address.authority(), limits(settings)).await?;
+pub(crate) async fn bind(
+    address: &Address,
+    settings: &SessionSettings,
+    ports: NonZeroUsize,
+) -> Result<Bound, BindFailure> {
+    let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
-    Ok(Bound { address: Address::of_ip(bound.ip(), bound.port()), sender, receiver: Box::new(listener) })
+    Ok(Bound { address: address.at_ip(bound.ip(), bound.port()), sender, receiver: Box::new(listener) })
 }
 
-fn limits(settings: &SessionSettings) -> ListenerLimits {
+fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {
     ListenerLimits {
-        max_connections: DescriptorShare::DataPort.connections(),
+        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
         max_message_bytes: largest_message(settings),
         max_unfinished_bytes: settings.max_unfinished_bytes,
         hello_timeout: settings.hello_timeout(),

@@ -89,13 +89,13 @@ async fn a_cloud_that_does_not_answer_times_out() {
 #[tokio::test]
 async fn a_port_in_use_is_said_with_what_to_do() {
     let cloud = Cloud::start().await;
-    let again = Listener::bind(NetworkKind::ZmqTcp, &cloud.address(), settings(), cloud.host, clock()).await;
+    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the port is taken");
     assert_eq!(error, BindError::InUse(cloud.address()));
     assert!(error.to_string().contains("another program uses port"), "{error}");
 
     let elsewhere = "tcp://192.0.2.1:0".parse().expect("an address");
-    let error = Listener::bind(NetworkKind::ZmqTcp, &elsewhere, settings(), cloud.host, clock()).await;
+    let error = Listener::bind(&elsewhere, settings(), cloud.host, clock()).await;
     assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(elsewhere));
 }
 

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
-    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PeerClock,
+    Address, Exchange, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PeerClock,
     SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
@@ -86,7 +86,7 @@ impl Cloud {
 
     async fn bind(address: &str, settings: SessionSettings, clock: SharedClock) -> Self {
         let (host, address) = (HostId::random(), address.parse().expect("an address"));
-        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock);
+        let listener = Listener::bind(&address, settings, host, clock);
         Self { host, listener: within(listener).await.expect("the port is free") }
     }
 
@@ -143,12 +143,12 @@ pub(crate) async fn open(
     hello: SessionHello,
     settings: SessionSettings,
 ) -> Result<Session, OpenError> {
-    within(Session::open(NetworkKind::ZmqTcp, address, hello, settings, clock())).await
+    within(Session::open(address, hello, settings, clock())).await
 }
 
 /// Opens a session as an edge that reads another clock.
 async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
-    within(Session::open(NetworkKind::ZmqTcp, &address, hello(), settings(), clock)).await
+    within(Session::open(&address, hello(), settings(), clock)).await
 }
 
 pub(crate) fn log() -> Recorder {

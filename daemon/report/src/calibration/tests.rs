@@ -1,6 +1,6 @@
 use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as Delay, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::ProbeCounts;
+use peernet_stream::{NetworkName, ProbeCounts};
 
 use super::*;
 use crate::Passage;
@@ -218,6 +218,7 @@ fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
         round_trip: None,
         up: None,
         down: None,
+        network: NetworkName::default(),
     }
 }
 

@@ -204,14 +204,14 @@ statements! {
              FROM host WHERE name IS NOT NULL ORDER BY name";
     /// No parameters.
     LINKS = "SELECT edge.uuid AS edge, edge.name AS edge_name, cloud.uuid AS cloud, \
-             coalesce(cloud.name, link.cloud_name) AS cloud_name, \
+             coalesce(cloud.name, link.cloud_name) AS cloud_name, link.network, \
              (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS first_ns, \
              (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS last_ns \
              FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
-             ORDER BY edge_name, cloud_name, link.id";
-    /// ?1 edge, ?2 cloud.
+             ORDER BY edge_name, cloud_name, link.network, link.id";
+    /// ?1 edge, ?2 cloud, ?3 network.
     LINK = "SELECT link.id FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
-            WHERE edge.uuid = ?1 AND cloud.uuid = ?2";
+            WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3";
     /// The first and the last second: ?1 link, ?2 from, ?3 to.
     CLOCK_EXTENT = "SELECT (SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3), \
                     (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3)";
@@ -228,9 +228,9 @@ statements! {
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// The edge of a run, when its first and last iterations began, and its first and last minutes with successful
+    /// The edge of a run and its network, when its first and last iterations began, and its first and last minutes with successful
     /// ones: where the edge's clock was set back, the first is not the earliest: ?1 run.
-    RUN_EXTENT = "SELECT pipeline.host, \
+    RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
                   (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \
@@ -251,8 +251,8 @@ statements! {
                   WHERE transit.run = ?1 AND (transit.iteration, transit.node) > (?2, ?3) \
                   AND iteration.warm_up = 0 AND iteration.outcome = 0 AND name.text IN ('upload', 'download') \
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
-    /// ?1 edge, ?2 cloud, as numbers.
-    LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2";
+    /// ?1 edge, ?2 cloud, as numbers, ?3 network.
+    LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
     /// From when to when a link's windows reach, and their first and last exchanges: ?1 link, ?2 from, ?3 to, ?4 limit.
     CLOCK_WINDOWS = "SELECT window, min(at_ns) AS first_ns, max(at_ns) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \

@@ -2,18 +2,22 @@
 
 use peernet_clock::{DelaySource, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{ClockSample, Event, HostDescription, Iteration};
+use peernet_stream::{ClockSample, Event, HostDescription, Iteration, NetworkName};
 
 use super::clocks::{link, micros, sample};
 use super::{Bed, NOW, generate};
 use crate::stored::ClockPoint;
-use crate::types::ClockSeries;
+use crate::types::{ClockSeries, LinkKey};
 
 const ALWAYS: (WallTime, WallTime) =
     (WallTime::from_unix_nanos(i64::MIN), WallTime::from_unix_nanos(i64::MAX));
 
 fn event(sample: ClockSample) -> Event {
     Event::Clock(Box::new(sample))
+}
+
+fn key(edge: HostId, cloud: HostId) -> LinkKey {
+    LinkKey { edge, cloud, network: NetworkName::default() }
 }
 
 fn point(sample: ClockSample) -> ClockPoint {
@@ -29,7 +33,7 @@ async fn store(bed: &mut Bed, samples: impl IntoIterator<Item = ClockSample>) {
 
 async fn series(bed: &Bed, most_points: u32) -> ClockSeries {
     let (from, to) = ALWAYS;
-    bed.store.clock_series(bed.edge, bed.cloud, from, to, most_points).await.expect("answers")
+    bed.store.clock_series(&key(bed.edge, bed.cloud), from, to, most_points).await.expect("answers")
 }
 
 #[tokio::test]
@@ -74,17 +78,36 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
 }
 
 #[tokio::test]
+async fn two_networks_of_one_pair_are_two_links() {
+    let mut bed = Bed::new().await;
+    let other: NetworkName = "zmq-udp".parse().expect("a name");
+    let over_other = |second| ClockSample { network: other.clone(), ..sample(bed.cloud, second, 60) };
+    let samples = [over_other(1), over_other(2)];
+    store(&mut bed, samples.clone()).await;
+    let [first, last] = [1, 2].map(|second| sample(bed.cloud, second, 40));
+    store(&mut bed, [first.clone(), last.clone()]).await;
+    let links = bed.store.links().await.expect("answers");
+    let keys: Vec<LinkKey> = links.iter().map(crate::types::LinkRow::key).collect();
+    assert_eq!(keys, [key(bed.edge, bed.cloud), LinkKey { network: other, ..key(bed.edge, bed.cloud) }]);
+    for (key, expected) in keys.iter().zip([[first, last], samples]) {
+        let series = bed.store.clock_series(key, ALWAYS.0, ALWAYS.1, 10).await.expect("answers");
+        assert_eq!(series.points, expected.map(point), "{key:?}");
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM clock_ms WHERE network = 'zmq-udp'").await, 2);
+}
+
+#[tokio::test]
 async fn only_what_was_asked_for_is_told() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     store(&mut bed, (1..=100).map(|second| sample(cloud, second, 40))).await;
     let (from, to) = (generate::at(10.0), generate::at(19.0));
-    let some = bed.store.clock_series(bed.edge, cloud, from, to, 10).await.expect("answers");
+    let some = bed.store.clock_series(&key(bed.edge, cloud), from, to, 10).await.expect("answers");
     assert_eq!((some.bucket_s, some.points.len()), (1, 10));
     assert_eq!((some.points[0].at, some.points[9].at), (from, to));
-    let strange = bed.store.clock_series(cloud, bed.edge, from, to, 10).await.expect("answers");
+    let strange = bed.store.clock_series(&key(cloud, bed.edge), from, to, 10).await.expect("answers");
     assert_eq!(strange, ClockSeries { bucket_s: 1, points: vec![] });
-    let later = bed.store.clock_series(bed.edge, cloud, generate::at(200.0), ALWAYS.1, 10).await;
+    let later = bed.store.clock_series(&key(bed.edge, cloud), generate::at(200.0), ALWAYS.1, 10).await;
     assert!(later.expect("answers").points.is_empty());
 }
 
@@ -180,8 +203,11 @@ async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
     let (told, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
     assert_eq!(told, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
-    let wide =
-        bed.store.clock_series(bed.edge, cloud, generate::at(1.0), ALWAYS.1, 20).await.expect("answers");
+    let wide = bed
+        .store
+        .clock_series(&key(bed.edge, cloud), generate::at(1.0), ALWAYS.1, 20)
+        .await
+        .expect("answers");
     assert_eq!(wide.points[1].up.expect("judged").verdict, Verdict::Stale);
 }
 
@@ -233,7 +259,7 @@ async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample WHERE max_drift_ppm IS NULL").await, 1);
     assert!(bed.count("SELECT max(length(offset_sources)) FROM clock_sample").await < 100);
     let (from, to) = (generate::at(0.0), generate::at(100.0));
-    let points = bed.store.clock_series(bed.edge, cloud, from, to, 100).await.expect("answers").points;
+    let points = bed.store.clock_series(&key(bed.edge, cloud), from, to, 100).await.expect("answers").points;
     let known = |at: usize| points[at].offset.as_ref();
     assert_eq!(known(0).expect("known").skew_ppm, None);
     assert_eq!((known(1), known(2)), (None, None));

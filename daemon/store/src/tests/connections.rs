@@ -3,7 +3,8 @@
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Connection, ConnectionStatistics, DirectionStatistics, Event, NetworkInterface, TransportRoundTrip,
+    Connection, ConnectionStatistics, DirectionStatistics, Event, NetworkInterface, NetworkName,
+    TransportRoundTrip,
 };
 
 use super::clocks::sample;
@@ -28,7 +29,7 @@ fn told(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample 
         at,
         connection: Connection {
             pipeline: "line".parse().expect("a name"),
-            network: "zmq-tcp".into(),
+            network: NetworkName::default(),
             local: Some("10.0.0.2:40112".into()),
             remote: Some("10.0.0.1:5551".into()),
             interface: Some(NetworkInterface {
@@ -69,7 +70,7 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 3);
     assert_eq!(
         bed.count(
-            "SELECT count(*) FROM connection_total WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'line' \
+            "SELECT count(*) FROM connection_total WHERE edge = 'edge' AND cloud = 'cloud' AND network = 'zmq-tcp' AND pipeline = 'line' \
              AND at_utc = '2025-01-01 00:00:02.000' AND sent_bytes = 2 AND sent_datagrams = 40 AND sent_retransmitted = 6 \
              AND received_bytes = 9223372036854775807 AND received_datagrams IS NULL AND round_trip_ms = 0.52 \
              AND round_trip_min_ms IS NULL AND (interface, interface_type, mtu_bytes) = ('wlan0', 'wireless', 1500)"

@@ -232,3 +232,17 @@ async fn claims_of_time_daemons_count_again_as_they_did_then() {
         }
     }
 }
+
+#[tokio::test]
+async fn only_the_link_over_the_network_of_the_run_counts() {
+    let mut bed = Bed::new().await;
+    simulate(&mut bed, SECONDS, |_, _| {}).await;
+    assert_eq!(recompute(&bed).await.samples, 125);
+    let over_another = "UPDATE link SET network = 'zmq-udp'";
+    sqlx::query(over_another).execute(&mut bed.other().await).await.expect("changes");
+    let recomputed = recompute(&bed).await;
+    assert_eq!(recomputed.samples, 0);
+    for RecomputedStage { before, after, .. } in recomputed.stages {
+        assert_eq!(before, after);
+    }
+}

@@ -383,9 +383,9 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
     let mut connection = bed.other().await;
     // One connection beside each clock sample.
     sqlx::query(
-        "INSERT INTO connection_sample (link, at_ns, pipeline, network, sent_bytes, sent_messages, received_bytes, \
+        "INSERT INTO connection_sample (link, at_ns, pipeline, sent_bytes, sent_messages, received_bytes, \
          received_messages, malformed_messages, late_messages, lost_messages) \
-         SELECT link, at_ns, 'line', 'zmq-tcp', 0, 0, 0, 0, 0, 0, 0 FROM clock_sample",
+         SELECT link, at_ns, 'line', 0, 0, 0, 0, 0, 0, 0 FROM clock_sample",
     )
     .execute(&mut connection)
     .await

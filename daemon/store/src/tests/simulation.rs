@@ -6,7 +6,7 @@ use peernet_clock::{
     Span, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Measure, RunId, Transit};
-use peernet_stream::{ClockSample, Event, Iteration, ProbeCounts};
+use peernet_stream::{ClockSample, Event, Iteration, NetworkName, ProbeCounts};
 
 use super::clocks::micros;
 use super::generate::{self, Numbers};
@@ -182,6 +182,7 @@ impl Simulation {
             round_trip: None,
             up: None,
             down: None,
+            network: NetworkName::default(),
         }))
     }
 

@@ -1,10 +1,10 @@
-//! Links and the samples of their clock relations: one row per link and second.
+//! Links and their samples: one row per link and second.
 
 use std::collections::HashMap;
 
 use peernet_clock::{DelaySource, Exchange, Interval, Offset, Verdict, WallTime};
 use peernet_logger::{HostId, Slug};
-use peernet_stream::{ClockSample, DelaySecond};
+use peernet_stream::{ClockSample, DelaySecond, NetworkName};
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
@@ -41,10 +41,10 @@ const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_
      arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
      arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
 
-/// What the writer remembers of the table `link`: by the edge's row and the cloud, its row and the cloud's name.
+/// What the writer remembers of the table `link`: by the edge's row, the cloud and the network, its row and the cloud's name.
 #[derive(Debug, Default)]
 pub(super) struct Links {
-    known: HashMap<(i64, HostId), (i64, Slug)>,
+    known: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
     /// Times of the samples that the transaction stores, by link.
     arrived: HashMap<i64, Extent>,
 }
@@ -105,25 +105,27 @@ impl Links {
         sample: &ClockSample,
         now: WallTime,
     ) -> Result<i64, Refusal> {
-        if let Some((link, name)) = self.known.get(&(edge, sample.peer))
+        let key = (edge, sample.peer, sample.network.clone());
+        if let Some((link, name)) = self.known.get(&key)
             && *name == sample.peer_name
         {
             return Ok(*link);
         }
         let cloud = entities.host(connection, sample.peer, now).await?;
         let link = sqlx::query_scalar(
-            "INSERT INTO link (edge, cloud, cloud_name) VALUES (?, ?, ?) \
-             ON CONFLICT (edge, cloud) DO UPDATE SET cloud_name = excluded.cloud_name RETURNING id",
+            "INSERT INTO link (edge, cloud, network, cloud_name) VALUES (?, ?, ?, ?) \
+             ON CONFLICT (edge, cloud, network) DO UPDATE SET cloud_name = excluded.cloud_name RETURNING id",
         )
         .bind(edge)
         .bind(cloud)
+        .bind(sample.network.as_str())
         .bind(sample.peer_name.as_str())
         .fetch_one(connection)
         .await?;
         if self.known.len() >= MOST_LINKS {
             self.known.clear();
         }
-        self.known.insert((edge, sample.peer), (link, sample.peer_name.clone()));
+        self.known.insert(key, (link, sample.peer_name.clone()));
         Ok(link)
     }
 }

@@ -24,17 +24,17 @@ pub struct ConnectionSample {
 
 /// A link has its row from the first sample of its clocks on. The time is that of a live update, which may claim any: it is
 /// moved into the time of the link's stored samples, with which retention deletes it.
-const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, network, local_address, remote_address, \
+const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
      received_bytes, received_messages, received_datagrams, received_lost, received_duplicated, received_reordered, \
      received_retransmitted, malformed_messages, late_messages, lost_messages, \
      round_trip_min_ns, round_trip_ns, round_trip_variation_ns) \
-     SELECT link.id, max(min(?3, (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), \
-       (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24, \
+     SELECT link.id, max(min(?4, (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), \
+       (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24, \
      ?25, ?26, ?27, ?28, ?29, ?30 \
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
-     WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
+     WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
 /// Stores samples; those of a link that is not stored are left out.
 pub(super) async fn store(
@@ -54,9 +54,9 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     let mut to = SqliteArguments::default();
     to.add(edge.to_string())?;
     to.add(cloud.to_string())?;
+    to.add(connection.network.to_string())?;
     to.add(at.unix_nanos())?;
     to.add(connection.pipeline.to_string())?;
-    to.add(connection.network.clone())?;
     to.add(connection.local.clone())?;
     to.add(connection.remote.clone())?;
     to.add(interface.map(|interface| interface.name.clone()))?;

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::super::{
     Accounting, ClockSample, DelayPoint, DelaySecond, HostClock, HostMetrics, Incident, IncidentKind,
-    LinkLive, LiveUpdate, ProbeCounts, Probing, RoundTrip,
+    LinkLive, LiveUpdate, NetworkName, ProbeCounts, Probing, RoundTrip,
 };
 use super::*;
 
@@ -60,6 +60,7 @@ fn clock() -> ClockSample {
         round_trip: Some(RoundTrip { min: Span::from_micros(2), median: Span::from_micros(3) }),
         up: Some(delays),
         down: Some(DelaySecond { median: None, ..delays }),
+        network: NetworkName::default(),
     }
 }
 

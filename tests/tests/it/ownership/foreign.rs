@@ -6,8 +6,8 @@ use peernet_clock::{ClockIdentity, SystemClock};
 use peernet_logger::{HostId, Recorder, RunId};
 use peernet_stream::{
     Accounting, ClockSample, Event, Gap, HostClock, HostMetrics, Incident, IncidentKind, Iteration,
-    LiveUpdate, Outcome, PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription, RunEnded,
-    ToAggregator,
+    LiveUpdate, NetworkName, Outcome, PipelineLive, PipelineState, Placement, ProbeCounts, RunDescription,
+    RunEnded, ToAggregator,
 };
 use peernet_tests::truth::ask;
 use peernet_tests::{Chance, Fleet, Introduced, Ledger, Stranger, measured, until, wall};
@@ -73,6 +73,7 @@ fn clock(peer: HostId) -> Event {
         round_trip: None,
         up: None,
         down: None,
+        network: NetworkName::default(),
     }))
 }
 

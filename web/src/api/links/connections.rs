@@ -76,7 +76,7 @@ impl From<&stream::Connection> for LinkConnection {
         let statistics = &connection.statistics;
         Self {
             pipeline: connection.pipeline.to_string(),
-            network: connection.network.clone(),
+            network: connection.network.to_string(),
             local_address: connection.local.clone(),
             remote_address: connection.remote.clone(),
             interface: connection.interface.as_ref().map(|interface| LinkInterface {

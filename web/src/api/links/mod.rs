@@ -8,7 +8,7 @@ use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use peernet_clock::{Span, WallTime};
-use peernet_logger::HostId;
+use peernet_store::LinkKey;
 use serde::Deserialize;
 use utoipa::IntoParams;
 use utoipa_axum::router::OpenApiRouter;
@@ -18,14 +18,14 @@ use self::schema::{Link, LinkList, LinkSeries};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded, moment, path};
 use crate::state::{App, AppState};
-use crate::view::link::{Subject, find, name, no_link};
+use crate::view::link::{Subject, canonical, find, is_live, no_link};
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(one)).routes(routes!(clock))
 }
 
-/// Every link that reports or is stored, by the edge's and the cloud's name.
+/// Every link that reports or is stored, by the edge's and the cloud's name and the network.
 #[utoipa::path(get, path = "/api/v1/links", operation_id = "listLinks", tag = "links", responses(
     (status = 200, body = LinkList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -34,9 +34,9 @@ async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
     Ok(Json(LinkList { links: all(&app).await? }))
 }
 
-/// One link, by the names of its edge and its cloud.
+/// One link, by the names of its edge, its cloud and its network.
 #[utoipa::path(get, path = "/api/v1/links/{link}", operation_id = "getLink", tag = "links",
-    params(("link" = String, Path, description = "`EDGE~CLOUD`")),
+    params(("link" = String, Path, description = "`EDGE~CLOUD`, or `EDGE~CLOUD~NETWORK`")),
     responses(
         (status = 200, body = Link),
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -46,7 +46,7 @@ async fn one(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Link>, WebError> {
-    let wanted = path(link)?;
+    let wanted = canonical(path(link)?);
     let found = all(&app).await?.into_iter().find(|link| link.name == wanted);
     found.map(Json).ok_or_else(|| no_link(&wanted))
 }
@@ -69,7 +69,7 @@ struct ClockQuery {
 
 /// What was known of a link's clocks over time, and what the network did.
 #[utoipa::path(get, path = "/api/v1/links/{link}/clock", operation_id = "getLinkClock", tag = "links",
-    params(("link" = String, Path, description = "`EDGE~CLOUD`"), ClockQuery),
+    params(("link" = String, Path, description = "`EDGE~CLOUD`, or `EDGE~CLOUD~NETWORK`"), ClockQuery),
     responses(
         (status = 200, body = LinkSeries),
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -80,37 +80,34 @@ async fn clock(
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<ClockQuery>,
 ) -> Result<Json<LinkSeries>, WebError> {
-    let wanted = path(link)?;
+    let wanted = canonical(path(link)?);
     let points = bounded("points", query.points.as_deref(), 600, 1..=2_000)?;
-    let ((edge, cloud), end) = identify(&app, &wanted).await?;
+    let (key, end) = identify(&app, &wanted).await?;
     let to = query.to.as_deref().map(|text| moment("to", text)).transpose()?.unwrap_or(end);
     let from = query.from.as_deref().map(|text| moment("from", text)).transpose()?;
     let from = from.unwrap_or(to - Span::from_seconds(600));
     if from >= to {
         return Err(WebError::BadRequest("query parameter from: it is not before to".to_owned()));
     }
-    Ok(Json(LinkSeries::from(&app.store().clock_series(edge, cloud, from, to, points).await?)))
+    Ok(Json(LinkSeries::from(&app.store().clock_series(&key, from, to, points).await?)))
 }
 
-/// Both hosts of a link and its newest sample.
-async fn identify(app: &AppState, wanted: &str) -> Result<((HostId, HostId), WallTime), WebError> {
+/// What a link is known by, and its newest sample.
+async fn identify(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), WebError> {
     if let Some(link) = find(&app.picture(), wanted) {
         let subject = Subject::live(link);
-        return Ok((subject.ids, subject.end));
+        return Ok((subject.key, subject.end));
     }
     let rows = app.store().links().await?;
-    let row = rows.iter().find(|row| name(row.edge_name.as_str(), row.cloud_name.as_str()) == wanted);
-    row.map(|row| ((row.edge, row.cloud), row.last)).ok_or_else(|| no_link(wanted))
+    let found = rows.iter().map(Subject::past).find(|link| link.name() == wanted);
+    found.map(|link| (link.key, link.end)).ok_or_else(|| no_link(wanted))
 }
 
 async fn all(app: &AppState) -> Result<Vec<Link>, WebError> {
     let stored = app.store().links().await?;
     let picture = app.picture();
     let mut links: Vec<Link> = picture.links.iter().map(|link| Link::from(&**link)).collect();
-    let live = |row: &&peernet_store::LinkRow| {
-        picture.links.iter().any(|link| link.edge == row.edge && link.live.peer == row.cloud)
-    };
-    links.extend(stored.iter().filter(|row| !live(row)).map(Link::from));
-    links.sort_by(|a, b| (&a.edge, &a.cloud).cmp(&(&b.edge, &b.cloud)));
+    links.extend(stored.iter().filter(|row| !is_live(&picture, row)).map(Link::from));
+    links.sort_by(|a, b| (&a.edge, &a.cloud, &a.network).cmp(&(&b.edge, &b.cloud, &b.network)));
     Ok(links)
 }

@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 use super::clock::{ClockOffset, Delay, Probes, RoundTrip};
 use super::connections::LinkConnection;
 use crate::api::schema::{HostClock, time};
-use crate::view::link::{Subject, name};
+use crate::view::link::Subject;
 
 /// Every link that is stored or reports.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -18,15 +18,17 @@ pub(crate) struct LinkList {
     pub links: Vec<Link>,
 }
 
-/// One link: an edge and a cloud.
+/// One link: an edge and a cloud over one network.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Link {
-    /// `EDGE~CLOUD`.
+    /// `EDGE~CLOUD` over `zmq-tcp`, else `EDGE~CLOUD~NETWORK`.
     pub name: String,
     pub edge: String,
     pub edge_id: String,
     pub cloud: String,
     pub cloud_id: String,
+    /// Kind of network, such as `zmq-tcp`.
+    pub network: String,
     /// Whether the edge tells of it now.
     pub connected: bool,
     /// Its newest sample, on the edge's wall clock.
@@ -38,7 +40,7 @@ pub(crate) struct Link {
 /// A link, now.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkNow {
-    /// Kinds of network in use, such as `zmq-tcp`.
+    /// Kinds of network in use: that of the link.
     pub networks: Vec<String>,
     pub pipelines: Vec<String>,
     /// Whether both hosts read one clock: then the offset is exactly zero.
@@ -179,7 +181,8 @@ impl From<&LinkPicture> for Link {
         let live = &link.live;
         let subject = Subject::live(link);
         Self {
-            name: name(&subject.edge, &subject.cloud),
+            name: subject.name(),
+            network: subject.key.network.to_string(),
             edge_id: link.edge.to_string(),
             cloud_id: live.peer.to_string(),
             connected: link.connected,
@@ -212,12 +215,13 @@ impl From<&LinkPicture> for Link {
 
 impl From<&LinkRow> for Link {
     fn from(row: &LinkRow) -> Self {
-        let (edge, cloud) = (row.edge_name.to_string(), row.cloud_name.to_string());
+        let subject = Subject::past(row);
         Self {
-            name: name(&edge, &cloud),
-            edge,
+            name: subject.name(),
+            network: row.network.to_string(),
+            edge: subject.edge,
             edge_id: row.edge.to_string(),
-            cloud,
+            cloud: subject.cloud,
             cloud_id: row.cloud.to_string(),
             connected: false,
             last_sample: time(row.last),

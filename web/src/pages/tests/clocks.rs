@@ -37,6 +37,28 @@ async fn a_link_is_shown_whatever_is_known_of_it() {
 }
 
 #[tokio::test]
+async fn links_of_one_pair_over_two_networks_are_told_apart() {
+    let (app, _folder) = samples::app().await;
+    let mut shown = linked(Some(0.00065), Verdict::Ok);
+    shown.links.push(std::sync::Arc::new(samples::link_over_udp(Some(0.00065))));
+    let list = links::update(&app, &shown).expect("renders");
+    for (href, name) in [("cam-1~rack-a\"", "cam-1 → rack-a<"), ("cam-1~rack-a~zmq-udp\"", "over zmq-udp<")]
+    {
+        let list = &list.parts[1].1;
+        assert!(list.contains(&format!("/links/{href}")) && list.contains(name), "{href}: {list}");
+    }
+    for (topic, network) in [
+        ("cam-1~rack-a/10min/removed", "<span>zmq-tcp</span>"),
+        ("cam-1~rack-a~zmq-tcp/10min/removed", "<span>zmq-tcp</span>"),
+        ("cam-1~rack-a~zmq-udp/10min/removed", "<span>zmq-udp</span>"),
+    ] {
+        let update = link::update(&app, &shown, topic).await.expect("renders");
+        assert!(update.parts[0].1.contains(network), "{topic}: {}", update.parts[0].1);
+    }
+    assert!(link::update(&app, &shown, "cam-1~rack-a~ros/10min/removed").await.is_err());
+}
+
+#[tokio::test]
 async fn a_link_that_is_only_stored_keeps_its_page() {
     use crate::view::link::Subject;
     use crate::view::link::course::Course;
@@ -48,6 +70,7 @@ async fn a_link_that_is_only_stored_keeps_its_page() {
         cloud_name: samples::slug("rack-a"),
         first: samples::NOW,
         last: samples::NOW,
+        network: peernet_stream::NetworkName::default(),
     };
     for points in [Vec::new(), vec![samples::clock_point(samples::NOW, 1, Some(0.00065))]] {
         let subject = Subject::past(&row);

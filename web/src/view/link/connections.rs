@@ -45,12 +45,17 @@ pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
 pub(crate) fn routes(subject: &Subject<'_>) -> Vec<Route> {
     let words = |connection: &Connection| Route {
         pipeline: connection.pipeline.to_string(),
-        words: [Some(connection.network.clone()), ends(connection), interface(connection), trip(connection)]
-            .into_iter()
-            .flatten()
-            .chain(mishaps(connection))
-            .collect::<Vec<_>>()
-            .join(" · "),
+        words: [
+            Some(connection.network.to_string()),
+            ends(connection),
+            interface(connection),
+            trip(connection),
+        ]
+        .into_iter()
+        .flatten()
+        .chain(mishaps(connection))
+        .collect::<Vec<_>>()
+        .join(" · "),
     };
     connections(subject).iter().map(words).collect()
 }

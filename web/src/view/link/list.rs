@@ -9,7 +9,7 @@ use super::super::chip::{Chip, severity};
 use super::super::now::Cell;
 use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;
-use super::{CONTRADICTION, Subject, course, href, is_young, known, panels};
+use super::{CONTRADICTION, Subject, course, is_live, is_young, known, panels};
 use crate::zone::{Moment, Zone};
 
 /// One link, now.
@@ -23,7 +23,7 @@ pub(crate) struct LinkLine {
     /// `last seen …`, for a link whose edge does not report.
     pub away: Option<Moment>,
     pub rehearsal: Option<Chip>,
-    pub networks: String,
+    pub network: String,
     pub bound: Cell,
     pub offset: Cell,
     pub drift: Cell,
@@ -70,7 +70,7 @@ impl LinkLine {
         };
         Self {
             name: subject.route(),
-            href: href(&subject.edge, &subject.cloud),
+            href: subject.href(),
             chip: verdict.map(Chip::verdict),
             meaning: match (verdict, offset) {
                 (Some(Verdict::Stale), Some(offset)) if is_young(offset) => TOO_YOUNG,
@@ -78,7 +78,7 @@ impl LinkLine {
             },
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
             rehearsal: rehearsed.then_some(rehearsal::CHIP),
-            networks: link.live.networks.join(", "),
+            network: link.live.network().to_string(),
             bound: shown(subject.bound().map(bound_ms)),
             offset: shown(offset.and_then(known).map(|(estimate, half)| offset_ms(estimate, half))),
             drift: if one_clock {
@@ -118,12 +118,9 @@ pub(super) const TOO_YOUNG: &str =
 impl PastLine {
     /// The stored links that are not in the live picture.
     pub(crate) fn all(rows: &[LinkRow], picture: &Picture, zone: Zone) -> Vec<Self> {
-        let live = |row: &LinkRow| {
-            picture.links.iter().any(|link| link.edge == row.edge && link.live.peer == row.cloud)
-        };
-        let past = rows.iter().filter(|row| !live(row)).map(|row| {
-            let (edge, cloud) = (row.edge_name.as_str(), row.cloud_name.as_str());
-            Self { name: format!("{edge} → {cloud}"), href: href(edge, cloud), last: zone.moment(row.last) }
+        let past = rows.iter().filter(|row| !is_live(picture, row)).map(|row| {
+            let subject = Subject::past(row);
+            Self { name: subject.route(), href: subject.href(), last: zone.moment(row.last) }
         });
         past.collect()
     }

@@ -1,4 +1,4 @@
-//! One link, an edge's clock and a cloud's, as its page shows it.
+//! One link, an edge and a cloud over one network, as its page shows it.
 
 pub(crate) mod chart;
 pub(crate) mod connections;
@@ -17,9 +17,8 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LinkPicture, Picture};
 use peernet_clock::{Offset, Span, Verdict, WallTime};
-use peernet_logger::HostId;
-use peernet_store::{ClockPoint, LinkRow};
-use peernet_stream::{Placement, PlacementKind};
+use peernet_store::{ClockPoint, LinkKey, LinkRow};
+use peernet_stream::{NetworkName, Placement, PlacementKind};
 
 use super::speed::Way;
 use crate::error::WebError;
@@ -28,36 +27,77 @@ use delays::Delays;
 /// Figures are of so many seconds.
 const LATELY: Span = Span::from_seconds(10);
 
-/// Between the two names of a link: it cannot occur in either.
+/// Between the names that make up that of a link: it cannot occur in any of them.
 pub(crate) const BETWEEN: char = '~';
 
-/// The name of a link in addresses: `EDGE~CLOUD`.
-pub(crate) fn name(edge: &str, cloud: &str) -> String {
-    format!("{edge}{BETWEEN}{cloud}")
+/// The name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
+/// other network.
+pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
+    if network.is_default() {
+        format!("{edge}{BETWEEN}{cloud}")
+    } else {
+        format!("{edge}{BETWEEN}{cloud}{BETWEEN}{network}")
+    }
+}
+
+/// The same name with the network left out where it is `zmq-tcp`.
+pub(crate) fn canonical(wanted: String) -> String {
+    match parts(&wanted) {
+        Some((edge, cloud, network)) => name(edge, cloud, &network),
+        None => wanted,
+    }
+}
+
+/// Edge, cloud and network of a link's name.
+fn parts(wanted: &str) -> Option<(&str, &str, NetworkName)> {
+    let (edge, rest) = wanted.split_once(BETWEEN)?;
+    match rest.split_once(BETWEEN) {
+        Some((cloud, network)) => Some((edge, cloud, network.parse().ok()?)),
+        None => Some((edge, rest, NetworkName::default())),
+    }
 }
 
 /// The address of a link's page.
-pub(crate) fn href(edge: &str, cloud: &str) -> String {
-    format!("/links/{}", name(edge, cloud))
+pub(crate) fn href(edge: &str, cloud: &str, network: &NetworkName) -> String {
+    format!("/links/{}", name(edge, cloud, network))
 }
 
 /// The address of the page of the link that a placement uses, if the link is known.
 pub(crate) fn of_placement(picture: &Picture, edge: &str, placement: &Placement) -> Option<String> {
     let cloud = placement.peer.as_ref().filter(|_| placement.kind == PlacementKind::Remote)?.as_str();
-    find(picture, &name(edge, cloud)).map(|_| href(edge, cloud))
+    let network = placement.network.as_ref().map(|network| network.parse::<NetworkName>());
+    let network = network.transpose().ok()?;
+    let network = network.unwrap_or_default();
+    find(picture, &name(edge, cloud, &network)).map(|_| href(edge, cloud, &network))
 }
 
 /// The link of that name in a picture.
 pub(crate) fn find<'a>(picture: &'a Picture, wanted: &str) -> Option<&'a LinkPicture> {
-    let (edge, cloud) = wanted.split_once(BETWEEN)?;
-    let matches =
-        |link: &&LinkPicture| link.edge_name.as_str() == edge && link.live.peer_name.as_str() == cloud;
+    let (edge, cloud, network) = parts(wanted)?;
+    let matches = |link: &&LinkPicture| {
+        link.edge_name.as_str() == edge
+            && link.live.peer_name.as_str() == cloud
+            && *link.live.network() == network
+    };
     picture.links.iter().map(|link| &**link).find(matches)
+}
+
+/// Whether a stored link is in a picture, too.
+pub(crate) fn is_live(picture: &Picture, row: &LinkRow) -> bool {
+    let key = row.key();
+    picture.links.iter().any(|link| key_of(link) == key)
+}
+
+fn key_of(link: &LinkPicture) -> LinkKey {
+    LinkKey { edge: link.edge, cloud: link.live.peer, network: link.live.network().clone() }
 }
 
 /// The error for a link that is neither in a picture nor stored.
 pub(crate) fn no_link(wanted: &str) -> WebError {
-    WebError::NotFound(format!("no link {wanted} has ever been told of here; a link is named EDGE~CLOUD"))
+    WebError::NotFound(format!(
+        "no link {wanted} has ever been told of here; a link is named EDGE~CLOUD, or EDGE~CLOUD~NETWORK where the network \
+         is not zmq-tcp"
+    ))
 }
 
 /// What is shown of a link: as it is now, or as it was when it was last heard of.
@@ -65,7 +105,7 @@ pub(crate) fn no_link(wanted: &str) -> WebError {
 pub(crate) struct Subject<'a> {
     pub edge: String,
     pub cloud: String,
-    pub ids: (HostId, HostId),
+    pub key: LinkKey,
     /// `None` for a link that is stored and not in the live picture.
     pub live: Option<&'a LinkPicture>,
     /// The newest point's time, on the edge's wall clock.
@@ -99,7 +139,7 @@ impl<'a> Subject<'a> {
         Self {
             edge: link.edge_name.to_string(),
             cloud: link.live.peer_name.to_string(),
-            ids: (link.edge, link.live.peer),
+            key: key_of(link),
             end: link.history.last().map_or(link.live.now.at, |point| point.at),
             connected: link.connected,
             told: None,
@@ -112,7 +152,7 @@ impl<'a> Subject<'a> {
         Self {
             edge: row.edge_name.to_string(),
             cloud: row.cloud_name.to_string(),
-            ids: (row.edge, row.cloud),
+            key: row.key(),
             live: None,
             end: row.last,
             connected: false,
@@ -126,9 +166,24 @@ impl<'a> Subject<'a> {
         Self { told, ..self }
     }
 
-    /// `cam-3 → rack-a`.
+    /// `cam-3 → rack-a`; with the network where that is not `zmq-tcp`.
     pub(crate) fn route(&self) -> String {
-        format!("{} → {}", self.edge, self.cloud)
+        let Self { edge, cloud, key, .. } = self;
+        if key.network.is_default() {
+            format!("{edge} → {cloud}")
+        } else {
+            format!("{edge} → {cloud} over {}", key.network)
+        }
+    }
+
+    /// Its name in addresses.
+    pub(crate) fn name(&self) -> String {
+        name(&self.edge, &self.cloud, &self.key.network)
+    }
+
+    /// The address of its page.
+    pub(crate) fn href(&self) -> String {
+        href(&self.edge, &self.cloud, &self.key.network)
     }
 
     /// Whether both hosts read one clock.

@@ -1,5 +1,5 @@
 use peernet_clock::{DelaySource, Interval};
-use peernet_stream::{DelayPoint, DelaySecond, HostClock, Probing};
+use peernet_stream::{DelayPoint, DelaySecond, HostClock, NetworkName, Probing};
 
 use super::chart::{OffsetView, tracks};
 use super::course::Course;
@@ -311,6 +311,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
         cloud_name: away.live.peer_name.clone(),
         first: NOW,
         last: NOW,
+        network: NetworkName::default(),
     };
     let past = Subject::past(&row).remembering(&course(&away));
     let stats = stats::all(&past, &course(&away));
@@ -382,4 +383,35 @@ fn why_probes_are_not_answered_is_told_where_it_is_known() {
     assert!(answers.contains("different keys") && hint.contains("different keys"), "{answers} {hint}");
     let (answers, hint) = told(None);
     assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
+}
+
+#[test]
+fn name_of_a_link_leaves_zmq_tcp_out() {
+    let udp: NetworkName = "zmq-udp".parse().expect("a name");
+    assert_eq!(name("cam-1", "rack-a", &NetworkName::default()), "cam-1~rack-a");
+    assert_eq!(name("cam-1", "rack-a", &udp), "cam-1~rack-a~zmq-udp");
+    for (wanted, same) in [
+        ("cam-1~rack-a", "cam-1~rack-a"),
+        ("cam-1~rack-a~zmq-tcp", "cam-1~rack-a"),
+        ("cam-1~rack-a~zmq-udp", "cam-1~rack-a~zmq-udp"),
+        ("cam-1", "cam-1"),
+        ("cam-1~rack-a~zmq-udp~", "cam-1~rack-a~zmq-udp~"),
+    ] {
+        assert_eq!(canonical(wanted.to_owned()), same);
+    }
+}
+
+#[test]
+fn a_placement_uses_the_link_over_its_network() {
+    let mut shown = crate::tests::samples::picture(Vec::new(), Vec::new());
+    shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
+    let placement = |network: Option<&str>| Placement {
+        kind: PlacementKind::Remote,
+        peer: "rack-a".parse().ok(),
+        network: network.map(str::to_owned),
+        ..Placement::sensor_alone()
+    };
+    let page = |network| of_placement(&shown, "cam-1", &placement(network));
+    assert_eq!(page(Some("zmq-udp")).as_deref(), Some("/links/cam-1~rack-a~zmq-udp"));
+    assert_eq!((page(Some("zmq-tcp")), page(None), page(Some("~"))), (None, None, None));
 }

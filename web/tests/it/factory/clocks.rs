@@ -7,7 +7,7 @@ use peernet_clock::{
 use peernet_logger::{HostId, stage};
 use peernet_stream::{
     ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics, HostClock,
-    LinkLive, NetworkInterface, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
+    LinkLive, NetworkInterface, NetworkName, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
 };
 
 use super::{Clocks, Line, Numbers, slug};
@@ -138,6 +138,7 @@ pub(super) fn sample(
         round_trip: trip,
         up: Some(delays(line, "upload", numbers)),
         down: Some(delays(line, "download", numbers)),
+        network: NetworkName::default(),
     }
 }
 
@@ -162,7 +163,7 @@ fn connection(pipeline: &str, at: WallTime) -> Connection {
     };
     Connection {
         pipeline: slug(pipeline),
-        network: "zmq-tcp".into(),
+        network: NetworkName::default(),
         local: Some("192.0.2.7:40112".into()),
         remote: Some("192.0.2.5:5551".into()),
         interface: Some(NetworkInterface {

@@ -2,9 +2,7 @@
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
-use peernet_networks::{
-    Incoming, Listener, NetworkKind, OpenRequest, PeerClock, SessionAccepted, SessionSettings,
-};
+use peernet_networks::{Incoming, Listener, OpenRequest, PeerClock, SessionAccepted, SessionSettings};
 use peernet_probes::{Reflector, ReflectorConfig, Stamps};
 use peernet_stream::{Hardware, Probing};
 use tokio::task::JoinHandle;
@@ -26,7 +24,7 @@ impl Cloud {
         let clock = clock("cloud");
         let address = "tcp://127.0.0.1:0".parse().expect("an address");
         let settings = SessionSettings::default();
-        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock.clone()).await;
+        let listener = Listener::bind(&address, settings, host, clock.clone()).await;
         Self { listener: listener.expect("a free port"), host, clock, instance, probes }
     }
 

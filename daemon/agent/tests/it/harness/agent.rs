@@ -95,7 +95,7 @@ impl TestAgent {
 
     /// Where it serves.
     pub(crate) fn address(&self) -> String {
-        self.running.serves().expect("it serves").to_string()
+        self.running.serves().first().expect("it serves").to_string()
     }
 
     /// Its only pipeline.

@@ -3,7 +3,7 @@
 use peernet_clock::{
     DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
 };
-use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, ProbeCounts, Probing};
+use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};
 
 use super::*;
 use crate::live::MOST_LINKS;
@@ -34,6 +34,7 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
             round_trip: None,
             up: None,
             down: None,
+            network: NetworkName::default(),
         },
         connections: Vec::new(),
     }
@@ -104,6 +105,25 @@ fn an_edge_whose_clock_is_set_back_keeps_what_was_before_that_time() {
     bed.live.take(News::Update(news), now(10.5));
     let history = seconds(&bed.picture(10.5).links[0]);
     assert_eq!(history, [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0), (6, 9)]);
+}
+
+#[test]
+fn two_networks_of_one_pair_are_two_links() {
+    let (mut bed, cloud) = (Bed::new(), HostId::random());
+    let over = |network: &str, lost| {
+        let network: NetworkName = network.parse().expect("a name");
+        let mut link = link(cloud, "cloud", 1.0, lost);
+        link.now.network = network;
+        link
+    };
+    report(&mut bed, 0.5, vec![over("zmq-udp", 3), over("zmq-tcp", 1)]);
+    report(&mut bed, 0.6, vec![over("zmq-udp", 4)]);
+    let picture = bed.picture(0.6);
+    let shown = picture.links.iter().map(|link| {
+        (link.live.network().to_string(), link.live.peer, link.live.now.probes.lost, link.connected)
+    });
+    let expected = [("zmq-tcp".to_owned(), cloud, 1, false), ("zmq-udp".to_owned(), cloud, 4, true)];
+    assert_eq!(shown.collect::<Vec<_>>(), expected, "each with its own figures");
 }
 
 #[test]

@@ -4,18 +4,19 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use peernet_networks::Address;
+use peernet_networks::{Address, NetworkKind};
 use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;
 use crate::exit::Failure;
+use crate::network::network as kind;
 use crate::published::addresses;
 use crate::run::origin::origin;
 
 /// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
 #[derive(Default)]
-pub(super) struct Files(BTreeMap<PathBuf, Result<Devices, Arc<Failure>>>);
+pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<Devices, Arc<Failure>>>);
 
 /// The addresses of the devices, and the file.
 type Devices = (BTreeMap<String, Address>, NetworkConfig);
@@ -36,8 +37,9 @@ pub(super) enum PeerError {
 }
 
 impl Files {
-    fn read(&mut self, path: &Path) -> Result<&Devices, PeerError> {
-        let read = self.0.entry(path.to_owned()).or_insert_with(|| addresses(path).map_err(Arc::new));
+    fn read(&mut self, path: &Path, kind: NetworkKind) -> Result<&Devices, PeerError> {
+        let key = (path.to_owned(), kind.name());
+        let read = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
         read.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
             true => PeerError::NoSuchFile(Arc::clone(failure)),
             false => PeerError::File(Arc::clone(failure)),
@@ -54,8 +56,12 @@ pub(super) fn resolve(
     network: Option<&Network>,
     files: &mut Files,
 ) -> Result<Option<NetworkConfig>, PeerError> {
-    let placement = pipeline.get_mut("placement").and_then(Value::as_table_mut);
-    let Some(Value::String(peer)) = placement.and_then(|placement| placement.get_mut("peer")) else {
+    let Some(placement) = pipeline.get_mut("placement").and_then(Value::as_table_mut) else {
+        return Ok(None);
+    };
+    // A name of no network is found where the whole pipeline is read.
+    let kind = placement.get("network").and_then(Value::as_str).and_then(|name| kind(name).ok());
+    let Some(Value::String(peer)) = placement.get_mut("peer") else {
         return Ok(None);
     };
     if peer.contains("://") {
@@ -64,7 +70,7 @@ pub(super) fn resolve(
     let Some(network) = network else {
         return Err(PeerError::NotAnAddress(peer.clone()));
     };
-    let (devices, file) = files.read(&network.config)?;
+    let (devices, file) = files.read(&network.config, kind.unwrap_or_default())?;
     let address = devices.get(peer.as_str()).ok_or_else(|| PeerError::UnknownDevice {
         file: network.config.clone(),
         peer: peer.clone(),

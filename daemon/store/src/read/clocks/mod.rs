@@ -7,7 +7,6 @@ use std::iter::successors;
 
 use futures::TryStreamExt;
 use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
-use peernet_logger::HostId;
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
@@ -18,7 +17,7 @@ use super::{corrupt, count, known, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::stored::ClockPoint;
-use crate::types::{ClockSeries, LinkRow};
+use crate::types::{ClockSeries, LinkKey, LinkRow};
 use crate::write::UNKNOWN;
 
 const WHAT: &str = "clock samples";
@@ -33,6 +32,7 @@ struct Link {
     edge_name: Option<String>,
     cloud: String,
     cloud_name: String,
+    network: String,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
 }
@@ -82,6 +82,7 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
             edge_name: parse(WHAT, row.edge_name.as_deref().unwrap_or(UNKNOWN))?,
             cloud: parse(WHAT, &row.cloud)?,
             cloud_name: parse(WHAT, &row.cloud_name)?,
+            network: parse(WHAT, &row.network)?,
             first: wall(first),
             last: wall(last),
         });
@@ -91,7 +92,7 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
 
 pub(crate) async fn series(
     readers: &Readers,
-    (edge, cloud): (HostId, HostId),
+    LinkKey { edge, cloud, network }: &LinkKey,
     (from, to): (WallTime, WallTime),
     most_points: u32,
 ) -> Result<ClockSeries, StoreError> {
@@ -99,6 +100,7 @@ pub(crate) async fn series(
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
+        .bind(network.as_str())
         .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;

@@ -33,6 +33,7 @@ struct Window {
 pub(super) struct Clouds<'a> {
     readers: &'a Readers,
     edge: i64,
+    network: &'a str,
     run: (WallTime, WallTime),
     known: HashMap<i64, Option<Cloud>>,
     /// Samples by link and window, of those that were asked for.
@@ -48,9 +49,13 @@ struct Cloud {
 }
 
 impl<'a> Clouds<'a> {
-    /// Of a run of an edge whose first and last iterations began at these times.
-    pub(super) fn new(readers: &'a Readers, edge: i64, run: (WallTime, WallTime)) -> Self {
-        Self { readers, edge, run, known: HashMap::new(), used: BTreeSet::new() }
+    /// Of a run of an edge over a network whose first and last iterations began at these times.
+    pub(super) fn new(
+        readers: &'a Readers,
+        (edge, network): (i64, &'a str),
+        run: (WallTime, WallTime),
+    ) -> Self {
+        Self { readers, edge, network, run, known: HashMap::new(), used: BTreeSet::new() }
     }
 
     /// What is known of the clocks of the edge and a cloud at a time of the edge's; `None` where no sample tells.
@@ -82,10 +87,13 @@ impl<'a> Clouds<'a> {
         self.used.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
+    /// Reads the link over the run's network. The relation belongs to the pair of hosts: as long as the run used the link, the
+    /// link's samples hold what was learnt over other networks, too.
     async fn find(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)
             .bind(cloud)
+            .bind(self.network)
             .fetch_optional(&self.readers.pool())
             .await
             .map_err(self.readers.failed(WHAT))?;

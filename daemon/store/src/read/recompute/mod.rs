@@ -48,6 +48,7 @@ const MINUTE_S: i64 = 60;
 #[derive(FromRow)]
 struct Extent {
     host: i64,
+    network: String,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
     first_s: Option<i64>,
@@ -118,7 +119,7 @@ pub(crate) async fn judge_again(
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(extent) = extent else { return Ok(None) };
-    let mut clouds = Clouds::new(readers, extent.host, extent.times());
+    let mut clouds = Clouds::new(readers, (extent.host, &extent.network), extent.times());
     let mut page_ends = (i64::MIN, i64::MIN);
     loop {
         let rows: Vec<Row> = sqlx::query_as(sql::RUN_DELAYS)

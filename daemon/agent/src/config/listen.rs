@@ -1,0 +1,140 @@
+//! Addresses to listen on, as the configuration has them: one or a list.
+
+use std::fmt;
+use std::num::NonZeroUsize;
+
+use peernet_networks::Address;
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Most addresses of a list: each has connections, sessions and memory of its own.
+const MAX_ADDRESSES: usize = 16;
+
+/// Addresses to listen on: at least one, none twice. One alone is written without brackets.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ListenAddresses(Vec<Address>);
+
+/// A list of addresses that nobody can listen on.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ListenAddressesError {
+    /// The list has no address.
+    #[error("the list is empty; name at least one address, or remove [serve]")]
+    Empty,
+    /// The list is too long.
+    #[error("{0} addresses are too many; at most {MAX_ADDRESSES}")]
+    TooMany(usize),
+    /// An address stands there twice. Port 0 may: each is another one.
+    #[error("{0} stands there twice; remove one of them")]
+    Twice(Address),
+}
+
+impl ListenAddresses {
+    /// Makes a list of addresses.
+    ///
+    /// # Errors
+    /// When there is none, there are too many, or one stands there twice.
+    pub fn new(addresses: Vec<Address>) -> Result<Self, ListenAddressesError> {
+        if addresses.is_empty() {
+            return Err(ListenAddressesError::Empty);
+        }
+        if addresses.len() > MAX_ADDRESSES {
+            return Err(ListenAddressesError::TooMany(addresses.len()));
+        }
+        let twice = |at: &usize| addresses[*at].port() != 0 && addresses[..*at].contains(&addresses[*at]);
+        if let Some(at) = (1..addresses.len()).find(twice) {
+            return Err(ListenAddressesError::Twice(addresses[at].clone()));
+        }
+        Ok(Self(addresses))
+    }
+
+    /// All addresses, in the order of the configuration.
+    pub fn all(&self) -> &[Address] {
+        &self.0
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> NonZeroUsize {
+        NonZeroUsize::new(self.0.len()).unwrap_or(NonZeroUsize::MIN)
+    }
+}
+
+impl From<Address> for ListenAddresses {
+    fn from(address: Address) -> Self {
+        Self(vec![address])
+    }
+}
+
+impl Serialize for ListenAddresses {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self.0.as_slice() {
+            [one] => one.serialize(serializer),
+            several => several.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for ListenAddresses {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(OneOrSeveral)
+    }
+}
+
+/// Reads an address or a list. An untagged enum would not say what is wrong with an address.
+struct OneOrSeveral;
+
+impl<'de> Visitor<'de> for OneOrSeveral {
+    type Value = ListenAddresses;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an address or a list of addresses")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<ListenAddresses, E> {
+        text.parse::<Address>().map(ListenAddresses::from).map_err(E::custom)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<ListenAddresses, A::Error> {
+        let mut addresses = Vec::new();
+        while let Some(address) = list.next_element()? {
+            addresses.push(address);
+        }
+        ListenAddresses::new(addresses).map_err(A::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, from_value, json, to_value};
+
+    use super::*;
+
+    #[test]
+    fn one_address_and_lists_read_back_as_written() {
+        for (written, count) in [
+            (json!("tcp://127.0.0.1:5551"), 1),
+            (json!(["tcp://127.0.0.1:5551", "tcp://[::1]:5551"]), 2),
+            (json!(["tcp://127.0.0.1:0", "tcp://127.0.0.1:0"]), 2),
+        ] {
+            let read: ListenAddresses = from_value(written.clone()).expect("addresses");
+            assert_eq!((read.count().get(), to_value(&read).expect("writes")), (count, written));
+        }
+        let alone: ListenAddresses = from_value(json!(["tcp://a:1"])).expect("an address");
+        assert_eq!(to_value(&alone).expect("writes"), json!("tcp://a:1"));
+    }
+
+    #[test]
+    fn wrong_lists_are_refused_with_the_reason() {
+        let many: Vec<String> = (1..=17).map(|port| format!("tcp://a:{port}")).collect();
+        let wrong: [(Value, &str); 5] = [
+            (json!([]), "the list is empty"),
+            (json!(["tcp://a:1", "tcp://b:1", "tcp://a:1"]), "tcp://a:1 stands there twice"),
+            (json!(many), "17 addresses are too many; at most 16"),
+            (json!(["tcp://a:1", "a:1"]), "\"a:1\" is not an address: the scheme is missing"),
+            (json!(5551), "expected an address or a list of addresses"),
+        ];
+        for (value, said) in wrong {
+            let error = from_value::<ListenAddresses>(value).expect_err(said).to_string();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! All ports for sessions as one source of what arrives.
+
+use futures::FutureExt;
+use futures::future::{join_all, select_all};
+use peernet_networks::{Address, Incoming, Listener};
+
+/// The listeners of a host, each known by its place.
+#[derive(Debug)]
+pub(super) struct Listeners {
+    listeners: Vec<Listener>,
+    /// Who is asked first the next time.
+    turn: usize,
+}
+
+impl Listeners {
+    pub(super) fn new(listeners: Vec<Listener>) -> Self {
+        Self { listeners, turn: 0 }
+    }
+
+    /// What arrives next, and at which listener; `None` from one whose port was lost. Dropping the future loses nothing.
+    pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
+        let Self { listeners, turn } = self;
+        if let [alone] = listeners.as_mut_slice() {
+            return (0, alone.next().await);
+        }
+        let count = listeners.len();
+        let (behind, ahead) = listeners.split_at_mut(*turn);
+        // They take turns, so that a busy one cannot keep the others waiting.
+        let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
+        let (incoming, place, _) = select_all(in_turn).await;
+        let place = (*turn + place) % count;
+        *turn = (place + 1) % count;
+        (place, incoming)
+    }
+
+    /// Where a listener listens.
+    pub(super) fn address(&self, place: usize) -> &Address {
+        self.listeners[place].address()
+    }
+
+    /// Closes all ports at once: each waits for its own answers under way.
+    pub(super) async fn close(self) {
+        join_all(self.listeners.into_iter().map(Listener::close)).await;
+    }
+}

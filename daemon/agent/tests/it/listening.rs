@@ -1,0 +1,123 @@
+//! One agent that listens at several addresses.
+
+use std::net::TcpListener;
+use std::sync::Arc;
+
+use peernet_networks::{Address, NetworkKind};
+use peernet_stream::{PipelineState, Probing};
+
+use crate::harness::{PATIENCE, TestAgent, clock, config};
+
+const MODEL: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n";
+
+fn pipeline(name: &str, peer: &Address) -> String {
+    format!(
+        "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 1000 }}\n\
+         placement = {{ kind = 'remote', peer = '{peer}', model = 'echo' }}\n\
+         load = {{ mode = 'rate', hz = 50.0 }}\nwarm_up = {{ iterations = 0 }}\n"
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_addresses_are_served_at_once_each_within_its_limits() {
+    let tables = format!(
+        "[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\nsession = {{ max_sessions = 1 }}\n{MODEL}"
+    );
+    let cloud = TestAgent::start("cloud", None, &tables).await;
+    let [first, second] = cloud.running.serves() else { panic!("{:?}", cloud.running.serves()) };
+    assert_eq!((first.host().as_str(), second.host().as_str()), ("127.0.0.1", "127.0.0.2"));
+    assert_eq!(cloud.running.description().serves, Some(format!("{first}, {second}")));
+
+    let both = pipeline("first", first) + &pipeline("second", second);
+    // A clock of its own, so that probes go out as between two hosts.
+    let edge = TestAgent::start_with("edge", None, config(&both), "edge").await;
+    edge.until(|live| {
+        let answered = |second: &peernet_stream::Second| second.counts.ok > 0;
+        live.pipelines.iter().all(|pipeline| pipeline.seconds.iter().any(answered))
+    })
+    .await;
+    let mut served = cloud.running.served();
+    let served = tokio::time::timeout(PATIENCE, served.wait_for(|served| served.sessions == 2)).await;
+    served.expect("in time").expect("it serves");
+    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let [link] = &live.links[..] else { panic!("one pair of hosts, one network: {:?}", live.links) };
+    assert_eq!((link.pipelines.len(), link.network().as_str()), (2, "zmq-tcp"));
+    assert!(matches!(&link.probing, Probing::On { .. }), "{:?}", link.probing);
+
+    // Each listener has one session, which is all that it may have.
+    for address in [first, second] {
+        let late = TestAgent::start("late", None, &pipeline("late", address)).await;
+        let refused =
+            late.until_state(|state| matches!(state, PipelineState::Waiting(why) if why.contains("refused")));
+        refused.await;
+        late.stop().await.expect("stops well");
+    }
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn probes_are_answered_at_every_address() {
+    let tables = format!("[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\n{MODEL}");
+    let cloud = TestAgent::start("cloud", None, &tables).await;
+    for address in cloud.running.serves() {
+        let tables = config(&pipeline("line", address));
+        let edge = TestAgent::start_with("edge", None, tables, "edge").await;
+        let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+        let Probing::On { address: probed, .. } = &live.links[0].probing else { panic!("{:?}", live.links) };
+        assert!(probed.starts_with(&format!("udp://{}:", address.host())), "{probed} for {address}");
+        edge.stop().await.expect("stops well");
+    }
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let free = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let [taken_at, free_at] = [&taken, &free].map(|port| port.local_addr().expect("it is bound"));
+    drop(free);
+    let start = |listen: String| {
+        let tables = config(&format!("[serve]\nlisten = {listen}\n{MODEL}"));
+        let state = Arc::new(tempfile::tempdir().expect("a folder"));
+        TestAgent::try_start(clock("system"), "cloud", None, tables, state)
+    };
+    let refused = start(format!("['tcp://{free_at}', 'tcp://{taken_at}']")).await;
+    let Err(error) = refused else { panic!("it cannot start") };
+    assert!(error.to_string().contains(&format!("cannot listen on tcp://{taken_at}")), "{error}");
+    let cloud = start(format!("'tcp://{free_at}'")).await.expect("the port is free again");
+    cloud.stop().await.expect("stops well");
+}
+
+/// With a single network there is nothing to disagree about; each further one is checked against all others.
+#[test]
+fn networks_that_disagree_with_their_addresses_are_refused() {
+    let state = tempfile::tempdir().expect("a folder");
+    for named in NetworkKind::ALL {
+        for scheme in NetworkKind::ALL.iter().flat_map(|kind| kind.schemes()) {
+            let address: Address = format!("{scheme}://127.0.0.1:0").parse().expect("an address");
+            let mut config = config(&format!(
+                "[serve]\nlisten = '{address}'\nnetwork = '{named}'\n{MODEL}\
+                 [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+                 placement = {{ kind = 'remote', peer = '{address}', network = '{named}' }}\n"
+            ));
+            config.agent.state_dir = state.path().to_owned();
+            let found = peernet_agent::Agent::check(&config, &clock("system"));
+            let found: Vec<String> = found.iter().map(ToString::to_string).collect();
+            if address.network() == *named {
+                assert_eq!(found, Vec::<String>::new());
+                continue;
+            }
+            for key in ["serve.network", "pipeline[0].placement.network"] {
+                let expected = format!(
+                    "{key}: the network is {named}, but {address} is an address of {}; leave the network out, or write ",
+                    address.network()
+                );
+                assert!(
+                    found.iter().any(|problem| problem.starts_with(&expected)),
+                    "{expected} in {found:#?}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Names of kinds of networks.
+
+use std::fmt;
+use std::str::FromStr;
+
+use peernet_logger::{InvalidName, Slug};
+use serde::{Deserialize, Serialize};
+
+/// Name of a kind of network, such as `zmq-tcp`.
+///
+/// The default is `zmq-tcp`, the only network up to PEERNet 0.2.0, whose agents name none. Messages therefore leave it out:
+/// on this network they are what earlier releases send and read.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct NetworkName(Slug);
+
+impl NetworkName {
+    /// The network of whoever names none.
+    const UNNAMED: &'static str = "zmq-tcp";
+
+    /// The name as text.
+    pub fn as_str(&self) -> &str {
+        self.0.as_str()
+    }
+
+    /// Whether this is the network of whoever names none.
+    pub fn is_default(&self) -> bool {
+        self.as_str() == Self::UNNAMED
+    }
+}
+
+impl Default for NetworkName {
+    fn default() -> Self {
+        Self(Self::UNNAMED.parse().expect("it keeps to the rules of names"))
+    }
+}
+
+impl FromStr for NetworkName {
+    type Err = InvalidName;
+    fn from_str(name: &str) -> Result<Self, InvalidName> {
+        name.parse().map(Self)
+    }
+}
+
+impl fmt::Display for NetworkName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unnamed_network_is_zmq_tcp() {
+        assert_eq!(NetworkName::default().to_string(), "zmq-tcp");
+        let other: NetworkName = "zmq-udp".parse().expect("a name");
+        assert!(NetworkName::default().is_default() && !other.is_default());
+        assert!("zmq udp".parse::<NetworkName>().is_err());
+    }
+}

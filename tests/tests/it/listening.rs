@@ -1,0 +1,84 @@
+//! One agent that listens at several addresses.
+
+use peernet_tests::{Site, free_port};
+
+const CLOUD: &str = r#"
+[serve]
+listen = ["tcp://127.0.0.1:{data}", "tcp://127.0.0.1:SECOND"]
+
+[[model]]
+name = "echo"
+kind = "echo"
+"#;
+
+fn edge(port: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
+         placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{port}\", model = \"echo\" }}\n\
+         load = {{ mode = \"rate\", hz = 50.0 }}\n"
+    )
+}
+
+#[test]
+fn two_addresses_are_served_at_the_same_time() {
+    let (site, second) = (Site::new(), free_port().to_string());
+    let (_aggregator, api) = site.aggregator();
+    let cloud = site.agent("cloud", &CLOUD.replace("SECOND", &second));
+    for port in [site.data.to_string(), second.clone()] {
+        cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
+    }
+    let edges = [site.agent("left", &edge("{data}")), site.agent("right", &edge(&second))];
+
+    // Neither ends, so that both are served when the second answers are there.
+    for host in ["left", "right"] {
+        api.until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
+            (pipeline["windows"][2]["counts"]["ok"].as_f64()? > 10.0).then_some(())
+        });
+        let link = api.json(&format!("/api/v1/links/{host}~cloud"));
+        assert_eq!((&link["network"], &link["connected"]), (&"zmq-tcp".into(), &true.into()), "{link}");
+        let same = api.json(&format!("/api/v1/links/{host}~cloud~zmq-tcp"));
+        assert_eq!(same["name"], link["name"], "the network may be named");
+    }
+    let hosts = api.json("/api/v1/hosts/cloud");
+    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second}", site.data);
+    assert_eq!(hosts["serves"], serves.as_str(), "{hosts}");
+    for edge in edges {
+        assert_eq!(edge.stop().code(), 0);
+    }
+    assert_eq!(cloud.stop().code(), 0);
+}
+
+#[test]
+fn a_network_that_disagrees_with_the_address_is_refused() {
+    let site = Site::new();
+    for tables in [
+        "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nnetwork = \"zmq-udp\"\n".to_owned(),
+        edge("{data}").replace("model =", "network = \"zmq-udp\", model ="),
+    ] {
+        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
+        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        assert_eq!(ended.code(), 78, "{}", ended.log);
+        for part in ["it.toml:", "zmq-udp", "zmq-tcp"] {
+            assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+        }
+    }
+}
+
+#[test]
+fn wrong_lists_of_addresses_are_refused() {
+    let site = Site::new();
+    for (listen, said) in [
+        ("[]", "the list is empty"),
+        ("[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]", "tcp://127.0.0.1:7001 stands there twice"),
+        ("[\"tcp://127.0.0.1:7001\", \"127.0.0.1:7002\"]", "the scheme is missing"),
+        ("[\"tcp://127.0.0.1:7001\", \"carrier-pigeon://b:1\"]", "unknown scheme"),
+    ] {
+        site.write(
+            "it.toml",
+            &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n[serve]\nlisten = {listen}\n"),
+        );
+        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        assert_eq!(ended.code(), 78, "{}", ended.log);
+        assert!(ended.log.contains(said) && ended.log.contains("serve.listen"), "{said} in {}", ended.log);
+    }
+}
