@@ -121,10 +121,14 @@ class Outgoing:
 def publish(participant, topic, kind, count, size):
     outgoing = Outgoing(participant, topic, TYPES[kind])
     outgoing.await_reader()
+    # The other end may not know us yet although we know it; it would get nothing from before.
+    time.sleep(1)
     for number in range(count):
         outgoing.writer.write(message(kind, size, number))
     if not outgoing.writer.wait_for_acks(duration(seconds=PATIENCE_S)):
         raise SystemExit("cyclonedds: not everything was acknowledged in time")
+    # rustdds drops what was not read before its publisher leaves.
+    time.sleep(1)
     print("published and acknowledged:", count)
 
 

@@ -94,8 +94,7 @@ int main(int argc, char** argv) {
     participant_qos.transport().use_builtin_transports = false;
     participant_qos.transport().user_transports.push_back(udp);
     if (argc > 6) {
-        participant_qos.transport().listen_socket_buffer_size = std::stoul(argv[6]);
-        participant_qos.transport().send_socket_buffer_size = std::stoul(argv[6]);
+        udp->receiveBufferSize = udp->sendBufferSize = std::stoul(argv[6]);
     }
     // Multicast does not work on a loopback interface: the first participants of the host are asked directly.
     for (uint32_t id = 0; id < 4; ++id) {
@@ -115,7 +114,7 @@ int main(int argc, char** argv) {
         DataWriterQos qos;
         qos.history().kind = KEEP_ALL_HISTORY_QOS;
         qos.publish_mode().kind = ASYNCHRONOUS_PUBLISH_MODE;
-        qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
         auto* writer = participant->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, qos);
         PublicationMatchedStatus status{};
         for (int tries = 0; status.current_count == 0 && tries < 400; ++tries) {
@@ -123,18 +122,22 @@ int main(int argc, char** argv) {
             writer->get_publication_matched_status(status);
         }
         if (status.current_count == 0) return fail("no subscription was found in time");
+        // The other end may not know us yet although we know it; it would get nothing from before.
+        std::this_thread::sleep_for(std::chrono::seconds(1));
         for (size_t number = 0; number < count; ++number) {
             Bytes bytes = message(is_string, size, number);
             if (!writer->write(&bytes)) return fail("cannot write message " + std::to_string(number));
         }
         if (writer->wait_for_acknowledgments(patience) != ReturnCode_t::RETCODE_OK)
             return fail("not everything was acknowledged in time");
+        // rustdds drops what was not read before its publisher leaves.
+        std::this_thread::sleep_for(std::chrono::seconds(1));
         std::cout << "published and acknowledged: " << count << "\n";
     } else {
         DataReaderQos qos;
         qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
         qos.history().kind = KEEP_ALL_HISTORY_QOS;
-        qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::DYNAMIC_RESERVE_MEMORY_MODE;
         auto* reader = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, qos);
         for (size_t number = 0; number < count && result == 0; ++number) {
             Bytes bytes;

@@ -32,9 +32,8 @@ fi
 ip link set lo up
 export ROS_DOMAIN_ID=0 ROS_LOCALHOST_ONLY=1
 export CYCLONEDDS_URI='<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
-<AllowMulticast>false</AllowMulticast><MaxMessageSize>65500B</MaxMessageSize></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>
-<Internal><SocketReceiveBufferSize min="default" max="4MB"/></Internal></Domain></CycloneDDS>'
+<AllowMulticast>false</AllowMulticast></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 cyclone() { "$venv/bin/python" "$here/cyclonedds_peer.py" "$@"; }
 failed=0
 

@@ -13,14 +13,14 @@ use serde::{Deserialize, Serialize};
 pub struct QosProfile {
     /// Whether lost messages are sent again. Default: `reliable`.
     pub reliability: Reliability,
-    /// Messages that a publisher keeps for being sent again and a subscription keeps for being read; at least 1.
-    /// Default: 10.
+    /// Messages that a publisher keeps for being sent again and a subscription keeps for being read, at least 1 (and
+    /// 8 in fact). Default: 10.
     pub depth: u32,
     /// Whether a subscription that comes late gets the kept messages. Default: `volatile`.
     pub durability: Durability,
     /// Longest time between two messages that is promised or requested; none by default. Milliseconds.
     pub deadline_ms: Option<f64>,
-    /// How long publishing waits for room when subscriptions do not keep up. Default: 1,000. Milliseconds.
+    /// How long publishing waits for room when subscriptions do not keep up. Default: 5,000. Milliseconds.
     pub max_blocking_ms: u32,
 }
 
@@ -53,7 +53,7 @@ impl Default for QosProfile {
             depth: 10,
             durability: Durability::default(),
             deadline_ms: None,
-            max_blocking_ms: 1_000,
+            max_blocking_ms: 5_000,
         }
     }
 }

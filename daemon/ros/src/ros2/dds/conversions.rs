@@ -9,6 +9,9 @@ use crate::ros2::{Durability, EndpointId, QosProfile, Refusal, Reliability};
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
+/// Messages that may be unacknowledged, or received and unread, whatever the depth.
+const LEAST_UNACKNOWLEDGED: i32 = 8;
+
 pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
     EndpointId(guid.to_bytes())
 }
@@ -27,8 +30,9 @@ pub(super) fn policies(qos: &QosProfile) -> QosPolicies {
         Durability::TransientLocal => policy::Durability::TransientLocal,
     };
     // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones, which at 1 MB each is
-    // more memory than the depth lets anybody expect.
-    let limits = ResourceLimits { max_samples: depth, max_instances: 1, max_samples_per_instance: depth };
+    // more memory than the depth lets anybody expect. With fewer than a handful it waits for the other end after each.
+    let most = depth.max(LEAST_UNACKNOWLEDGED);
+    let limits = ResourceLimits { max_samples: most, max_instances: 1, max_samples_per_instance: most };
     let mut builder = QosPolicyBuilder::new()
         .reliability(reliability)
         .durability(durability)

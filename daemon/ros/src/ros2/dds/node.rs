@@ -1,5 +1,6 @@
 //! A ROS 2 node: a participant of a DDS domain.
 
+use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use futures::StreamExt;
@@ -148,7 +149,7 @@ impl Ros2Node {
         self.state.announce();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
-        Ok(Ros2Publisher { writer, endpoint, qos: qos.clone() })
+        Ok(Ros2Publisher { writer, endpoint, qos: qos.clone(), unacknowledged: AtomicUsize::new(0) })
     }
 
     /// Opens a subscription of a topic. `type_name` is as `std_msgs/msg/String`.

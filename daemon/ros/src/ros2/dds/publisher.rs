@@ -1,12 +1,13 @@
 //! Publishing to a topic.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use rustdds::WriteOptionsBuilder;
-use rustdds::dds::WriteError;
+use rustdds::dds::{WriteError, WriteResult};
 use rustdds::no_key::DataWriter;
+use rustdds::{SampleIdentity, WriteOptions, WriteOptionsBuilder};
 use tokio::sync::watch;
 
 use super::conversions::timestamp;
@@ -20,7 +21,14 @@ pub struct Ros2Publisher {
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
+    /// Bytes that were published since everything was acknowledged, roughly where several tasks publish at once.
+    pub(super) unacknowledged: AtomicUsize,
 }
+
+/// Bytes that may be unacknowledged; a single message may be larger. What does not fit into the receive buffer of a peer
+/// is lost, and repairing several large messages between `rustdds` and Fast DDS does not succeed. Cyclone DDS asks for
+/// a receive buffer of this size.
+const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
 
 impl Ros2Publisher {
     /// Identity of the publisher, which subscriptions receive with each message.
@@ -50,8 +58,8 @@ impl Ros2Publisher {
     /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header
     /// (`00 01 00 00`) and is sent without being copied.
     ///
-    /// A reliable publisher waits while [`depth`](QosProfile::depth) messages are unacknowledged. `source_time` is
-    /// what subscriptions see as the time of publishing.
+    /// A reliable publisher waits while [`depth`](QosProfile::depth) messages (at least 8) or 1 MiB are unacknowledged.
+    /// `source_time` is what subscriptions see as the time of publishing.
     ///
     /// # Errors
     ///
@@ -62,7 +70,7 @@ impl Ros2Publisher {
         let message =
             RawMessage::from_payload(payload).ok_or_else(|| Ros2Error::NotCdr { topic: topic() })?;
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(source_time)).build();
-        let written = self.writer.async_write_with_options(message, options);
+        let written = self.write(message, options);
         // The write of rustdds has a time limit of its own but is not woken when it is reached.
         let waited = Duration::from_millis(u64::from(self.qos.max_blocking_ms));
         let in_time = tokio::time::timeout(waited, written);
@@ -78,6 +86,21 @@ impl Ros2Publisher {
                 Err(Ros2Error::Publish { topic: topic(), reason: error.forget_data().to_string() })
             }
         }
+    }
+
+    async fn write(
+        &self,
+        message: RawMessage,
+        options: WriteOptions,
+    ) -> WriteResult<SampleIdentity, RawMessage> {
+        let size = message.0.len();
+        if self.unacknowledged.load(Ordering::Relaxed).saturating_add(size) > MAX_UNACKNOWLEDGED_BYTES {
+            // Fails for reasons only for which the write fails as well.
+            let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
+            self.unacknowledged.store(0, Ordering::Relaxed);
+        }
+        self.unacknowledged.fetch_add(size, Ordering::Relaxed);
+        self.writer.async_write_with_options(message, options).await
     }
 
     /// Waits until all matched reliable subscriptions have everything that was published.

@@ -56,7 +56,8 @@ impl Ros2Subscription {
 
     /// Waits for the next message. Its payload was copied once, out of the cache of `rustdds`.
     ///
-    /// Dropping the future loses no message.
+    /// Dropping the future loses no message. Messages should be taken as they come: `rustdds` drops those of a publisher
+    /// that leaves, and more than [`depth`](crate::ros2::QosProfile::depth) unread ones.
     ///
     /// # Errors
     ///
