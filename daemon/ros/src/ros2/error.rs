@@ -83,7 +83,7 @@ pub enum Ros2Error {
     },
     /// A message could not be published in time.
     #[error(
-        "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; raise `depth` or lower the rate"
+        "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; lower the rate, or raise net.core.rmem_max on their hosts"
     )]
     PublishTimeout {
         /// The topic.

@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 pub struct QosProfile {
     /// Whether lost messages are sent again. Default: `reliable`.
     pub reliability: Reliability,
-    /// Messages that a publisher keeps for being sent again and a subscription keeps for being read, at least 1 (and
-    /// 8 in fact). Default: 10.
+    /// Messages that a publisher keeps for subscriptions that come late, and a subscription for being read; at least 1.
+    /// Default: 10.
     pub depth: u32,
     /// Whether a subscription that comes late gets the kept messages. Default: `volatile`.
     pub durability: Durability,

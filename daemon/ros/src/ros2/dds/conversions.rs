@@ -5,19 +5,23 @@ use rustdds::policy::{self, History, ResourceLimits};
 use rustdds::qos::QosPolicyId;
 use rustdds::{Duration, GUID, QosPolicies, QosPolicyBuilder, Timestamp};
 
-use crate::ros2::{Durability, EndpointId, QosProfile, Refusal, Reliability};
+use crate::ros2::{Durability, EndpointId, EndpointRole, QosProfile, Refusal, Reliability};
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// Messages that may be unacknowledged, or received and unread, whatever the depth.
-const LEAST_UNACKNOWLEDGED: i32 = 8;
+/// Messages that may be unacknowledged, whatever the depth: with few, a fast publisher waits for acknowledgments all the
+/// time. Their bytes are limited by the publisher.
+const LEAST_UNACKNOWLEDGED: i32 = 1_024;
+
+/// Messages that may be received and unread, whatever the depth.
+const LEAST_UNREAD: i32 = 8;
 
 pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
     EndpointId(guid.to_bytes())
 }
 
-/// Returns the policies of a checked profile.
-pub(super) fn policies(qos: &QosProfile) -> QosPolicies {
+/// Returns the policies that an endpoint with a checked profile has.
+pub(super) fn policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
     let depth = i32::try_from(qos.depth).unwrap_or(i32::MAX);
     let reliability = match qos.reliability {
         Reliability::Reliable => {
@@ -30,8 +34,11 @@ pub(super) fn policies(qos: &QosProfile) -> QosPolicies {
         Durability::TransientLocal => policy::Durability::TransientLocal,
     };
     // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones, which at 1 MB each is
-    // more memory than the depth lets anybody expect. With fewer than a handful it waits for the other end after each.
-    let most = depth.max(LEAST_UNACKNOWLEDGED);
+    // more memory than the depth lets anybody expect.
+    let most = match role {
+        EndpointRole::Publisher => depth.max(LEAST_UNACKNOWLEDGED),
+        EndpointRole::Subscription => depth.max(LEAST_UNREAD),
+    };
     let limits = ResourceLimits { max_samples: most, max_instances: 1, max_samples_per_instance: most };
     let mut builder = QosPolicyBuilder::new()
         .reliability(reliability)
@@ -115,8 +122,11 @@ mod tests {
 
     #[test]
     fn incompatibility_names_policy_and_both_values() {
-        let requested = policies(&QosProfile::default());
-        let offered = policies(&QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() });
+        let requested = policies(EndpointRole::Subscription, &QosProfile::default());
+        let offered = policies(
+            EndpointRole::Publisher,
+            &QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() },
+        );
         let expected = Refusal::IncompatibleQos {
             policy: "reliability".into(),
             offered: "best-effort".into(),

@@ -92,9 +92,9 @@ impl Ros2Node {
         socket_buffer_warnings: Vec<SocketBufferWarning>,
         participant: DomainParticipant,
     ) -> rustdds::dds::CreateResult<Self> {
-        let qos = policies(&QosProfile::default());
-        let publisher = participant.create_publisher(&qos)?;
-        let subscriber = participant.create_subscriber(&qos)?;
+        let qos = |role| policies(role, &QosProfile::default());
+        let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
+        let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
         let node_list = NodeList::new(&settings, &participant, &publisher)?;
         let state = Arc::new(NodeState {
             domain_id: participant.domain_id(),
@@ -140,7 +140,7 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let writer = parts
             .publisher
-            .create_datawriter_no_key(&dds_topic, Some(policies(qos)))
+            .create_datawriter_no_key(&dds_topic, Some(policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(writer.guid());
         // Under the same lock, so that no event about the endpoint is handled before it is known.
@@ -168,7 +168,7 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let reader = parts
             .subscriber
-            .create_simple_datareader_no_key(&dds_topic, Some(policies(qos)))
+            .create_simple_datareader_no_key(&dds_topic, Some(policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(reader.guid());
         let peers = discovery.add_local(id, role, &names.dds_type);
@@ -195,7 +195,12 @@ impl Ros2Node {
         };
         let dds_topic = parts
             .participant
-            .create_topic(dds_topic(&names.topic), names.dds_type.clone(), &policies(qos), TopicKind::NoKey)
+            .create_topic(
+                dds_topic(&names.topic),
+                names.dds_type.clone(),
+                &policies(role, qos),
+                TopicKind::NoKey,
+            )
             .map_err(|error| names.failed(role, &error))?;
         Ok((parts, names, dds_topic))
     }
@@ -283,8 +288,9 @@ impl NodeList {
             max_blocking_ms: 0,
             ..QosProfile::default()
         };
+        let qos = policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
-        let topic = participant.create_topic(topic, type_name, &policies(&qos), TopicKind::NoKey)?;
+        let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
         let entry = NodeEntry {
             participant: endpoint_id(participant.guid()),
             namespace: settings.namespace.clone(),
@@ -292,7 +298,7 @@ impl NodeList {
             identifier_length: settings.identifier_length(),
             endpoints: Vec::new(),
         };
-        Ok(Self { writer: publisher.create_datawriter_no_key(&topic, Some(policies(&qos)))?, entry })
+        Ok(Self { writer: publisher.create_datawriter_no_key(&topic, Some(qos))?, entry })
     }
 }
 

@@ -58,7 +58,8 @@ impl Ros2Publisher {
     /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header
     /// (`00 01 00 00`) and is sent without being copied.
     ///
-    /// A reliable publisher waits while [`depth`](QosProfile::depth) messages (at least 8) or 1 MiB are unacknowledged.
+    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is) or 1 MiB are
+    /// unacknowledged.
     /// `source_time` is what subscriptions see as the time of publishing.
     ///
     /// # Errors
