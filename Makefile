@@ -1,6 +1,7 @@
 # make demo   builds a release and runs the factory line on loopback: three processes, until Ctrl-C
 # make rehearsal  the same with the edge's clock wrong on purpose: the delays do not move
 # make test   everything that must hold; installs what it needs
+# make interop  programs of other projects as peers: ROS 1
 # make check  the quick part: formatting, lints, unit and end-to-end tests
 # make bench  the measured tables, ratios side by side in one run
 # make soak   hundreds of kills, a day's outage, full disks, with release builds; takes its time
@@ -12,9 +13,9 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser api package deb bench soak clean
+.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser api package deb interop bench soak clean
 help:
-	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -8
+	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -9
 
 demo: setup
 	$(CARGO) build --release --locked --package peernetd
@@ -78,6 +79,17 @@ package: setup build
 deb: setup
 	$(CARGO) build --release --locked --package peernetd
 	@deploy/debian/build.sh
+
+# --- foreign peers --------------------------------------------------------------------------------------------
+
+# Each folder has programs of one project as peers of ours.
+interop:
+	@deploy/install-tools.sh interop
+	for script in tests/interop/*/run.sh; do
+		echo "== $$script"
+		"$$script"
+	done
+	echo "make interop: all passed"
 
 # --- measurements ---------------------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Installs the tools that building, testing and benchmarking need, by name, and says which and why. Touches nothing
 # that is there already; takes a moment then. Debian and Ubuntu; elsewhere it lists what to install.
-# Usage: install-tools.sh build|test|bench…      (test and bench include build)
+# Usage: install-tools.sh build|test|interop|bench…      (each includes build)
 set -eu
 
 cargo_deny=0.20.2
@@ -50,6 +50,15 @@ systemd-analyze  systemd        the units are checked with it
 dpkg-deb      dpkg              the Debian package
 dpkg-shlibdeps   dpkg-dev       the Debian package
 strip         binutils          the Debian package
+'
+interop_packages='
+rosmaster     python3-rosmaster       a real master of ROS 1
+rostopic      python3-rostopic        its tools see our topics
+rosnode       python3-rosnode         its tools see our nodes
+/usr/lib/python3/dist-packages/rospy        python3-rospy        nodes of ROS 1
+/usr/lib/python3/dist-packages/roslaunch    python3-roslaunch    the other packages use it without saying so
+/usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1
+/usr/lib/python3/dist-packages/std_msgs     python3-std-msgs     texts as messages of ROS 1
 '
 
 # Prints "package  reason" for each line of $1 whose command is missing.
@@ -190,7 +199,7 @@ unpack_chrony() {
 
 # --------------------------------------------------------------------------------------------------------------------
 
-[ $# -gt 0 ] || fail "usage: install-tools.sh build|test|bench…"
+[ $# -gt 0 ] || fail "usage: install-tools.sh build|test|interop|bench…"
 packages=$build_packages
 for set in "$@"; do
     case $set in
@@ -201,8 +210,9 @@ for set in "$@"; do
             wants_api=1
             wants_venv=1
             ;;
+        interop) packages=$packages$interop_packages ;;
         bench) wants_venv=1 ;;
-        *) fail "unknown set '$set'; known are build, test and bench" ;;
+        *) fail "unknown set '$set'; known are build, test, interop and bench" ;;
     esac
 done
 install_packages "$packages"

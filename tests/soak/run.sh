@@ -23,6 +23,9 @@ export PEERNET_FIGURES="$rows"
 cd "$root"
 passed=0
 ${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?
+# Damaged inputs for the parsers of what arrives from ROS networks: ten million for each corpus.
+PROPTEST_CASES="${PEERNET_INPUTS:-30000000}" \
+    ${CARGO:-cargo} test --release --locked --package peernet-ros --lib damaged_corpora || passed=$?
 
 cpu=$(sed -n 's/^model name[[:space:]]*: //p' /proc/cpuinfo | head -1)
 {

@@ -147,6 +147,7 @@ impl Aggregator {
             errands,
             stored: stored_in,
             ready: ready_in,
+            pictures: running.handle.live(),
             clock: Arc::clone(&clock),
             integrity: integrity.clone(),
             stop: stop.clone(),

@@ -258,7 +258,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
         }
         report(size, &mut tcp, &mut ours);
     }
-    println!("\ntimes in µs, upload p50; {:?}", session.figures());
+    println!("\ntimes in µs, upload p50; {:?}", session.statistics());
     runtime.block_on(session.close());
     Ok(())
 }

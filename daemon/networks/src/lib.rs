@@ -6,19 +6,21 @@
 //! without I/O in `session/{client,server}.rs`, their drivers in `session/{edge,cloud}.rs`.
 
 pub mod descriptors;
-mod figures;
+mod interface;
 mod message;
 mod session;
 mod settings;
+mod statistics;
 mod transport;
 
-pub use figures::NetworkFigures;
+pub use interface::interface_of;
 pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
-    OpenRequest, RequestError, Responder, Session,
+    OpenRequest, RequestError, Responder, Session, StatisticsReader,
 };
 pub use settings::{InvalidSettings, SessionSettings};
+pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, NetworkKind, Peer,
     SendFailure, zmtp,

@@ -2,6 +2,7 @@
 //!
 //! `messages` has the message types and their two wire forms, `ros1` and `ros2` exchange messages as bytes.
 
+pub mod fuzzing;
 pub mod messages;
 pub mod ros1;
 pub mod ros2;

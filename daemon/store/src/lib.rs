@@ -59,8 +59,8 @@ pub mod writing {
     pub use crate::readers::Readers;
     pub use crate::retention::Step;
     pub use crate::write::{
-        Aside, CommitError, Committed, FormerFiles, Introduction, PendingIncidents, RunName, Streams, Work,
-        Writer,
+        Aside, CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents,
+        RunName, Streams, Work, Writer,
     };
 }
 

@@ -5,6 +5,7 @@ use peernet_clock::{
 };
 use serde::{Deserialize, Serialize};
 
+use super::Connection;
 use super::bounded::at_most;
 use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
 use peernet_logger::{HostId, Slug};
@@ -107,6 +108,15 @@ pub struct LinkLive {
     pub cloud: Option<HostClock>,
     /// The last second, or as much of it as has passed.
     pub now: ClockSample,
+    /// Open connections, one for each pipeline, at most [`MAX_PIPELINES`]; since version 6 of the event
+    /// stream.
+    // Older versions cannot read this field.
+    #[serde(
+        default,
+        skip_serializing_if = "Vec::is_empty",
+        deserialize_with = "at_most::<MAX_PIPELINES, _, _>"
+    )]
+    pub connections: Vec<Connection>,
 }
 
 /// How a link is probed.

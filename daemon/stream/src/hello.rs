@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::{Chain, HostDescription, Release, VersionRange};
 
 /// Versions of the event stream that this release speaks, as an agent and as an aggregator.
-pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 5, Release(0, 1, 0));
+pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 6, Release(0, 1, 0));
+
+/// The first version whose live updates tell of connections.
+pub(crate) const CONNECTIONS_VERSION: u16 = 6;
 
 /// The only version that PEERNet 0.1.0 speaks.
 const FIRST_VERSION: u16 = 5;

@@ -16,6 +16,7 @@ mod bounded;
 mod chain;
 mod clock;
 pub mod codec;
+mod connection;
 mod counts;
 mod event;
 mod experiment;
@@ -36,6 +37,9 @@ mod versions;
 
 pub use chain::Chain;
 pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
+pub use connection::{
+    Connection, ConnectionStatistics, DirectionStatistics, NetworkInterface, TransportRoundTrip,
+};
 pub use counts::{
     CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled, Settled,
 };

@@ -5,6 +5,7 @@ mod calibrate;
 mod chain;
 mod clocks;
 mod configuration;
+mod connections;
 mod documentation;
 mod documented;
 mod durability;

@@ -2,6 +2,7 @@
 
 use peernet_aggregator::LinkPicture;
 use peernet_clock::Span;
+use peernet_stream::{Connection, DirectionStatistics};
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
@@ -33,4 +34,44 @@ pub(super) fn loss(link: &LinkPicture) -> Option<Sample> {
         (lost + u64::from(probes.lost), all + u64::from(probes.lost) + u64::from(probes.answered))
     });
     (all > 0).then(|| Sample::Value(lost as f64 / all as f64))
+}
+
+/// A total of each direction of each connection that knows it.
+pub(super) fn directions(scrape: &Scrape, to: &mut Sink<'_>, of: fn(&DirectionStatistics) -> Option<u64>) {
+    for (link, connection) in scrape.connections() {
+        let [edge, cloud, network, pipeline] = names(link, connection);
+        let statistics = &connection.statistics;
+        for (direction, known) in [("upload", &statistics.sent), ("download", &statistics.received)] {
+            if let Some(total) = of(known) {
+                to(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
+            }
+        }
+    }
+}
+
+/// Smoothed round trips of the transports' own packets.
+pub(super) fn transport_round_trips(scrape: &Scrape, to: &mut Sink<'_>) {
+    for (link, connection) in scrape.connections() {
+        if let Some(trip) = connection.statistics.round_trip {
+            to(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
+        }
+    }
+}
+
+/// MTUs of the interfaces that connections leave by.
+pub(super) fn interfaces(scrape: &Scrape, to: &mut Sink<'_>) {
+    for (link, connection) in scrape.connections() {
+        let Some(interface) = &connection.interface else { continue };
+        let (Some(mtu), [edge, cloud, network, pipeline]) = (interface.mtu_bytes, names(link, connection))
+        else {
+            continue;
+        };
+        let kind = interface.kind.as_deref().unwrap_or_default();
+        to(&[edge, cloud, network, pipeline, &interface.name, kind], Sample::Size(mtu.into()));
+    }
+}
+
+fn names<'a>(link: &'a LinkPicture, connection: &'a Connection) -> [&'a str; 4] {
+    let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
+    [edge, cloud, &connection.network, connection.pipeline.as_str()]
 }

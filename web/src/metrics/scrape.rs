@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture, Totals};
 use peernet_networks::zmtp::{Rejection, RejectionCounts};
+use peernet_stream::Connection;
 
 use super::table::{Sample, Sink};
 
@@ -14,6 +15,8 @@ const HOSTS: usize = 4_096;
 const PIPELINES: usize = 1_000;
 /// Links of one answer; each makes three lines.
 const LINKS: usize = 4_096;
+/// Connections of one answer; each makes at most 16 lines.
+const CONNECTIONS: usize = 1_000;
 
 /// The snapshot.
 #[derive(Debug)]
@@ -29,7 +32,9 @@ pub(super) struct Scrape {
     pub(super) hosts: Vec<Arc<HostPicture>>,
     pub(super) pipelines: Vec<Arc<PipelinePicture>>,
     pub(super) links: Vec<Arc<LinkPicture>>,
-    omitted: [(&'static str, usize); 3],
+    /// The connections of all links: the link, and the place in its list.
+    connections: Vec<(Arc<LinkPicture>, usize)>,
+    omitted: [(&'static str, usize); 4],
 }
 
 impl Scrape {
@@ -56,10 +61,17 @@ impl Scrape {
             })
             .cloned()
             .collect();
+        let listed = |link: &Arc<LinkPicture>| {
+            let places = 0..link.live.connections.len();
+            places.map(|place| (Arc::clone(link), place)).collect::<Vec<_>>()
+        };
+        // Those of a link that is not reported any more are closed.
+        let mut connections: Vec<_> = links.iter().filter(|link| link.connected).flat_map(listed).collect();
         let omitted = [
             ("hosts", cut(&mut hosts, HOSTS)),
             ("pipelines", cut(&mut pipelines, PIPELINES)),
             ("links", cut(&mut links, LINKS)),
+            ("connections", cut(&mut connections, CONNECTIONS)),
         ];
         Self {
             ready,
@@ -72,8 +84,16 @@ impl Scrape {
             hosts,
             pipelines,
             links,
+            connections,
             omitted,
         }
+    }
+
+    /// The connections, each with its link.
+    pub(super) fn connections(&self) -> impl Iterator<Item = (&LinkPicture, &Connection)> {
+        self.connections
+            .iter()
+            .filter_map(|(link, place)| Some((&**link, link.live.connections.get(*place)?)))
     }
 
     /// What the database takes.

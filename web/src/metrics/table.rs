@@ -58,6 +58,9 @@ const WINDOW: &[&str] = &["host", "pipeline", "window"];
 const STAGE: &[&str] = &["host", "pipeline", "stage", "quantile"];
 const DIRECTION: &[&str] = &["host", "pipeline", "direction"];
 const LINK: &[&str] = &["edge", "cloud"];
+const CONNECTION: &[&str] = &["edge", "cloud", "network", "pipeline"];
+const CONNECTION_DIRECTION: &[&str] = &["edge", "cloud", "network", "pipeline", "direction"];
+const INTERFACE: &[&str] = &["edge", "cloud", "network", "pipeline", "interface", "type"];
 
 use Kind::{Counter, Gauge};
 
@@ -68,7 +71,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "aggregator_connected", "hosts"), NONE, "Hosts that report.", |s, to| to(&[], Sample::Size(s.connected))),
     metric((Gauge, "aggregator_known", "hosts"), NONE, "Hosts of the live picture, those included that are away.", |s, to| to(&[], Sample::Size(s.known))),
     metric((Gauge, "aggregator_refused", "hosts"), NONE, "Hosts that were turned away in the last ten minutes, at most 32.", |s, to| to(&[], Sample::Size(s.refused))),
-    metric((Gauge, "aggregator_omitted", "items"), &["kind"], "Hosts, pipelines and links beyond the limits of this answer.", Scrape::omitted),
+    metric((Gauge, "aggregator_omitted", "items"), &["kind"], "Hosts, pipelines, links and connections beyond the limits of this answer.", Scrape::omitted),
     metric((Gauge, "aggregator_database", "bytes"), NONE, "Size of the database's files; absent while there is none.", Scrape::database),
     metric((Counter, "aggregator_stored", "events"), NONE, "Events that the database holds, of all hosts.", |s, to| to(&[], Sample::Count(s.totals.stored.events))),
     metric((Counter, "aggregator_stored", "nodes"), NONE, "Nodes of iterations that were stored, of all hosts.", |s, to| to(&[], Sample::Count(s.totals.stored.nodes))),
@@ -114,4 +117,13 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "link_connected", "bool"), LINK, "1 while the edge reports the link, else 0.", |s, to| links::each(s, to, |link| Some(Sample::truth(link.connected)))),
     metric((Gauge, "link_offset_half_width", "seconds"), LINK, "Half the width of the interval that contains the offset of the two clocks; absent while nothing is known.", |s, to| links::each(s, to, links::half_width)),
     metric((Gauge, "link_probe_loss", "ratio"), LINK, "Share of probes without an answer over 60 s, 0 to 1; absent while none is sent.", |s, to| links::each(s, to, links::loss)),
+    metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without what the transport adds.", |s, to| links::directions(s, to, |one| Some(one.bytes))),
+    metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, to| links::directions(s, to, |one| Some(one.messages))),
+    metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, to| links::directions(s, to, |one| one.datagrams)),
+    metric((Counter, "link_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.lost)),
+    metric((Counter, "link_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.duplicated)),
+    metric((Counter, "link_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.reordered)),
+    metric((Counter, "link_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.retransmitted)),
+    metric((Gauge, "link_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets; absent where it measures none.", links::transport_round_trips),
+    metric((Gauge, "link_interface_mtu", "bytes"), INTERFACE, "MTU of the edge's interface that the connection leaves by; absent where it is not known.", links::interfaces),
 ];

@@ -20,6 +20,7 @@ use crate::svg::Tracks;
 use crate::view::chip::Chip;
 use crate::view::incidents::IncidentLine;
 use crate::view::link::chart::{OffsetView, tracks};
+use crate::view::link::connections::{self, DirectionRow, Route};
 use crate::view::link::course::Course;
 use crate::view::link::finding::{Meaning, meanings, title};
 use crate::view::link::origin::Origin;
@@ -108,7 +109,7 @@ impl Range {
 #[derive(Template)]
 #[template(
     path = "pages/link.html",
-    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "probes", "clocks", "incidents"]
+    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "probes", "connections", "clocks", "incidents"]
 )]
 pub(super) struct Link {
     shell: Shell,
@@ -130,6 +131,8 @@ pub(super) struct Link {
     meanings: Vec<Meaning>,
     origin: Origin,
     probes: Pairs,
+    directions: Vec<DirectionRow>,
+    connections: Vec<Route>,
     hosts: Vec<HostRow>,
     exchanges: Pairs,
     incidents: Vec<IncidentLine>,
@@ -195,6 +198,7 @@ pub(super) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Res
         ("verdicts", page.as_verdicts().render()?),
         ("origin", page.as_origin().render()?),
         ("probes", page.as_probes().render()?),
+        ("connections", page.as_connections().render()?),
         ("clocks", page.as_clocks().render()?),
     ];
     // Longer pictures stand still: they are read from the store.
@@ -282,6 +286,8 @@ pub(super) fn link_page(
         meanings: meanings(subject),
         origin: Origin::of(subject, now),
         probes: panels::probes(subject, now),
+        directions: connections::rows(subject),
+        connections: connections::routes(subject),
         hosts: panels::hosts(subject),
         exchanges: panels::exchanges(subject),
         incidents: IncidentLine::all(&mine[..mine.len().min(LISTED)], app.zone),

@@ -12,8 +12,9 @@ use peernet_clock::{
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
 use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
 use peernet_stream::{
-    Accounting, ClockSample, DelayPoint, DelaySecond, Hardware, HostClock, HostDescription, HostMetrics,
-    LinkLive, OutcomeCounts, PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip,
+    Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
+    Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, OutcomeCounts,
+    PipelineState, Placement, PlacementKind, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
 };
 use tokio_util::sync::CancellationToken;
 
@@ -304,8 +305,51 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkPicture {
             edge: Some(HostClock { text: "chrony, stratum 2".into(), ..HostClock::default() }),
             cloud: None,
             now: clock_sample(second(0), 1, half),
+            connections: vec![connection()],
         },
         history: known.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
+    }
+}
+
+/// The connection of the pipeline `line` on the link of [`link`].
+fn connection() -> Connection {
+    let sent = DirectionStatistics {
+        bytes: 1_250_000_000,
+        messages: 10_482,
+        datagrams: Some(863_204),
+        lost: None,
+        duplicated: Some(0),
+        reordered: Some(0),
+        retransmitted: Some(17),
+    };
+    let received = DirectionStatistics {
+        bytes: 1_400_000,
+        messages: 10_480,
+        datagrams: Some(10_655),
+        reordered: Some(3),
+        ..DirectionStatistics::default()
+    };
+    Connection {
+        pipeline: slug("line"),
+        network: "zmq-tcp".into(),
+        local: Some("192.0.2.7:40112".into()),
+        remote: Some("192.0.2.5:5551".into()),
+        interface: Some(NetworkInterface {
+            name: "wlan0".into(),
+            kind: Some("wireless".into()),
+            mtu_bytes: Some(1_500),
+        }),
+        statistics: ConnectionStatistics {
+            sent,
+            received,
+            lost_messages: 2,
+            round_trip: Some(TransportRoundTrip {
+                min: Some(Span::from_micros(1_080)),
+                smoothed: Span::from_micros(2_310),
+                variation: Span::from_micros(140),
+            }),
+            ..ConnectionStatistics::default()
+        },
     }
 }
 

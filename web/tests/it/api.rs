@@ -348,6 +348,11 @@ async fn links_and_clocks_are_served() {
     assert_eq!(offset["sources"][1]["source"], "chrony");
     assert!(number(&now["up"]["median"]["lo_s"]) <= number(&now["up"]["median"]["value_s"]));
     assert_eq!(bed.get("/api/v1/links/cam-3~rack-a").await.json()["edge_id"], link["edge_id"]);
+    let connection = &now["connections"][0];
+    assert_eq!(connection["up"]["retransmitted_datagrams"], json!(17));
+    assert_eq!(connection["down"]["retransmitted_datagrams"], Value::Null, "only the cloud's kernel knows");
+    assert_eq!(connection["interface"], json!({ "name": "wlan0", "type": "wireless", "mtu_bytes": 1500 }));
+    assert_eq!(connection["transport_round_trip"]["smoothed_s"], json!(0.00231));
 
     let series = bed.get("/api/v1/links/cam-3~rack-a/clock?points=600").await.json();
     let points = series["points"].as_array().expect("points");

@@ -119,6 +119,10 @@ async fn every_line_is_valid_and_counters_only_grow() {
     assert!(value(&first, "peernet_link_offset_half_width_seconds{edge=\"cam-2\",cloud=\"rack-a\"}") > 0.0);
     let loss = value(&first, "peernet_link_probe_loss_ratio{edge=\"cam-2\",cloud=\"rack-a\"}");
     assert!((0.0..=1.0).contains(&loss), "{loss}");
+    let again = "peernet_link_retransmitted_datagrams_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
+                 pipeline=\"offload-full\",direction=\"upload\"}";
+    assert_eq!(value(&first, again), 17.0);
+    assert!(first["peernet_link_lost_datagrams"].samples.is_empty(), "what is not known is no sample");
     let unknown = &first["peernet_pipeline_stage_seconds"].samples;
     assert!(
         !unknown.keys().any(|series| series.contains("offload-unrelated") && series.contains("\"upload\"")),

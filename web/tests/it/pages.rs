@@ -24,6 +24,7 @@ async fn every_page_is_there_and_complete_without_a_script() {
         (&slowest, "× the run&#39;s median: "),
         ("/links", "2 links: 1 can be trusted, 1 known only as intervals in part"),
         ("/links/cam-3~rack-a", "upload times can be trusted to ±0."),
+        ("/links/cam-3~rack-a", "by wlan0, wireless, MTU 1,500\u{202f}bytes"),
         ("/links/cam-3~rack-a?range=1h&offset=measured", "clock offset of rack-a, ms"),
         ("/links/cam-3~rack-a?range=24h", "in-band, 6,120 exchanges"),
         ("/hosts", "4 hosts, all connected"),

@@ -6,6 +6,7 @@
 //! second.
 
 mod answers;
+mod connections;
 mod correction;
 mod knowledge;
 mod pair;

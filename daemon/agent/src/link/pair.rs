@@ -9,6 +9,7 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{Event, HostClock, IncidentKind, LinkLive, Probing};
 use tokio::sync::watch;
 
+use super::connections::Connections;
 use super::correction::{bits, correct};
 use super::knowledge::{Knowledge, News, Way};
 use super::shared::{Session, Shared, lock};
@@ -18,7 +19,8 @@ use crate::incidents::Concerning;
 /// Data this long ago does not keep the probes at their full rate.
 const IN_USE: Span = Span::from_seconds(3);
 
-/// What this host has to do with one cloud. Locks are held for microseconds, never while waiting.
+/// What this host has to do with one cloud. Locks are held for microseconds, never while waiting; that of the connections
+/// is taken by live updates alone.
 #[derive(Debug)]
 pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
@@ -33,6 +35,7 @@ pub(crate) struct Link {
     pub(super) rate_hz: watch::Sender<f64>,
     knowledge: Mutex<Knowledge>,
     probing: Mutex<Probing>,
+    connections: Mutex<Connections>,
     /// When data last came back.
     used: Mutex<MonoTime>,
 }
@@ -57,6 +60,7 @@ impl Link {
             rate_hz: watch::Sender::new(0.0),
             knowledge: Mutex::new(knowledge),
             probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            connections: Mutex::default(),
             used: Mutex::new(now.mono),
         };
         link.pace(now.mono);
@@ -140,7 +144,9 @@ impl Link {
     /// As it is shown.
     pub(super) fn live(&self) -> LinkLive {
         let (mut networks, mut pipelines) = (Vec::new(), Vec::new());
-        for session in self.sessions.borrow().iter() {
+        // Cloned, because reading statistics takes longer than sessions may wait to join.
+        let sessions = self.sessions.borrow().clone();
+        for session in &sessions {
             networks.push(session.network.name().to_owned());
             pipelines.push(session.pipeline.clone());
         }
@@ -151,7 +157,9 @@ impl Link {
         if let Probing::On { rate_hz, .. } = &mut probing {
             *rate_hz = *self.rate_hz.borrow();
         }
-        let now = self.shared.host.clock.wall();
+        let clock = &self.shared.host.clock;
+        let connections = lock(&self.connections).of(&sessions, clock.mono());
+        let now = clock.wall();
         let knowledge = lock(&self.knowledge);
         let (edge, cloud) = knowledge.clocks();
         LinkLive {
@@ -164,6 +172,7 @@ impl Link {
             edge: Some(edge),
             cloud: Some(cloud),
             now: knowledge.now(now),
+            connections,
         }
     }
 

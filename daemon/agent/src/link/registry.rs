@@ -98,6 +98,7 @@ impl Links {
             probes: accepted.probes,
             instance: accepted.instance,
             clock: session.peer_clock(),
+            statistics: session.statistics_reader(),
         };
         let id = joining.id;
         let mut open = self.open();

@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
-use peernet_networks::{NetworkKind, PeerClock};
+use peernet_networks::{NetworkKind, PeerClock, StatisticsReader};
 use peernet_probes::{Key, KeyError, Stamps};
 use peernet_stream::HostClock;
 use tokio::sync::watch;
@@ -79,6 +79,8 @@ pub(super) struct Session {
     pub(super) instance: u64,
     /// What it tells of its clock.
     pub(super) clock: watch::Receiver<PeerClock>,
+    /// What was sent and received on its connection.
+    pub(super) statistics: StatisticsReader,
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

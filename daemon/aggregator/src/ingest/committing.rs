@@ -1,6 +1,7 @@
 //! The task that owns the writer: collects batches of many agents and commits them together.
 
 use std::fmt::Display;
+use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, Stamp};
@@ -9,9 +10,11 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
+use super::connection_log::ConnectionLog;
 use super::preparing::Queued;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
+use crate::picture::Picture;
 use crate::readiness::Readiness;
 use peernet_store::writing::{
     CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
@@ -93,6 +96,8 @@ pub(crate) struct Wires {
     pub(crate) errands: mpsc::Receiver<Errand>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
+    /// Of the live picture, which tells of connections.
+    pub(crate) pictures: watch::Receiver<Arc<Picture>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,
@@ -116,6 +121,7 @@ struct Carried {
     backoff: Backoff,
     /// Of the aggregator itself.
     incidents: PendingIncidents,
+    connections: ConnectionLog,
     /// Since when nothing can be stored, and why; `None` while it can.
     outage: Option<(Stamp, String)>,
 }
@@ -157,8 +163,14 @@ pub(crate) async fn run(
     reopening: Reopening,
 ) -> Option<OpenDatabase> {
     let incidents = PendingIncidents::new(wires.clock.stamp());
-    let mut carried =
-        Carried { generation: 0, departed: Vec::new(), backoff: Backoff::new(), incidents, outage: None };
+    let mut carried = Carried {
+        generation: 0,
+        departed: Vec::new(),
+        backoff: Backoff::new(),
+        incidents,
+        connections: ConnectionLog::default(),
+        outage: None,
+    };
     loop {
         match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
             Ended::Finished => return Some(database),
@@ -194,7 +206,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
                     continue;
                 }
                 _ = looking.tick() => {
-                    match look_after(writer, wires, &mut carried.incidents).await {
+                    match look_after(writer, wires, carried).await {
                         Ok(()) if damaged => set(&wires.ready, Readiness::Ready),
                         Ok(()) => {}
                         Err(error @ CommitError::Damaged(_)) => set(&wires.ready, why_not(&error)),
@@ -230,7 +242,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
             more = retain(writer, wires).await;
-            match look_after(writer, wires, &mut carried.incidents).await {
+            match look_after(writer, wires, carried).await {
                 // The next commit tells.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
                 Err(error) => return Ended::Failed(error),
@@ -240,19 +252,19 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
 }
 
 /// Sees that the file is still where it was, also while nothing is stored, that the log is not too long, and that the
-/// clocks are stored.
+/// clocks and the statistics of connections are stored.
 ///
 /// # Errors
 /// When the database has to be opened anew, or is damaged.
-async fn look_after(
-    writer: &mut Writer,
-    wires: &Wires,
-    incidents: &mut PendingIncidents,
-) -> Result<(), CommitError> {
+async fn look_after(writer: &mut Writer, wires: &Wires, carried: &mut Carried) -> Result<(), CommitError> {
     writer.check_file()?;
     undamaged(&wires.integrity)?;
     let looked_after = async {
-        writer.keep_clocks(wires.clock.stamp(), incidents).await?;
+        writer.keep_clocks(wires.clock.stamp(), &mut carried.incidents).await?;
+        let connections = carried.connections.observe(&wires.pictures.borrow(), wires.clock.mono());
+        if !connections.is_empty() {
+            writer.store_connections(&connections).await?;
+        }
         writer.bound_log(MOST_LOG_BYTES).await
     };
     looked_after.await.or_else(|error: CommitError| {
@@ -409,8 +421,6 @@ pub(super) fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use peernet_clock::MonoTime;
     use tokio::sync::Semaphore;
 

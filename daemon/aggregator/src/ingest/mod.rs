@@ -3,6 +3,7 @@
 //! the database anew when its file fails or is replaced ([`reopening`]).
 
 pub(crate) mod committing;
+mod connection_log;
 mod hosts;
 pub(crate) mod preparing;
 mod queue;

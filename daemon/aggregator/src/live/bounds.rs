@@ -1,6 +1,9 @@
 //! What an agent says, cut to what the picture takes: its memory is bounded whatever is sent.
 
-use peernet_stream::{Accounting, HostClock, HostDescription, LinkLive, PipelineState, Placement, Probing};
+use peernet_stream::{
+    Accounting, Connection, HostClock, HostDescription, LinkLive, NetworkInterface, PipelineState, Placement,
+    Probing,
+};
 
 use peernet_store::plausible;
 
@@ -21,6 +24,8 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
         Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
         Probing::Off(reason) => text(reason),
     }
+    list(&mut live.connections, MOST_LISTED, left_out);
+    live.connections.iter_mut().for_each(connection);
     for theirs in [&mut live.edge, &mut live.cloud].into_iter().flatten() {
         clock(theirs, left_out);
     }
@@ -30,6 +35,17 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     // Not-a-number is unequal to itself: taken out and counted as well.
     *left_out += u64::from((&offset, up, down) != (&now.offset, now.up, now.down));
     (now.offset, now.up, now.down) = (offset, up, down);
+}
+
+/// A connection of a link.
+fn connection(connection: &mut Connection) {
+    let Connection { network, local, remote, interface, .. } = connection;
+    text(network);
+    [local, remote].into_iter().flatten().for_each(text);
+    if let Some(NetworkInterface { name, kind, .. }) = interface {
+        text(name);
+        kind.iter_mut().for_each(text);
+    }
 }
 
 /// What a host says of its clock.

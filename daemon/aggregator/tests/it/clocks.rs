@@ -84,5 +84,6 @@ pub fn link(now: ClockSample) -> LinkLive {
         edge: Some(HostClock { text: "not synchronised".into(), ..HostClock::default() }),
         cloud: None,
         now,
+        connections: Vec::new(),
     }
 }

@@ -17,13 +17,13 @@ use super::complaints::Complaints;
 use super::exchange::Sizes;
 use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
 use super::server::{Heard, Route, Server, Standing};
-use crate::figures::Counters;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, Reply, Request, SampleHeader,
     SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
 };
+use crate::statistics::{ConnectionStatistics, Counters, TransportStatistics};
 use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer};
-use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
+use crate::{Address, NetworkKind, SessionSettings};
 
 /// Why a port could not be listened on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -116,9 +116,9 @@ impl Listener {
         &self.address
     }
 
-    /// What went over all sessions so far.
-    pub fn figures(&self) -> NetworkFigures {
-        self.shared.counters.figures()
+    /// Returns what was sent and received on all connections together, since the listener was bound.
+    pub fn statistics(&self) -> ConnectionStatistics {
+        self.shared.counters.statistics(&TransportStatistics::default())
     }
 
     /// Tells the sessions of this port what becomes known of this host's clock.

@@ -1,6 +1,6 @@
 //! The edge's driver: a session over a transport.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
@@ -13,13 +13,13 @@ use super::client::{Client, CloseReason};
 use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, result};
 use super::open::{OpenError, handshake};
 use super::receiving::Receiving;
-use crate::figures::Counters;
 use crate::message::{
     Accepted, Departure, Header, HeaderError, PeerClock, Request, SampleHeader, SessionAccepted,
     SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
+use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::transport::{Dialled, EdgeSender, SendFailure};
-use crate::{Address, NetworkFigures, NetworkKind, SessionSettings};
+use crate::{Address, NetworkKind, SessionSettings};
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
@@ -87,18 +87,26 @@ impl Session {
         clock: SharedClock,
     ) -> Result<Self, OpenError> {
         let settings = settings.clamped();
-        let (dialled, accepted) = Box::pin(handshake(kind, address, hello, &settings)).await?;
-        Ok(Self::start(dialled, accepted, &settings, clock))
+        let counters = Counters::default();
+        let opening = Box::pin(handshake(kind, address, hello, &settings, &counters));
+        let (dialled, accepted) = opening.await?;
+        Ok(Self::start(dialled, accepted, &settings, clock, counters))
     }
 
-    fn start(dialled: Dialled, accepted: Accepted, settings: &SessionSettings, clock: SharedClock) -> Self {
+    fn start(
+        dialled: Dialled,
+        accepted: Accepted,
+        settings: &SessionSettings,
+        clock: SharedClock,
+        counters: Counters,
+    ) -> Self {
         let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             session: accepted.session,
             machine: Mutex::new(Client::new(accepted.session)),
             sender: dialled.sender,
             clock,
-            counters: Counters::default(),
+            counters,
             places: Semaphore::new(places as usize),
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
@@ -121,9 +129,14 @@ impl Session {
         self.inner.shared.peer_clock.subscribe()
     }
 
-    /// What went over the session so far.
-    pub fn figures(&self) -> NetworkFigures {
-        self.inner.shared.counters.figures()
+    /// Returns what was sent and received so far, the messages that opened the session included.
+    pub fn statistics(&self) -> ConnectionStatistics {
+        self.inner.shared.statistics()
+    }
+
+    /// Returns a reader of the statistics that does not keep the session open.
+    pub fn statistics_reader(&self) -> StatisticsReader {
+        StatisticsReader(Arc::downgrade(&self.inner.shared))
     }
 
     /// Sends a sample and waits for the answer; any number of requests may be under way.
@@ -210,6 +223,23 @@ impl Session {
     }
 }
 
+/// Reads the statistics of a session's connection, from any thread, as long as it is there.
+#[derive(Clone, Debug)]
+pub struct StatisticsReader(Weak<SessionState>);
+
+impl StatisticsReader {
+    /// Both ends of the connection; `None` where the transport has no such addresses.
+    pub fn addresses(&self) -> Option<ConnectionAddresses> {
+        self.0.upgrade()?.sender.addresses()
+    }
+
+    /// Returns what was sent and received so far; `None` when the session is over. It asks the system: once a second is
+    /// often enough.
+    pub fn read(&self) -> Option<ConnectionStatistics> {
+        Some(self.0.upgrade()?.statistics())
+    }
+}
+
 /// Why a sample cannot be sent.
 #[derive(Debug, thiserror::Error)]
 enum UnsendableSample {
@@ -239,6 +269,10 @@ impl Drop for Pending<'_> {
 impl SessionState {
     pub(crate) fn machine(&self) -> MutexGuard<'_, Client<oneshot::Sender<Answer>>> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn statistics(&self) -> ConnectionStatistics {
+        self.counters.statistics(&self.sender.statistics())
     }
 
     fn over(&self) -> RequestError {

@@ -18,7 +18,7 @@ mod server;
 pub use announcer::Announcer;
 pub use client::CloseReason;
 pub use cloud::{BindError, Listener};
-pub use edge::Session;
+pub use edge::{Session, StatisticsReader};
 pub use exchange::{Exchange, RequestError};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
 pub use open::OpenError;

@@ -4,7 +4,9 @@ use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
 use super::client::{Opened, opened};
+use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
+use crate::statistics::Counters;
 use crate::transport::{DialFailure, Dialled};
 use crate::{Address, NetworkKind, SessionSettings};
 
@@ -64,6 +66,7 @@ pub(crate) async fn handshake(
     address: &Address,
     hello: SessionHello,
     settings: &SessionSettings,
+    counters: &Counters,
 ) -> Result<(Dialled, Accepted), OpenError> {
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
@@ -76,13 +79,16 @@ pub(crate) async fn handshake(
     })?;
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
     let open = open.encode().map_err(|error| unreachable(error.to_string()))?;
+    let bytes = open.len() as u64;
     dialled.sender.send(vec![open]).map_err(|error| unreachable(error.to_string()))?;
+    counters.sent(bytes);
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
         let Ok(Ok(frames)) = frames else {
             return Err(OpenError::TimedOut { address: address.clone(), waited_ms });
         };
+        counters.received(Sizes::of(&frames).total());
         let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
         match opened(header) {
             Opened::Accepted(accepted) => return Ok((dialled, *accepted)),

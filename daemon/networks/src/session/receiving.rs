@@ -118,12 +118,14 @@ impl Receiving {
             reason: "the edge closed the session".into(),
             ordered: self.shared.ordered.get().copied(),
         };
-        let sent = Header::Goodbye(goodbye)
-            .encode()
-            .map_err(|error| error.to_string())
-            .and_then(|header| self.shared.sender.send(vec![header]).map_err(|error| error.to_string()));
-        if let Err(error) = sent {
-            tracing::debug!(error, "could not say goodbye to the cloud");
+        let sent = Header::Goodbye(goodbye).encode().map_err(|error| error.to_string()).and_then(|header| {
+            let bytes = header.len() as u64;
+            self.shared.sender.send(vec![header]).map_err(|error| error.to_string())?;
+            Ok(bytes)
+        });
+        match sent {
+            Ok(bytes) => self.shared.counters.sent(bytes),
+            Err(error) => tracing::debug!(error, "could not say goodbye to the cloud"),
         }
     }
 }

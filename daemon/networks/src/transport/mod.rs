@@ -4,6 +4,7 @@
 
 mod address;
 mod address_group;
+mod tcp_info;
 mod zmq_tcp;
 pub mod zmtp;
 
@@ -19,6 +20,7 @@ use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 
 use crate::SessionSettings;
+use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
 /// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`.
 macro_rules! networks {
@@ -101,6 +103,16 @@ pub(crate) struct Dialled {
 pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
     /// Hands over a whole message without waiting.
     fn send(&self, frames: Frames) -> Result<(), SendFailure>;
+
+    /// Both ends of the connection; `None` where the transport has no such addresses.
+    fn addresses(&self) -> Option<ConnectionAddresses> {
+        None
+    }
+
+    /// What the transport knows of the connection beside whole messages. It may ask the system.
+    fn statistics(&self) -> TransportStatistics {
+        TransportStatistics::default()
+    }
 }
 
 /// A connection has ended, and why.

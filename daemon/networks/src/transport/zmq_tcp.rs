@@ -10,10 +10,11 @@ use futures::future::BoxFuture;
 use zeromq::message::MAX_INLINE_PAYLOAD;
 use zeromq::options::WorkloadProfile;
 use zeromq::{
-    DisconnectReason, Error, Message, MonitorEvent, MonitorStream, Options, Payload, ReconnectPolicy, Socket,
-    SocketType, TrySendError,
+    DisconnectReason, Error, Message, MonitorEvent, MonitorStream, Options, Payload, PeerIdent, PeerInfo,
+    ReconnectPolicy, Socket, SocketType, TrySendError,
 };
 
+use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
@@ -21,6 +22,7 @@ use super::{
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
+use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::{Address, SessionSettings};
 
 /// Payload frames from this size on are read from the kernel straight into a buffer of their own.
@@ -95,9 +97,9 @@ pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Resul
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
     let mut monitor = socket.monitor();
     socket.connect(address.to_string()).await.map_err(unreachable)?;
-    loop {
+    let addresses = loop {
         match monitor.recv().await {
-            Ok(MonitorEvent::HandshakeSucceeded { .. }) => break,
+            Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => break addresses(&peer),
             Ok(MonitorEvent::HandshakeFailed { reason, .. }) => {
                 return Err(DialFailure::Unreachable(format!("something else answers there ({reason})")));
             }
@@ -108,9 +110,22 @@ pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Resul
             Ok(_) => {}
             Err(error) => return Err(DialFailure::Unreachable(error.to_string())),
         }
-    }
+    };
     let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
-    Ok(Dialled { sender: Box::new(DealerSender(socket)), receiver: Box::new(receiver) })
+    Ok(Dialled { sender: Box::new(DealerSender { socket, addresses }), receiver: Box::new(receiver) })
+}
+
+/// Both ends of a connection, as the library tells of them.
+fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
+    let socket_address = |end: &Option<PeerIdent>| match end {
+        Some(PeerIdent::Socket(address)) => Some(*address),
+        _ => None,
+    };
+    let told = &peer.diagnostics;
+    Some(ConnectionAddresses {
+        local: socket_address(&told.local_address)?,
+        remote: socket_address(&told.remote_address)?,
+    })
 }
 
 fn unreachable(error: Error) -> DialFailure {
@@ -130,11 +145,22 @@ async fn diagnose(address: &Address) -> DialFailure {
 }
 
 #[derive(Debug)]
-struct DealerSender(Socket);
+struct DealerSender {
+    socket: Socket,
+    addresses: Option<ConnectionAddresses>,
+}
 
 impl EdgeSender for DealerSender {
     fn send(&self, frames: Frames) -> Result<(), SendFailure> {
-        sent(self.0.try_send(to_message(frames)))
+        sent(self.socket.try_send(to_message(frames)))
+    }
+
+    fn addresses(&self) -> Option<ConnectionAddresses> {
+        self.addresses
+    }
+
+    fn statistics(&self) -> TransportStatistics {
+        self.addresses.as_ref().map(tcp_statistics).unwrap_or_default()
     }
 }
 

@@ -70,7 +70,7 @@ async fn every_request_of_a_crowd_gets_its_own_answer() {
     }
     done.send(()).expect("the cloud waits for it");
     let listener = within(cloud).await.expect("no panic");
-    let figures = listener.figures();
-    assert_eq!((figures.malformed, figures.late, figures.lost), (0, 0, 0));
-    assert!(figures.received_messages >= (EDGES * TASKS * REQUESTS) as u64);
+    let all = listener.statistics();
+    assert_eq!((all.malformed_messages, all.late_messages, all.lost_messages), (0, 0, 0));
+    assert!(all.received.messages >= (EDGES * TASKS * REQUESTS) as u64);
 }

@@ -23,7 +23,7 @@ async fn a_killed_cloud_loses_what_is_under_way_at_once() {
         assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     }
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
-    assert_eq!(session.figures().lost, 5);
+    assert_eq!(session.statistics().lost_messages, 5);
 
     let exchange = within(session.request(log(), &sample("too late"), PATIENCE)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);

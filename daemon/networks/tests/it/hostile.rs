@@ -41,7 +41,7 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
     echo(cloud, &session, "the port still serves").await;
     within(session.close()).await;
     within(async {
-        while cloud.listener.figures().malformed < expected {
+        while cloud.listener.statistics().malformed_messages < expected {
             tokio::select! {
                 incoming = cloud.listener.next() => assert!(matches!(incoming, Some(Incoming::Closed { .. }))),
                 () = tokio::task::yield_now() => {}
@@ -49,7 +49,7 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
         }
     })
     .await;
-    assert_eq!(cloud.listener.figures().malformed, expected);
+    assert_eq!(cloud.listener.statistics().malformed_messages, expected);
 }
 
 #[tokio::test]
@@ -293,7 +293,7 @@ async fn answers_that_make_no_sense_change_no_tree() {
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
         assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
     }
-    assert_eq!(session.figures().malformed, count);
+    assert_eq!(session.statistics().malformed_messages, count);
 
     let error = wire::Interval { lo: 1, hi: 0 };
     let impossible = wire::HostClock {
@@ -319,5 +319,5 @@ async fn answers_that_make_no_sense_change_no_tree() {
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud.say(&to, &Header::Reply(id, number, Some((1, 1, 0)), 0, answer), vec![growth(3, 2, 2, 1)]).await;
     assert!(within(pending).await.expect("no panic").result.is_ok());
-    assert_eq!(session.figures().malformed, count + 5);
+    assert_eq!(session.statistics().malformed_messages, count + 5);
 }

@@ -9,6 +9,7 @@ mod hostile;
 mod limits;
 mod requests;
 mod shutdown;
+mod statistics;
 mod support;
 mod telling;
 mod versions;

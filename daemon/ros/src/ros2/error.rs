@@ -55,6 +55,9 @@ pub enum Ros2Error {
         /// The interfaces of this host.
         known: String,
     },
+    /// The network interfaces could not be listed.
+    #[error("cannot list the network interfaces of this host: {0}")]
+    Interfaces(std::io::Error),
     /// The domain could not be joined.
     #[error("cannot join the ROS 2 domain {domain_id} on {interfaces}: {reason}")]
     Join {

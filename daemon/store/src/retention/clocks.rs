@@ -1,4 +1,4 @@
-//! Samples of the relation between two hosts' clocks. Those from the time of a pinned run of the link's edge stay, so that
+//! Samples of the relation between two hosts' clocks, and with them the statistics of connections of the same time. Those from the time of a pinned run of the link's edge stay, so that
 //! its delays can be judged again.
 
 use sqlx::SqliteConnection;
@@ -23,6 +23,8 @@ const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BE
      ORDER BY at_ns LIMIT 1 OFFSET ?4";
 /// ?1 link, ?2 and ?3 first and last.
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
+/// Statistics of connections of that time: ?1 link, ?2 and ?3 first and last.
+const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
 /// Windows of which no sample is left; the last one may go on: ?1 link, ?2 end.
 const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
      AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
@@ -31,11 +33,12 @@ const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?
        AND clock_sample.window = clock_window.window)";
 
 #[cfg(test)]
-pub(super) const STATEMENTS: [(&str, &str); 5] = [
+pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("CLOCK_OLDEST", OLDEST),
     ("PINNED", PINNED),
     ("CLOCK_AFTER", AFTER),
     ("CLOCK_DELETE", DELETE),
+    ("CONNECTIONS", CONNECTIONS),
     ("WINDOWS", WINDOWS),
 ];
 
@@ -85,6 +88,7 @@ pub(super) async fn delete(
     let through = after.map_or(times.last, |after| (after - 1).max(first));
     let gone = sqlx::query(DELETE).bind(link).bind(first).bind(through);
     let items = gone.execute(&mut *connection).await?.rows_affected();
+    sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
     Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
 }

@@ -5,6 +5,7 @@ mod clock_samples;
 #[path = "../../../aggregator/tests/it/clocks.rs"]
 #[expect(unreachable_pub, reason = "shared with the integration tests")]
 mod clocks;
+mod connections;
 mod ends;
 mod episodes;
 mod experiments;

@@ -381,6 +381,15 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
         assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     }
     let mut connection = bed.other().await;
+    // One connection beside each clock sample.
+    sqlx::query(
+        "INSERT INTO connection_sample (link, at_ns, pipeline, network, sent_bytes, sent_messages, received_bytes, \
+         received_messages, malformed_messages, late_messages, lost_messages) \
+         SELECT link, at_ns, 'line', 'zmq-tcp', 0, 0, 0, 0, 0, 0, 0 FROM clock_sample",
+    )
+    .execute(&mut connection)
+    .await
+    .expect("stores");
     let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
     let mut retention = Retention::new(config);
     // The pinned run may go on: of its edge, all stays from its begin on.
@@ -392,9 +401,11 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
     // What was kept for it is looked at again a period later.
     work_off(&mut retention, &mut connection, day(13.2)).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
+    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
     work_off(&mut retention, &mut connection, day(14.4)).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 0);
+    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM clock_window").await, 1);
     assert_eq!(bed.count("SELECT count(*) FROM arrival WHERE kind = -1").await, 0);
 }

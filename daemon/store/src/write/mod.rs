@@ -3,6 +3,7 @@
 mod again;
 mod aside;
 mod clock;
+mod connections;
 mod counters;
 mod ends;
 mod entities;
@@ -25,6 +26,7 @@ use peernet_logger::{HostId, RunId};
 use peernet_stream::{BatchHead, HostSecret, Mark, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
+pub use self::connections::ConnectionSample;
 pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
 use self::file::DatabaseFile;
 pub use self::file::{CommitError, FormerFiles};
@@ -202,6 +204,22 @@ impl Writer {
         incidents.store(&mut transaction).await?;
         self.storage_clock.advance(&mut transaction, now).await?;
         transaction.commit().await
+    }
+
+    /// Stores statistics of connections; those of a link of which nothing else is stored are left out.
+    ///
+    /// # Errors
+    /// When the database cannot store anything now.
+    pub async fn store_connections(&mut self, samples: &[ConnectionSample]) -> Result<(), DatabaseError> {
+        let stored = async {
+            let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+            connections::store(&mut transaction, samples).await?;
+            transaction.commit().await
+        };
+        let result = stored.await;
+        self.rolled_back(result).await.map_err(DatabaseError::new)?;
+        self.file.remember_log();
+        Ok(())
     }
 
     /// Carries the log over and empties it when its file has more bytes than this, unless somebody reads just now.

@@ -215,6 +215,7 @@ fn what_is_told_of_clocks_arrives_as_it_was_sent() {
         edge: Some(host_clock()),
         cloud: None,
         now: clock(),
+        connections: Vec::new(),
     };
     let update = ToAggregator::Live(LiveUpdate {
         host: HostId::random(),

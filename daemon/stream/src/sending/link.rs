@@ -46,7 +46,7 @@ impl Sending {
             ToAgent::Challenge { aggregator, nonce, enrol, version, .. } => {
                 match wrong_version(aggregator, *version) {
                     Some(reason) => self.refused(&reason, now.mono),
-                    None => self.challenged(aggregator, nonce, *enrol, now.mono),
+                    None => self.challenged(aggregator, nonce, *enrol, *version, now.mono),
                 }
             }
             ToAgent::Welcome { aggregator, stored, chain, process, window, .. } => {
@@ -140,10 +140,18 @@ impl Sending {
     }
 
     /// The aggregator asks for the proof that this host is who it says it is.
-    fn challenged(&mut self, aggregator: &Slug, nonce: &Nonce, enrol: bool, now: MonoTime) {
+    fn challenged(
+        &mut self,
+        aggregator: &Slug,
+        nonce: &Nonce,
+        enrol: bool,
+        version: Option<u16>,
+        now: MonoTime,
+    ) {
         if !self.session.challenged(now) {
             return;
         }
+        self.session.choose(version.unwrap_or(STREAM_VERSIONS.oldest()));
         self.answered(now);
         let code = self.secret.prove(nonce, &self.hello(), aggregator);
         let secret = enrol.then(|| self.secret.clone());

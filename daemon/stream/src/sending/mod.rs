@@ -172,6 +172,11 @@ impl Sending {
         self.lane.compresses()
     }
 
+    /// Version of the event stream that was chosen for the connection; the oldest before one was.
+    pub const fn version(&self) -> u16 {
+        self.session.version()
+    }
+
     /// A live update of so many bytes was sent.
     pub const fn shown(&mut self, bytes: usize) {
         self.lane.shown(bytes as u64);

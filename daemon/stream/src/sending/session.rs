@@ -5,7 +5,7 @@ use peernet_logger::Slug;
 
 use super::SendingConfig;
 use super::spool_reader::SpoolScan;
-use crate::Chain;
+use crate::{Chain, STREAM_VERSIONS};
 
 /// Greetings without any progress that follow one another at once; later ones wait, each longer than the one before.
 const PROMPT_GREETINGS: u32 = 3;
@@ -55,13 +55,16 @@ pub(super) struct Session {
     greeted: MonoTime,
     /// The proof that the aggregator asked for, to be sent at once.
     proof: Option<Vec<u8>>,
+    /// Version of the event stream that the aggregator chose; the oldest until it has.
+    version: u16,
 }
 
 impl Session {
     /// There is no connection.
     pub(super) fn new(config: SendingConfig) -> Self {
         let (link, greeted) = (Link::Down, MonoTime::default());
-        Self { config, link, greetings: 0, unanswered: 0, greeted, proof: None }
+        let version = STREAM_VERSIONS.oldest();
+        Self { config, link, greetings: 0, unanswered: 0, greeted, proof: None, version }
     }
 
     /// Whether the aggregator knows us.
@@ -82,7 +85,7 @@ impl Session {
 
     /// There is none.
     pub(super) fn disconnect(&mut self) {
-        (self.link, self.proof) = (Link::Down, None);
+        (self.link, self.proof, self.version) = (Link::Down, None, STREAM_VERSIONS.oldest());
     }
 
     /// Says hello: at once, unless that led to nothing several times.
@@ -128,6 +131,16 @@ impl Session {
     /// The aggregator answered a greeting: how long that took, where it is known which of several it answered.
     pub(super) fn answered(&mut self, now: MonoTime) -> Option<Span> {
         (std::mem::take(&mut self.unanswered) == 1).then(|| now - self.greeted)
+    }
+
+    /// Version of the event stream that is spoken on the connection.
+    pub(super) const fn version(&self) -> u16 {
+        self.version
+    }
+
+    /// The aggregator chose a version.
+    pub(super) const fn choose(&mut self, version: u16) {
+        self.version = version;
     }
 
     /// The aggregator asks for a proof: what that leads to takes another round trip. Whether it was greeted.

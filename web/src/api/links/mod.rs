@@ -1,6 +1,7 @@
 //! Links and their clocks.
 
 mod clock;
+mod connections;
 mod schema;
 
 use axum::Json;

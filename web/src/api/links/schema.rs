@@ -8,6 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::clock::{ClockOffset, Delay, Probes, RoundTrip};
+use super::connections::LinkConnection;
 use crate::api::schema::{HostClock, time};
 use crate::view::link::{Subject, name};
 
@@ -51,6 +52,8 @@ pub(crate) struct LinkNow {
     /// The limit of drift that the bounds rest on, parts per million.
     pub max_drift_ppm: f64,
     pub exchanges: Exchanges,
+    /// Open connections, one for each pipeline.
+    pub connections: Vec<LinkConnection>,
     /// The last second.
     #[serde(flatten)]
     pub second: LinkPoint,
@@ -191,6 +194,7 @@ impl From<&LinkPicture> for Link {
                 cloud_clock: live.cloud.as_ref().map(HostClock::from),
                 max_drift_ppm: live.now.max_drift_ppm,
                 exchanges: live.now.exchanges.into(),
+                connections: live.connections.iter().map(LinkConnection::from).collect(),
                 second: LinkPoint {
                     at: time(live.now.at),
                     offset: live.now.offset.as_ref().map(ClockOffset::from),

@@ -1,6 +1,7 @@
 //! One link, an edge's clock and a cloud's, as its page shows it.
 
 pub(crate) mod chart;
+pub(crate) mod connections;
 pub(crate) mod course;
 pub(crate) mod delays;
 pub(crate) mod finding;

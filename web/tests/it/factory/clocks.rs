@@ -6,7 +6,8 @@ use peernet_clock::{
 };
 use peernet_logger::{HostId, stage};
 use peernet_stream::{
-    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip,
+    ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics, HostClock,
+    LinkLive, NetworkInterface, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
 };
 
 use super::{Clocks, Line, Numbers, slug};
@@ -140,6 +141,48 @@ pub(super) fn sample(
     }
 }
 
+/// The connection of a line: an upload of 10 MB a second since the Unix epoch.
+fn connection(pipeline: &str, at: WallTime) -> Connection {
+    let seconds = at.unix_seconds().unsigned_abs();
+    let sent = DirectionStatistics {
+        bytes: seconds * 10_000_000,
+        messages: seconds * 30,
+        datagrams: Some(seconds * 7_000),
+        duplicated: Some(0),
+        reordered: Some(4),
+        retransmitted: Some(17),
+        lost: None,
+    };
+    let received = DirectionStatistics {
+        bytes: seconds * 9_000,
+        messages: seconds * 30,
+        datagrams: Some(seconds * 30),
+        reordered: Some(0),
+        ..DirectionStatistics::default()
+    };
+    Connection {
+        pipeline: slug(pipeline),
+        network: "zmq-tcp".into(),
+        local: Some("192.0.2.7:40112".into()),
+        remote: Some("192.0.2.5:5551".into()),
+        interface: Some(NetworkInterface {
+            name: "wlan0".into(),
+            kind: Some("wireless".into()),
+            mtu_bytes: Some(1_500),
+        }),
+        statistics: ConnectionStatistics {
+            sent,
+            received,
+            round_trip: Some(TransportRoundTrip {
+                min: Some(Span::from_micros(1_080)),
+                smoothed: Span::from_micros(2_310),
+                variation: Span::from_micros(140),
+            }),
+            ..ConnectionStatistics::default()
+        },
+    }
+}
+
 /// The link of a line, as its edge tells of it.
 pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
     let probing = match line.clocks {
@@ -161,6 +204,7 @@ pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
         probing,
         edge: Some(clock),
         cloud: Some(host_clock(false, now.at)),
+        connections: vec![connection(line.name, now.at)],
         now,
     }
 }

@@ -3,6 +3,7 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr};
 
+use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 use socket2::{Domain, Socket, Type};
 
 use crate::ros2::{Ros2Error, SocketBufferWarning};
@@ -21,9 +22,9 @@ impl Interfaces {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::UnknownInterface`] for one that does not exist.
+    /// [`Ros2Error::UnknownInterface`] for one that does not exist, [`Ros2Error::Interfaces`] when the kernel lists none.
     pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
-        Self::find_among(names, &existing())
+        Self::find_among(names, &existing().map_err(Ros2Error::Interfaces)?)
     }
 
     fn find_among(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, Ros2Error> {
@@ -50,12 +51,12 @@ impl Interfaces {
     }
 }
 
-fn existing() -> Vec<(String, Ipv4Addr)> {
-    let interfaces = netdev::get_interfaces();
-    let of_interface = |interface: &netdev::Interface| {
-        interface.ipv4.iter().map(|net| (interface.name.clone(), net.addr())).collect::<Vec<_>>()
+fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
+    let with_address = |interface: InterfaceAddress| {
+        let address = interface.address.as_ref()?.as_sockaddr_in()?.ip();
+        Some((interface.interface_name, address))
     };
-    interfaces.iter().flat_map(of_interface).collect()
+    Ok(getifaddrs()?.filter_map(with_address).collect())
 }
 
 fn list(existing: &[(String, Ipv4Addr)]) -> String {

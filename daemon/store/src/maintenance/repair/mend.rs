@@ -19,13 +19,14 @@ const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
 /// Rows that refer to rows that are lost: they are deleted. A host whose stream is lost is asked what it still has, as
 /// after a restored backup.
-const ORPHANS: [(&str, &str); 6] = [
+const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
     ("link", "edge NOT IN (SELECT id FROM host) OR cloud NOT IN (SELECT id FROM host)"),
     ("host_secret", "host NOT IN (SELECT id FROM host)"),
     ("clock_sample", "link NOT IN (SELECT id FROM link)"),
     ("clock_window", "link NOT IN (SELECT id FROM link)"),
+    ("connection_sample", "link NOT IN (SELECT id FROM link)"),
 ];
 
 /// What the salvaged tables lack.

@@ -40,8 +40,9 @@ fn version_that_agent_does_not_speak_is_not_proven() {
     assert!(agent.proofs.is_empty());
     let Some(Notice::Refused(reason)) = agent.notices.last() else { panic!("{:?}", agent.notices) };
     assert!(reason.contains("the aggregator on base"), "{reason}");
+    assert_eq!(agent.sending.version(), STREAM_VERSIONS.oldest(), "until one is chosen that it speaks");
     agent.receive(&spoken);
-    assert_eq!(agent.proofs.len(), 1);
+    assert_eq!((agent.proofs.len(), agent.sending.version()), (1, chosen));
 }
 
 #[test]

@@ -1,0 +1,67 @@
+//! The open connections of a link, as live updates tell of them.
+
+use std::collections::BTreeMap;
+
+use peernet_clock::{MonoTime, Span};
+use peernet_networks::{ConnectionAddresses, interface_of};
+use peernet_stream::{Connection, NetworkInterface};
+
+use super::shared::Session;
+
+/// Statistics are read anew when they are this old, because each reading asks the kernel; live updates are more frequent.
+const MAX_AGE: Span = Span::from_seconds(1);
+
+/// Connections as they were read last.
+#[derive(Debug, Default)]
+pub(super) struct Connections {
+    read_at: Option<MonoTime>,
+    by_session: BTreeMap<u64, Connection>,
+    /// Whether it was told that the interfaces cannot be listed.
+    has_complained: bool,
+}
+
+impl Connections {
+    /// Returns the connections of these sessions; reads them anew when that was not done for a second. A session that is
+    /// over keeps what was last read of it until it leaves the link.
+    pub(super) fn of(&mut self, sessions: &[Session], now: MonoTime) -> Vec<Connection> {
+        self.by_session.retain(|id, _| sessions.iter().any(|session| session.id == *id));
+        let is_due = self.read_at.is_none_or(|at| now - at >= MAX_AGE);
+        if is_due {
+            self.read_at = Some(now);
+        }
+        for session in sessions {
+            if let Some(connection) = self.by_session.get_mut(&session.id) {
+                if is_due && let Some(statistics) = session.statistics.read() {
+                    connection.statistics = statistics;
+                }
+            } else if let Some(connection) = self.first_reading(session) {
+                self.by_session.insert(session.id, connection);
+            }
+        }
+        self.by_session.values().cloned().collect()
+    }
+
+    fn first_reading(&mut self, session: &Session) -> Option<Connection> {
+        let statistics = session.statistics.read()?;
+        let addresses = session.statistics.addresses();
+        Some(Connection {
+            pipeline: session.pipeline.clone(),
+            network: session.network.name().to_owned(),
+            local: addresses.map(|addresses| addresses.local.to_string()),
+            remote: addresses.map(|addresses| addresses.remote.to_string()),
+            // It stays the same as long as the connection has this local address.
+            interface: addresses.and_then(|addresses| self.interface(&addresses)),
+            statistics,
+        })
+    }
+
+    fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {
+        interface_of(addresses).unwrap_or_else(|error| {
+            if !std::mem::replace(&mut self.has_complained, true) {
+                let local = addresses.local;
+                tracing::info!(%error, %local, "cannot list the network interfaces: those of connections are not shown");
+            }
+            None
+        })
+    }
+}

@@ -1,0 +1,164 @@
+//! Which statistics of connections are stored: those of once a minute, and the last ones of a connection that has ended.
+//!
+//! They come from the live picture: totals that were missed are part of the next.
+
+use std::collections::HashMap;
+
+use peernet_clock::{MonoTime, Span};
+use peernet_logger::{HostId, Slug};
+use peernet_store::writing::ConnectionSample;
+
+use crate::picture::Picture;
+
+/// How often a connection is stored while it is open.
+const INTERVAL: Span = Span::from_seconds(60);
+
+/// What tells connections apart: edge, cloud, pipeline, kind of network and the edge's end.
+type Key = (HostId, HostId, Slug, String, Option<String>);
+
+/// Connections as they were seen last.
+#[derive(Debug, Default)]
+pub(super) struct ConnectionLog {
+    open: HashMap<Key, OpenConnection>,
+}
+
+#[derive(Debug)]
+struct OpenConnection {
+    sample: ConnectionSample,
+    /// When it was last stored, or first seen.
+    stored_at: MonoTime,
+}
+
+impl ConnectionLog {
+    /// Takes in a picture. Returns what is to be stored now.
+    pub(super) fn observe(&mut self, picture: &Picture, now: MonoTime) -> Vec<ConnectionSample> {
+        let mut due = Vec::new();
+        let mut before = std::mem::take(&mut self.open);
+        for link in picture.links.iter().filter(|link| link.connected) {
+            for connection in &link.live.connections {
+                let (edge, cloud) = (link.edge, link.live.peer);
+                let (pipeline, network) = (connection.pipeline.clone(), connection.network.clone());
+                let key = (edge, cloud, pipeline, network, connection.local.clone());
+                let mut stored_at = before.remove(&key).map_or(now, |known| known.stored_at);
+                let sample =
+                    ConnectionSample { edge, cloud, at: link.live.now.at, connection: connection.clone() };
+                if now - stored_at >= INTERVAL {
+                    stored_at = now;
+                    due.push(sample.clone());
+                }
+                self.open.insert(key, OpenConnection { sample, stored_at });
+            }
+        }
+        due.extend(before.into_values().map(|ended| ended.sample));
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ExchangeCounts, WallTime};
+    use peernet_stream::{
+        ClockSample, Connection, ConnectionStatistics, DirectionStatistics, LinkLive, ProbeCounts, Probing,
+    };
+
+    use super::*;
+    use crate::picture::{LinkPicture, Totals};
+
+    fn slug(text: &str) -> Slug {
+        text.parse().expect("a name")
+    }
+
+    fn after(seconds: i64) -> MonoTime {
+        MonoTime::from_nanos(7) + Span::from_seconds(seconds)
+    }
+
+    fn connection(local: &str, bytes: u64) -> Connection {
+        Connection {
+            pipeline: slug("line"),
+            network: "zmq-tcp".into(),
+            local: Some(local.into()),
+            remote: None,
+            interface: None,
+            statistics: ConnectionStatistics {
+                sent: DirectionStatistics { bytes, ..DirectionStatistics::default() },
+                ..ConnectionStatistics::default()
+            },
+        }
+    }
+
+    /// A picture with one link.
+    fn picture(connected: bool, connections: Vec<Connection>) -> Picture {
+        let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
+        let now = ClockSample {
+            peer,
+            peer_name: slug("cloud"),
+            at,
+            window: 7,
+            max_drift_ppm: 50.0,
+            upper: None,
+            lower: None,
+            offset: None,
+            probes: ProbeCounts::default(),
+            exchanges: ExchangeCounts::default(),
+            round_trip: None,
+            up: None,
+            down: None,
+        };
+        let live = LinkLive {
+            peer,
+            peer_name: slug("cloud"),
+            networks: Vec::new(),
+            pipelines: Vec::new(),
+            same_clock: false,
+            probing: Probing::Off("a test".into()),
+            edge: None,
+            cloud: None,
+            now,
+            connections,
+        };
+        let (edge, history) = (HostId::from_bytes([1; 16]), Vec::new());
+        let link = LinkPicture { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };
+        Picture {
+            at,
+            aggregator: slug("base"),
+            listening: String::new(),
+            hosts: Vec::new(),
+            pipelines: Vec::new(),
+            links: vec![Arc::new(link)],
+            refused: Vec::new(),
+            absent: 0,
+            totals: Totals::default(),
+        }
+    }
+
+    fn bytes(samples: &[ConnectionSample]) -> Vec<u64> {
+        samples.iter().map(|sample| sample.connection.statistics.sent.bytes).collect()
+    }
+
+    #[test]
+    fn open_connection_is_stored_once_a_minute() {
+        let mut log = ConnectionLog::default();
+        let stored: Vec<u64> = (0..=150)
+            .flat_map(|second: i64| {
+                let picture = picture(true, vec![connection("10.0.0.2:1", second.unsigned_abs())]);
+                bytes(&log.observe(&picture, after(second)))
+            })
+            .collect();
+        assert_eq!(stored, [60, 120]);
+    }
+
+    #[test]
+    fn ended_connection_is_stored_with_its_last_totals() {
+        let mut log = ConnectionLog::default();
+        let open = |local, bytes| picture(true, vec![connection(local, bytes)]);
+        assert_eq!(bytes(&log.observe(&open("10.0.0.2:1", 5), after(0))), [0; 0]);
+        // It was reopened from another port.
+        assert_eq!(bytes(&log.observe(&open("10.0.0.2:2", 1), after(1))), [5]);
+        // The edge went away.
+        let gone = picture(false, vec![connection("10.0.0.2:2", 1)]);
+        assert_eq!(bytes(&log.observe(&gone, after(2))), [1]);
+        assert_eq!(bytes(&log.observe(&gone, after(3))), [0; 0]);
+    }
+}

@@ -1,0 +1,139 @@
+//! Network interfaces of this host.
+
+use std::fs;
+use std::io;
+use std::net::IpAddr;
+use std::path::Path;
+
+use nix::ifaddrs::getifaddrs;
+use nix::net::if_::InterfaceFlags;
+use peernet_stream::NetworkInterface;
+
+use crate::ConnectionAddresses;
+
+/// Where Linux describes the interfaces.
+const SYSFS: &str = "/sys/class/net";
+
+/// Hardware types of Linux (`ARPHRD_*` in `linux/if_arp.h`).
+const ETHERNET: u32 = 1;
+const LOOPBACK: u32 = 772;
+const TUNNELS: [u32; 5] = [
+    512,    // PPP
+    768,    // IPv4 in IPv4
+    769,    // IPv6 in IPv6
+    776,    // IPv6 in IPv4
+    65_534, // neither hardware nor address: TUN, WireGuard
+];
+
+/// Returns the interface that the packets of a connection leave by; `None` when no interface has the local address any
+/// more.
+///
+/// # Errors
+/// When the system does not list its interfaces.
+pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
+    let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
+    let mut by_address = None;
+    let mut loopback = None;
+    let mut stays_here = remote.is_loopback();
+    for entry in getifaddrs()? {
+        if entry.flags.contains(InterfaceFlags::IFF_LOOPBACK) {
+            loopback.get_or_insert_with(|| entry.interface_name.clone());
+        }
+        let Some(address) = entry.address.as_ref().and_then(ip) else { continue };
+        stays_here |= address == remote;
+        if address == local {
+            by_address.get_or_insert(entry.interface_name);
+        }
+    }
+    // Linux sends what is for one of its own addresses over the loopback interface, whichever interface has the address.
+    let name = if stays_here { loopback } else { by_address };
+    Ok(name.map(|name| describe(Path::new(SYSFS), name)))
+}
+
+fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
+    let v4 = address.as_sockaddr_in().map(|address| IpAddr::V4(address.ip()));
+    v4.or_else(|| address.as_sockaddr_in6().map(|address| IpAddr::V6(address.ip())))
+}
+
+fn describe(sysfs: &Path, name: String) -> NetworkInterface {
+    let folder = sysfs.join(&name);
+    let number = |file: &str| fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u32>().ok();
+    let is_wireless = ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists());
+    let kind = number("type").map(|hardware| match hardware {
+        _ if is_wireless => "wireless".to_owned(),
+        ETHERNET => "ethernet".to_owned(),
+        LOOPBACK => "loopback".to_owned(),
+        hardware if TUNNELS.contains(&hardware) => "tunnel".to_owned(),
+        other => format!("type {other}"),
+    });
+    NetworkInterface { name, kind, mtu_bytes: number("mtu") }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{SocketAddr, UdpSocket};
+
+    use super::*;
+
+    #[test]
+    fn loopback_connection_leaves_by_loopback() {
+        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
+        for (local, remote) in [
+            ("127.0.0.1:40000", "127.0.0.1:5551"),
+            ("127.0.0.1:40000", "127.0.0.2:5551"),
+            ("[::ffff:127.0.0.1]:40000", "[::ffff:127.0.0.1]:5551"),
+        ] {
+            let addresses = ConnectionAddresses { local: at(local), remote: at(remote) };
+            let interface = interface_of(&addresses).expect("interfaces are listed").expect(local);
+            assert_eq!(
+                (interface.name.as_str(), interface.kind.as_deref()),
+                ("lo", Some("loopback")),
+                "{local}"
+            );
+            assert!(interface.mtu_bytes.is_some_and(|mtu| mtu >= 1_280), "{interface:?}");
+        }
+    }
+
+    #[test]
+    fn address_of_no_interface_has_none() {
+        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
+        // TEST-NET-1 and TEST-NET-2 (RFC 5737).
+        let addresses = ConnectionAddresses { local: at("192.0.2.1:1"), remote: at("198.51.100.1:2") };
+        assert_eq!(interface_of(&addresses).expect("interfaces are listed"), None);
+    }
+
+    #[test]
+    fn own_address_as_peer_leaves_by_loopback() {
+        // A connected datagram socket knows its local address without sending anything.
+        let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
+        if socket.connect("192.0.2.1:9").is_err() {
+            return;
+        }
+        let own = socket.local_addr().expect("connected");
+        let interface = interface_of(&ConnectionAddresses { local: own, remote: own });
+        let interface = interface.expect("interfaces are listed").expect("the address is of this host");
+        assert_eq!(interface.name, "lo");
+    }
+
+    #[test]
+    fn kind_is_read_from_hardware_type() {
+        let sysfs = tempfile::tempdir().expect("a folder");
+        for (name, hardware, extra, kind) in [
+            ("eth0", "1\n", "", "ethernet"),
+            ("wlan0", "1\n", "phy80211", "wireless"),
+            ("wlp1s0", "1\n", "wireless", "wireless"),
+            ("wg0", "65534\n", "", "tunnel"),
+            ("can0", "280\n", "", "type 280"),
+        ] {
+            let folder = sysfs.path().join(name);
+            fs::create_dir_all(folder.join(extra)).expect("a folder");
+            fs::write(folder.join("type"), hardware).expect("a file");
+            fs::write(folder.join("mtu"), "1280\n").expect("a file");
+            let expected =
+                NetworkInterface { name: name.into(), kind: Some(kind.into()), mtu_bytes: Some(1_280) };
+            assert_eq!(describe(sysfs.path(), name.into()), expected);
+        }
+        let gone = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
+        assert_eq!(describe(sysfs.path(), "usb0".into()), gone);
+    }
+}

@@ -1,0 +1,92 @@
+//! What was sent and received on a connection or at a listener, in numbers.
+
+use std::net::SocketAddr;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+pub use peernet_stream::{ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
+
+/// The totals that sessions count whatever the transport is, written from any thread.
+#[derive(Debug, Default)]
+pub(crate) struct Counters {
+    sent_messages: AtomicU64,
+    sent_bytes: AtomicU64,
+    received_messages: AtomicU64,
+    received_bytes: AtomicU64,
+    malformed: AtomicU64,
+    late: AtomicU64,
+    lost: AtomicU64,
+}
+
+/// What a transport knows of a connection beside whole messages. Totals since the connection was opened; what the
+/// transport does not know is `None`, never 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct TransportStatistics {
+    pub(crate) sent: DatagramStatistics,
+    pub(crate) received: DatagramStatistics,
+    pub(crate) round_trip: Option<TransportRoundTrip>,
+}
+
+/// Datagrams of one direction, as in [`DirectionStatistics`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct DatagramStatistics {
+    pub(crate) datagrams: Option<u64>,
+    pub(crate) lost: Option<u64>,
+    pub(crate) duplicated: Option<u64>,
+    pub(crate) reordered: Option<u64>,
+    pub(crate) retransmitted: Option<u64>,
+}
+
+/// The two ends of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConnectionAddresses {
+    /// This end.
+    pub local: SocketAddr,
+    /// The peer.
+    pub remote: SocketAddr,
+}
+
+impl Counters {
+    pub(crate) fn sent(&self, bytes: u64) {
+        self.sent_messages.fetch_add(1, Ordering::Relaxed);
+        self.sent_bytes.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    pub(crate) fn received(&self, bytes: u64) {
+        self.received_messages.fetch_add(1, Ordering::Relaxed);
+        self.received_bytes.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    pub(crate) fn malformed(&self) {
+        self.malformed.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn late(&self) {
+        self.late.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn lost(&self, count: u64) {
+        self.lost.fetch_add(count, Ordering::Relaxed);
+    }
+
+    /// Returns the totals together with those that the transport has.
+    pub(crate) fn statistics(&self, transport: &TransportStatistics) -> ConnectionStatistics {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        ConnectionStatistics {
+            sent: direction(read(&self.sent_messages), read(&self.sent_bytes), transport.sent),
+            received: direction(
+                read(&self.received_messages),
+                read(&self.received_bytes),
+                transport.received,
+            ),
+            malformed_messages: read(&self.malformed),
+            late_messages: read(&self.late),
+            lost_messages: read(&self.lost),
+            round_trip: transport.round_trip,
+        }
+    }
+}
+
+const fn direction(messages: u64, bytes: u64, transport: DatagramStatistics) -> DirectionStatistics {
+    let DatagramStatistics { datagrams, lost, duplicated, reordered, retransmitted } = transport;
+    DirectionStatistics { bytes, messages, datagrams, lost, duplicated, reordered, retransmitted }
+}

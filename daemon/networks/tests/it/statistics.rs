@@ -1,0 +1,61 @@
+//! What both ends count of a connection, and what the kernel tells of it.
+
+use peernet_clock::Span;
+use peernet_networks::interface_of;
+use peernet_stream::ConnectionStatistics;
+
+use crate::support::{Cloud, PATIENCE, log, sample, settings, within};
+
+#[tokio::test]
+async fn both_ends_count_same_bytes_and_messages() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    for size in [0, 10, 300_000] {
+        let pending = tokio::spawn({
+            let session = session.clone();
+            async move { session.request(log(), &sample(&"x".repeat(size)), PATIENCE).await }
+        });
+        let incoming = cloud.next_request().await;
+        incoming.reply.send(incoming.log, Ok(sample("answer")));
+        assert!(within(pending).await.expect("no panic").result.is_ok());
+    }
+    let (edge, listener) = (session.statistics(), cloud.listener.statistics());
+    // The hello and three samples; its acceptance and three answers.
+    assert_eq!((edge.sent.messages, edge.received.messages), (4, 4));
+    assert!(edge.sent.bytes > 300_010, "{edge:?}");
+    let totals = |one: &ConnectionStatistics| {
+        [one.sent, one.received].map(|direction| (direction.messages, direction.bytes))
+    };
+    let mut mirrored = totals(&listener);
+    mirrored.reverse();
+    assert_eq!(totals(&edge), mirrored);
+
+    // What a listener adds up of several connections, no kernel counts.
+    assert_eq!((listener.round_trip, listener.sent.retransmitted), (None, None));
+}
+
+#[tokio::test]
+async fn tcp_connection_has_round_trip_and_interface() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let reader = session.statistics_reader();
+    let known = reader.read().expect("the session is open");
+    let trip = known.round_trip.expect("the handshake was acknowledged");
+    assert!(trip.smoothed > Span::ZERO && trip.smoothed < Span::from_seconds(1), "{trip:?}");
+    assert!(known.sent.datagrams.is_some_and(|segments| segments > 0), "{known:?}");
+    assert!(known.sent.retransmitted.is_some(), "{known:?}");
+    assert_eq!(
+        (known.sent.lost, known.received.retransmitted),
+        (None, None),
+        "the kernel does not count these"
+    );
+
+    let addresses = reader.addresses().expect("a TCP connection has addresses");
+    assert_eq!(addresses.remote.port(), cloud.address().port());
+    let interface = interface_of(&addresses).expect("interfaces are listed").expect("it has one");
+    assert_eq!((interface.name.as_str(), interface.kind.as_deref()), ("lo", Some("loopback")));
+
+    session.close().await;
+    drop(session);
+    assert_eq!(reader.read(), None);
+}

@@ -1,0 +1,150 @@
+//! Any bytes at the parsers of what arrives from ROS networks: what the fuzz targets in `fuzz/` and a test run.
+
+use bytes::{BufMut, Bytes};
+
+use crate::messages::{CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, WireForm};
+use crate::ros1::TopicType;
+use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
+use crate::ros1::xmlrpc::{parse_call, parse_response, write_call, write_response};
+
+/// Longest frame that [`any_connection`] allows.
+const MAX_FRAME_BYTES: usize = 64 * 1024;
+
+/// The bytes are a call and a response of XML-RPC.
+///
+/// # Panics
+/// When what was read cannot be written and read again.
+pub fn any_xml_rpc(data: &[u8]) {
+    if let Ok(call) = parse_call(data) {
+        parse_call(write_call(&call).as_bytes()).expect("what was read is written so that it can be read");
+    }
+    if let Ok(response) = parse_response(data) {
+        parse_response(write_response(&response).as_bytes()).expect("and so is a response");
+    }
+}
+
+/// The first byte says how many bytes arrive at a time, the others arrive on a connection of TCPROS. Each frame is taken for
+/// a subscriber's header and for a publisher's.
+///
+/// # Panics
+/// When more room is reserved than the bytes that arrived justify, or a header that was read cannot be sent.
+pub fn any_connection(data: &[u8]) {
+    let Some((&step, data)) = data.split_first() else { return };
+    let publication = Publication {
+        node: "/publisher".into(),
+        topic: "/topic".into(),
+        kind: TopicType::of::<StringMessage>(),
+        is_latching: false,
+    };
+    let subscription = Subscription {
+        node: "/subscriber".into(),
+        topic: "/topic".into(),
+        kind: TopicType::of::<StringMessage>(),
+    };
+    let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
+    for piece in data.chunks(usize::from(step) + 1) {
+        buffer.input().put_slice(piece);
+        assert!(buffer.input().capacity() <= 4 * MAX_FRAME_BYTES, "{} bytes", buffer.input().capacity());
+        loop {
+            let frame = match buffer.next_frame() {
+                Ok(Some(frame)) => frame,
+                Ok(None) => break,
+                Err(_) => return,
+            };
+            let Ok(header) = ConnectionHeader::decode(&frame) else { continue };
+            assert_eq!(ConnectionHeader::decode(&header.encode()[4..]).as_ref(), Ok(&header));
+            let error = match publication.answer(&header) {
+                Ok(_) => continue,
+                Err(error) => error.to_string(),
+            };
+            ConnectionHeader::decode(&ConnectionHeader::error(&error).encode()[4..])
+                .expect("an error is a header");
+            // Accepted or not: only a crash is a failure.
+            let _ = subscription.accept(&header);
+        }
+    }
+}
+
+/// The bytes are a message of each type in both wire forms.
+///
+/// # Panics
+/// When a message that was read has more bytes than arrived, once written.
+pub fn any_message(data: &[u8]) {
+    fn read<M: Message>(form: WireForm, data: &Bytes) {
+        let Ok(message) = M::decode(form, data.clone()) else { return };
+        // CDR may have texts with a NUL inside, which are not written.
+        if let Ok(encoded) = message.encode(form) {
+            // CDR allows an empty text without its NUL, and each may take three bytes of padding.
+            assert!(form == WireForm::Cdr || encoded.len() == data.len());
+        }
+    }
+    let data = Bytes::copy_from_slice(data);
+    for form in [WireForm::Ros1, WireForm::Cdr] {
+        read::<StringMessage>(form, &data);
+        read::<Image>(form, &data);
+        read::<CompressedImage>(form, &data);
+        read::<Imu>(form, &data);
+        read::<PointCloud2>(form, &data);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use proptest::prelude::*;
+
+    use super::{any_connection, any_message, any_xml_rpc};
+
+    /// A fuzz target: the name of its corpus, and its function.
+    type Target = (&'static str, fn(&[u8]));
+
+    const TARGETS: [Target; 3] =
+        [("xml_rpc", any_xml_rpc), ("ros1_connection", any_connection), ("ros_message", any_message)];
+
+    fn corpus(name: &str) -> Vec<Vec<u8>> {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus").join(name);
+        let entries = folder.read_dir().expect("the corpus is in the checkout");
+        entries.map(|entry| std::fs::read(entry.unwrap().path()).unwrap()).collect()
+    }
+
+    #[test]
+    fn corpora_are_survived() {
+        for (name, run) in TARGETS {
+            let corpus = corpus(name);
+            assert!(!corpus.is_empty(), "{name}");
+            corpus.iter().for_each(|data| run(data));
+        }
+    }
+
+    /// Inputs of all corpora, each with the function of its target.
+    fn inputs() -> impl Strategy<Value = (fn(&[u8]), Vec<u8>)> {
+        let pairs = |(name, run): Target| corpus(name).into_iter().map(move |data| (run, data));
+        proptest::sample::select(TARGETS.into_iter().flat_map(pairs).collect::<Vec<_>>())
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..400)) {
+            TARGETS.into_iter().for_each(|(_, run)| run(&data));
+        }
+
+        #[test]
+        fn damaged_corpora_are_survived(
+            (run, mut data) in inputs(),
+            changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
+        ) {
+            for (at, byte, how) in changes {
+                let at = at.index(data.len() + 1);
+                match how {
+                    0 => data.insert(at, byte),
+                    1 => data.truncate(at),
+                    2 => data.extend_from_within(at..),
+                    _ if at < data.len() => data[at] = byte,
+                    _ => {}
+                }
+            }
+            run(&data);
+        }
+    }
+}

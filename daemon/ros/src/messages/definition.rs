@@ -1,0 +1,31 @@
+//! Definitions of message types in ROS 1.
+
+use std::fmt::Write;
+
+/// Type name, MD5 sum and text of a ROS 1 message type.
+///
+/// Peers compare the sum; `rosbag record` stores the text, so that others can read the bag without the package.
+#[derive(Debug)]
+pub struct MessageDefinition {
+    /// Package and name, such as `sensor_msgs/Image`.
+    pub name: &'static str,
+    /// MD5 sum as genmsg computes it, in hexadecimal digits.
+    pub md5: &'static str,
+    /// Constants and fields, one a line, without comments.
+    pub text: &'static str,
+    /// Types that the text names, and those that they name, in the order in which they appear first.
+    pub dependencies: &'static [&'static MessageDefinition],
+}
+
+impl MessageDefinition {
+    /// Returns the text followed by those of the dependencies, as connection headers and bags have it.
+    pub fn full_text(&self) -> String {
+        let mut full = self.text.to_owned();
+        for dependency in self.dependencies {
+            let line = "=".repeat(80);
+            // Writing to a String cannot fail.
+            let _ = write!(full, "\n{line}\nMSG: {}\n{}", dependency.name, dependency.text);
+        }
+        full
+    }
+}

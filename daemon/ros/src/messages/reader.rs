@@ -1,0 +1,196 @@
+//! Decoding of messages.
+
+use bytes::Bytes;
+use thiserror::Error;
+
+use super::WireForm;
+
+/// Padding that may follow a message in CDR, where payloads are multiples of four bytes.
+const MAX_CDR_PADDING: usize = 3;
+
+/// Bytes that are not a message of the type.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum DecodeError {
+    /// The bytes end inside the message.
+    #[error(
+        "the message ends too early: {needed} more bytes are needed at byte {offset}, {available} are there"
+    )]
+    TooShort {
+        /// Position in the message.
+        offset: usize,
+        /// Bytes that the message says should follow.
+        needed: usize,
+        /// Bytes that follow.
+        available: usize,
+    },
+    /// More bytes than the message has.
+    #[error("{count} bytes follow the end of the message; is it of another type?")]
+    TrailingBytes {
+        /// Their number.
+        count: usize,
+    },
+    /// A text that is not UTF-8.
+    #[error("the text at byte {offset} is not UTF-8")]
+    NotUtf8 {
+        /// Position in the message.
+        offset: usize,
+    },
+    /// A text of CDR without the NUL that ends it.
+    #[error("the text at byte {offset} has no NUL at its end")]
+    UnterminatedText {
+        /// Position in the message.
+        offset: usize,
+    },
+    /// A boolean that is neither 0 nor 1.
+    #[error("byte {offset} is {value}, but a boolean is 0 or 1")]
+    NotBoolean {
+        /// Position in the message.
+        offset: usize,
+        /// Its value.
+        value: u8,
+    },
+    /// An encapsulation other than plain CDR.
+    #[error(
+        "encapsulation {first:#04x} {second:#04x} is not read; publish with plain CDR of version 1 (00 00 or 00 01)"
+    )]
+    Encapsulation {
+        /// First byte.
+        first: u8,
+        /// Second byte.
+        second: u8,
+    },
+}
+
+/// Reads the fields of one message.
+///
+/// Nothing is allocated because a length claims it: every length is compared with the bytes that are there.
+#[derive(Debug)]
+pub struct Reader {
+    form: WireForm,
+    is_big_endian: bool,
+    bytes: Bytes,
+    offset: usize,
+    /// Position from which alignment counts.
+    origin: usize,
+}
+
+impl Reader {
+    /// Creates a reader; one of CDR has read the encapsulation header.
+    ///
+    /// # Errors
+    /// The header is missing or of another encapsulation.
+    pub fn new(form: WireForm, bytes: Bytes) -> Result<Self, DecodeError> {
+        let mut reader = Self { form, is_big_endian: false, bytes, offset: 0, origin: 0 };
+        if form == WireForm::Cdr {
+            let [first, second, ..] = reader.take_array::<4>()?;
+            if first != 0 || second > 1 {
+                return Err(DecodeError::Encapsulation { first, second });
+            }
+            reader.is_big_endian = second == 0;
+            reader.origin = reader.offset;
+        }
+        Ok(reader)
+    }
+
+    /// Returns the wire form.
+    pub fn form(&self) -> WireForm {
+        self.form
+    }
+
+    /// Returns the number of bytes not yet read.
+    pub fn remaining(&self) -> usize {
+        self.bytes.len() - self.offset
+    }
+
+    /// Returns the position in the message.
+    pub fn offset(&self) -> usize {
+        self.offset
+    }
+
+    fn advance(&mut self, count: usize) -> Result<usize, DecodeError> {
+        let (offset, available) = (self.offset, self.remaining());
+        if count > available {
+            return Err(DecodeError::TooShort { offset, needed: count, available });
+        }
+        self.offset += count;
+        Ok(offset)
+    }
+
+    fn take_array<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+        let start = self.advance(N)?;
+        let mut array = [0; N];
+        array.copy_from_slice(&self.bytes[start..start + N]);
+        Ok(array)
+    }
+
+    /// Reads a number of `N` bytes and returns them in little-endian order.
+    ///
+    /// # Errors
+    /// The bytes end before it.
+    pub fn take_number<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+        if self.form == WireForm::Cdr {
+            let position = self.offset - self.origin;
+            self.advance(position.wrapping_neg() & (N - 1))?;
+        }
+        let mut number = self.take_array()?;
+        if self.is_big_endian {
+            number.reverse();
+        }
+        Ok(number)
+    }
+
+    /// Reads the number of elements of a sequence, each of which takes at least `min_element_bytes`.
+    ///
+    /// # Errors
+    /// The bytes that follow cannot hold this number of elements.
+    pub fn take_length(&mut self, min_element_bytes: usize) -> Result<usize, DecodeError> {
+        let claimed = u32::from_le_bytes(self.take_number()?);
+        // Saturating: an impossible claim stays impossible.
+        let length = usize::try_from(claimed).unwrap_or(usize::MAX);
+        let needed = length.saturating_mul(min_element_bytes);
+        let (offset, available) = (self.offset, self.remaining());
+        if needed > available {
+            return Err(DecodeError::TooShort { offset, needed, available });
+        }
+        Ok(length)
+    }
+
+    /// Reads a sequence of bytes, which refers to the message's bytes.
+    ///
+    /// # Errors
+    /// The bytes end before it.
+    pub fn take_bytes(&mut self) -> Result<Bytes, DecodeError> {
+        let length = self.take_length(1)?;
+        let start = self.advance(length)?;
+        Ok(self.bytes.slice(start..start + length))
+    }
+
+    /// Reads a text.
+    ///
+    /// # Errors
+    /// It is cut off, not UTF-8, or has no end in CDR.
+    pub fn take_text(&mut self) -> Result<String, DecodeError> {
+        let offset = self.offset;
+        let mut bytes = self.take_bytes()?;
+        // Some writers of CDR give an empty text the length 0 instead of a lone NUL.
+        if self.form == WireForm::Cdr && !bytes.is_empty() && bytes.split_off(bytes.len() - 1)[0] != 0 {
+            return Err(DecodeError::UnterminatedText { offset });
+        }
+        match std::str::from_utf8(&bytes) {
+            Ok(text) => Ok(text.to_owned()),
+            Err(_) => Err(DecodeError::NotUtf8 { offset }),
+        }
+    }
+
+    /// Ends reading.
+    ///
+    /// # Errors
+    /// Bytes are left that are not padding.
+    pub fn finish(self) -> Result<(), DecodeError> {
+        let allowed = if self.form == WireForm::Cdr { MAX_CDR_PADDING } else { 0 };
+        match self.remaining() {
+            count if count <= allowed => Ok(()),
+            count => Err(DecodeError::TrailingBytes { count }),
+        }
+    }
+}

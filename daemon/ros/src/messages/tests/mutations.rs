@@ -1,0 +1,68 @@
+//! Damaged messages are refused or read as other messages, and never more.
+
+use bytes::Bytes;
+use proptest::prelude::*;
+use proptest::sample::Index;
+
+use super::{compressed_images, images, imus, point_clouds};
+use crate::messages::{CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, WireForm};
+
+/// Decodes as every type; whatever is accepted encodes again.
+fn decode_all(form: WireForm, bytes: &Bytes) {
+    fn decode<M: Message>(form: WireForm, bytes: &Bytes) {
+        if let Ok(message) = M::decode(form, bytes.clone()) {
+            // A text of CDR may have a NUL before its end, which is not written again.
+            let _ = message.encode(form);
+        }
+    }
+    decode::<StringMessage>(form, bytes);
+    decode::<Image>(form, bytes);
+    decode::<CompressedImage>(form, bytes);
+    decode::<Imu>(form, bytes);
+    decode::<PointCloud2>(form, bytes);
+}
+
+fn mutate(mut bytes: Vec<u8>, changes: &[(Index, u8)], length: Option<Index>) -> Bytes {
+    for (at, value) in changes {
+        if !bytes.is_empty() {
+            let at = at.index(bytes.len());
+            bytes[at] = *value;
+        }
+    }
+    if let Some(length) = length {
+        bytes.truncate(length.index(bytes.len() + 1));
+    }
+    bytes.into()
+}
+
+fn forms() -> impl Strategy<Value = WireForm> {
+    prop_oneof![Just(WireForm::Ros1), Just(WireForm::Cdr)]
+}
+
+fn encoded() -> impl Strategy<Value = (WireForm, Vec<u8>)> {
+    fn bytes<M: Message>(message: &M, form: WireForm) -> (WireForm, Vec<u8>) {
+        (form, message.encode(form).unwrap().into_bytes().into())
+    }
+    prop_oneof![
+        (images(), forms()).prop_map(|(message, form)| bytes(&message, form)),
+        (compressed_images(), forms()).prop_map(|(message, form)| bytes(&message, form)),
+        (imus(), forms()).prop_map(|(message, form)| bytes(&message, form)),
+        (point_clouds(), forms()).prop_map(|(message, form)| bytes(&message, form)),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_survived(form in forms(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+        decode_all(form, &bytes.into());
+    }
+
+    #[test]
+    fn damaged_messages_are_survived(
+        (form, bytes) in encoded(),
+        changes in proptest::collection::vec((any::<Index>(), any::<u8>()), 0..6),
+        length: Option<Index>,
+    ) {
+        decode_all(form, &mutate(bytes, &changes, length));
+    }
+}

@@ -1,0 +1,183 @@
+//! Encoding of messages.
+
+use std::sync::Arc;
+
+use bytes::{BufMut, Bytes, BytesMut};
+use thiserror::Error;
+
+use super::WireForm;
+
+/// Length in bytes from which a sequence of bytes becomes a separate segment instead of being copied. Below it, the copy is
+/// cheaper than one more entry of a vectored write.
+const MIN_SEGMENT_BYTES: usize = 4096;
+
+/// Encapsulation header of little-endian plain CDR, version 1, without options.
+const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// A value that a wire form cannot hold.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum EncodeError {
+    /// More elements or bytes than a 32-bit length can say.
+    #[error("a sequence of {length} elements is too long for a ROS message, whose lengths have 32 bits")]
+    TooLong {
+        /// Elements, or bytes of a text.
+        length: usize,
+    },
+    /// A text with a NUL, which ends a text in CDR.
+    #[error("the text {text:?} contains a NUL character, which ends a text in ROS 2; remove it")]
+    NulInText {
+        /// The text.
+        text: String,
+    },
+    /// Seconds outside what the wire form's time can say.
+    #[error("the time {seconds} s cannot be sent: ROS 1 takes 0 to 2^32 − 1, ROS 2 takes −2^31 to 2^31 − 1")]
+    TimeOutOfRange {
+        /// Seconds since the Unix epoch.
+        seconds: i64,
+    },
+}
+
+/// The bytes of one message, in segments that follow each other.
+#[derive(Clone, Debug)]
+pub struct EncodedMessage {
+    segments: Arc<[Bytes]>,
+    length: usize,
+}
+
+impl EncodedMessage {
+    /// Returns the number of bytes.
+    pub fn len(&self) -> usize {
+        self.length
+    }
+
+    /// Returns whether there are no bytes.
+    pub fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
+    /// Returns the segments in order.
+    pub fn segments(&self) -> &[Bytes] {
+        &self.segments
+    }
+
+    /// Returns the bytes in one piece; copies them if there are several segments.
+    pub fn into_bytes(self) -> Bytes {
+        match &*self.segments {
+            [] => Bytes::new(),
+            [only] => only.clone(),
+            several => several.concat().into(),
+        }
+    }
+}
+
+impl From<Bytes> for EncodedMessage {
+    fn from(bytes: Bytes) -> Self {
+        Self { length: bytes.len(), segments: Arc::new([bytes]) }
+    }
+}
+
+impl From<Vec<u8>> for EncodedMessage {
+    fn from(bytes: Vec<u8>) -> Self {
+        Bytes::from(bytes).into()
+    }
+}
+
+/// Writes the fields of one message.
+#[derive(Debug)]
+pub struct Writer {
+    form: WireForm,
+    current: BytesMut,
+    segments: Vec<Bytes>,
+    /// Bytes written, without the encapsulation header: what alignment counts from.
+    position: usize,
+}
+
+impl Writer {
+    /// Creates a writer; one of CDR has written the encapsulation header.
+    pub fn new(form: WireForm) -> Self {
+        let mut current = BytesMut::new();
+        if form == WireForm::Cdr {
+            current.put_slice(&CDR_LITTLE_ENDIAN);
+        }
+        Self { form, current, segments: Vec::new(), position: 0 }
+    }
+
+    /// Returns the wire form.
+    pub fn form(&self) -> WireForm {
+        self.form
+    }
+
+    /// Writes a number of `N` little-endian bytes, aligned where the form asks for it.
+    pub fn put_number<const N: usize>(&mut self, little_endian: [u8; N]) {
+        if self.form == WireForm::Cdr {
+            let padding = self.position.wrapping_neg() & (N - 1);
+            self.current.put_bytes(0, padding);
+            self.position += padding;
+        }
+        self.current.put_slice(&little_endian);
+        self.position += N;
+    }
+
+    /// Writes the number of elements of a sequence.
+    ///
+    /// # Errors
+    /// The number has more than 32 bits.
+    pub fn put_length(&mut self, length: usize) -> Result<(), EncodeError> {
+        let short = u32::try_from(length).map_err(|_| EncodeError::TooLong { length })?;
+        self.put_number(short.to_le_bytes());
+        Ok(())
+    }
+
+    /// Writes a text.
+    ///
+    /// # Errors
+    /// It is too long, or has a NUL where that ends a text.
+    pub fn put_text(&mut self, text: &str) -> Result<(), EncodeError> {
+        match self.form {
+            WireForm::Ros1 => self.put_length(text.len())?,
+            WireForm::Cdr if text.contains('\0') => {
+                return Err(EncodeError::NulInText { text: text.to_owned() });
+            }
+            WireForm::Cdr => self.put_length(text.len() + 1)?,
+        }
+        self.put_raw(text.as_bytes());
+        if self.form == WireForm::Cdr {
+            self.put_raw(&[0]);
+        }
+        Ok(())
+    }
+
+    /// Writes a sequence of bytes with its length. A long one is referred to, not copied.
+    ///
+    /// # Errors
+    /// The sequence has too many bytes.
+    pub fn put_bytes(&mut self, bytes: &Bytes) -> Result<(), EncodeError> {
+        self.put_length(bytes.len())?;
+        if bytes.len() < MIN_SEGMENT_BYTES {
+            self.put_raw(bytes);
+        } else {
+            self.end_segment();
+            self.segments.push(bytes.clone());
+            self.position += bytes.len();
+        }
+        Ok(())
+    }
+
+    fn put_raw(&mut self, bytes: &[u8]) {
+        self.current.put_slice(bytes);
+        self.position += bytes.len();
+    }
+
+    fn end_segment(&mut self) {
+        if !self.current.is_empty() {
+            self.segments.push(self.current.split().freeze());
+        }
+    }
+
+    /// Returns what was written.
+    pub fn finish(mut self) -> EncodedMessage {
+        self.end_segment();
+        let length = self.segments.iter().map(Bytes::len).sum();
+        EncodedMessage { segments: self.segments.into(), length }
+    }
+}

@@ -1,0 +1,103 @@
+//! Accepts the connections of subscribers.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use thiserror::Error;
+use tokio::io::AsyncWriteExt;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::time::{sleep, timeout};
+
+use super::limits::{HANDSHAKE_TIMEOUT, MAX_INCOMING_CONNECTIONS};
+use super::node::NodeShared;
+use super::publisher::PublishedTopic;
+use super::socket::{configure, read_frame};
+use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, MAX_HEADER_BYTES};
+
+/// Pause after accepting failed: without a free descriptor it would fail again at once.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Why a connection did not become one of a subscriber.
+#[derive(Debug, Error)]
+enum AcceptError {
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    #[error("the peer closed the connection before its header")]
+    Closed,
+    #[error(transparent)]
+    Handshake(#[from] HandshakeError),
+}
+
+/// Accepts connections until the node ends.
+pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
+    let places = Arc::new(Semaphore::new(MAX_INCOMING_CONNECTIONS));
+    loop {
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            () = node.stop.cancelled() => return,
+        };
+        let (stream, peer) = match accepted {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                tracing::warn!(node = &*node.name, %error, "cannot accept a connection of a ROS subscriber");
+                sleep(ACCEPT_PAUSE).await;
+                continue;
+            }
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            tracing::warn!(node = &*node.name, %peer, "too many connections of ROS subscribers; one more is closed");
+            continue;
+        };
+        let shared = Arc::clone(&node);
+        node.tasks.spawn(async move {
+            let _place = place;
+            serve(&shared, stream, peer).await;
+        });
+    }
+}
+
+async fn serve(node: &NodeShared, mut stream: TcpStream, peer: std::net::SocketAddr) {
+    let handshake = tokio::select! {
+        handshake = timeout(HANDSHAKE_TIMEOUT, shake_hands(node, &mut stream)) => handshake,
+        () = node.stop.cancelled() => return,
+    };
+    match handshake {
+        Ok(Ok((topic, subscriber))) => topic.run_connection(stream, subscriber).await,
+        Ok(Err(error)) => {
+            tracing::warn!(node = &*node.name, %peer, %error, "a ROS subscriber was refused");
+        }
+        Err(_) => tracing::warn!(node = &*node.name, %peer, "a ROS subscriber sent no header in time"),
+    }
+}
+
+async fn shake_hands(
+    node: &NodeShared,
+    stream: &mut TcpStream,
+) -> Result<(Arc<PublishedTopic>, Arc<str>), AcceptError> {
+    configure(stream)?;
+    let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
+    let frame = read_frame(stream, &mut buffer).await?.ok_or(AcceptError::Closed)?;
+    let (answer, result) = match answer(node, &frame) {
+        Ok((answer, topic, subscriber)) => (answer, Ok((topic, subscriber))),
+        Err(error) => (ConnectionHeader::error(&error.to_string()), Err(error.into())),
+    };
+    stream.write_all(&answer.encode()).await?;
+    result
+}
+
+fn answer(
+    node: &NodeShared,
+    frame: &[u8],
+) -> Result<(ConnectionHeader, Arc<PublishedTopic>, Arc<str>), HandshakeError> {
+    let request = ConnectionHeader::decode(frame)?;
+    let topic = request.get("topic").ok_or(HeaderError::Missing { name: "topic" })?;
+    let published = node.topics().publications.get(topic).cloned();
+    let published = published.ok_or_else(|| HandshakeError::UnknownTopic {
+        topic: topic.to_owned(),
+        node: node.name.to_string(),
+    })?;
+    let (answer, subscriber) = published.publication.answer(&request)?;
+    Ok((answer, published, subscriber))
+}

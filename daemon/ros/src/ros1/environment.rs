@@ -1,0 +1,186 @@
+//! Environment variables of ROS 1.
+
+use std::ffi::OsString;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+use hyper::Uri;
+use thiserror::Error;
+
+/// Port of the master where its URI has none.
+const MASTER_PORT: u16 = 11311;
+
+/// A variable whose value cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum EnvironmentError {
+    /// The value is not UTF-8.
+    #[error("the environment variable {variable} is not UTF-8; set it anew")]
+    NotUtf8 {
+        /// Name of the variable.
+        variable: &'static str,
+    },
+    /// The master's URI is not one.
+    #[error("{uri:?} is not the URI of a ROS master; write it like http://robot:11311 (ROS_MASTER_URI)")]
+    MasterUri {
+        /// The text.
+        uri: String,
+    },
+}
+
+/// URI of a master or of a node's XML-RPC server.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct RpcUri {
+    text: String,
+    host: String,
+    port: u16,
+    path: String,
+}
+
+impl RpcUri {
+    /// Reads `http://HOST:PORT/`; the port is 11311 where it is left out.
+    ///
+    /// # Errors
+    /// The text is not such a URI.
+    pub fn parse(text: &str) -> Result<Self, EnvironmentError> {
+        let error = || EnvironmentError::MasterUri { uri: text.to_owned() };
+        let uri: Uri = text.trim().parse().map_err(|_| error())?;
+        if uri.scheme_str() != Some("http") {
+            return Err(error());
+        }
+        let host = uri.host().filter(|host| !host.is_empty()).ok_or_else(error)?;
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+        let path = if uri.path().is_empty() { "/" } else { uri.path() }.to_owned();
+        let port = uri.port_u16().unwrap_or(MASTER_PORT);
+        Ok(Self { text: text.trim().to_owned(), host, port, path })
+    }
+
+    /// Returns the URI as it was written.
+    pub fn as_str(&self) -> &str {
+        &self.text
+    }
+
+    /// Returns the host's name or address, without brackets.
+    pub fn host(&self) -> &str {
+        &self.host
+    }
+
+    /// Returns the port.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Returns the path.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+}
+
+impl std::fmt::Display for RpcUri {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(&self.text)
+    }
+}
+
+/// The settings that ROS 1 programs take from environment variables.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Environment {
+    /// `ROS_MASTER_URI`; `http://localhost:11311` where it is not set.
+    pub master: RpcUri,
+    /// `ROS_HOSTNAME`, or else `ROS_IP`: the host that other nodes connect to. Empty values count as not set.
+    pub advertised_host: Option<String>,
+    /// `ROS_NAMESPACE`; `/` where it is not set.
+    pub namespace: String,
+}
+
+impl Environment {
+    /// Reads the variables of this process.
+    ///
+    /// # Errors
+    /// A variable is set to a value that cannot be used.
+    pub fn from_process() -> Result<Self, EnvironmentError> {
+        Self::from_variables(|name| std::env::var_os(name))
+    }
+
+    /// Reads variables by a function that looks one up.
+    ///
+    /// # Errors
+    /// A variable is set to a value that cannot be used.
+    pub fn from_variables(look_up: impl Fn(&str) -> Option<OsString>) -> Result<Self, EnvironmentError> {
+        let text = |variable: &'static str| match look_up(variable).map(OsString::into_string) {
+            Some(Ok(value)) => Ok(Some(value.trim().to_owned()).filter(|value| !value.is_empty())),
+            Some(Err(_)) => Err(EnvironmentError::NotUtf8 { variable }),
+            None => Ok(None),
+        };
+        let master = text("ROS_MASTER_URI")?;
+        let (hostname, address) = (text("ROS_HOSTNAME")?, text("ROS_IP")?);
+        Ok(Self {
+            master: RpcUri::parse(master.as_deref().unwrap_or("http://localhost:11311"))?,
+            advertised_host: hostname.or(address),
+            namespace: text("ROS_NAMESPACE")?.unwrap_or_else(|| "/".to_owned()),
+        })
+    }
+}
+
+/// Returns the address to listen on for peers that connect to `advertised`: loopback alone where that is meant, as the
+/// clients of ROS do.
+pub(super) fn listen_address(advertised: &str) -> IpAddr {
+    match advertised.parse::<IpAddr>() {
+        Ok(address) if address.is_loopback() => address,
+        Ok(IpAddr::V6(_)) => Ipv6Addr::UNSPECIFIED.into(),
+        Ok(IpAddr::V4(_)) => Ipv4Addr::UNSPECIFIED.into(),
+        Err(_) if advertised == "localhost" => Ipv4Addr::LOCALHOST.into(),
+        Err(_) => Ipv4Addr::UNSPECIFIED.into(),
+    }
+}
+
+/// Returns a host in the form that a URI needs: an IPv6 address in brackets.
+pub(super) fn uri_host(host: &str) -> String {
+    if host.contains(':') { format!("[{host}]") } else { host.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn environment(variables: &[(&str, &str)]) -> Result<Environment, EnvironmentError> {
+        Environment::from_variables(|name| {
+            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).into())
+        })
+    }
+
+    #[test]
+    fn missing_variables_have_defaults() {
+        for variables in [&[][..], &[("ROS_MASTER_URI", ""), ("ROS_IP", " "), ("ROS_NAMESPACE", "")]] {
+            let environment = environment(variables).unwrap();
+            assert_eq!(environment.master.as_str(), "http://localhost:11311");
+            assert_eq!(environment.advertised_host, None);
+            assert_eq!(environment.namespace, "/");
+        }
+    }
+
+    #[test]
+    fn hostname_precedes_address() {
+        let both = [("ROS_IP", "10.0.0.1"), ("ROS_HOSTNAME", "robot")];
+        assert_eq!(environment(&both).unwrap().advertised_host.as_deref(), Some("robot"));
+        assert_eq!(environment(&both[..1]).unwrap().advertised_host.as_deref(), Some("10.0.0.1"));
+    }
+
+    #[test]
+    fn uris_are_split() {
+        let uri = RpcUri::parse("http://robot:1234/RPC2").unwrap();
+        assert_eq!((uri.host(), uri.port(), uri.path()), ("robot", 1234, "/RPC2"));
+        let uri = RpcUri::parse("http://[::1]").unwrap();
+        assert_eq!((uri.host(), uri.port(), uri.path()), ("::1", 11311, "/"));
+        for wrong in ["", "robot:11311", "https://robot", "http://", "http://:1"] {
+            assert!(RpcUri::parse(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn loopback_is_listened_on_alone() {
+        assert_eq!(listen_address("localhost").to_string(), "127.0.0.1");
+        assert_eq!(listen_address("127.0.0.1").to_string(), "127.0.0.1");
+        assert_eq!(listen_address("robot").to_string(), "0.0.0.0");
+        assert_eq!(listen_address("::1").to_string(), "::1");
+        assert_eq!(uri_host("fe80::1"), "[fe80::1]");
+    }
+}

@@ -1,0 +1,84 @@
+//! Why a node cannot do what was asked of it.
+
+use std::net::SocketAddr;
+
+use thiserror::Error;
+
+use super::names::NameError;
+use super::rpc::RpcError;
+
+/// An error of a [`Node`](super::Node), its publishers and subscribers.
+#[derive(Debug, Error)]
+pub enum NodeError {
+    /// The master does not answer.
+    #[error("no ROS master answers at {uri}: {source}; start roscore there, or set ROS_MASTER_URI")]
+    NoMaster {
+        /// The master's URI.
+        uri: String,
+        /// Reason.
+        source: RpcError,
+    },
+    /// The master answered with an error.
+    #[error("the ROS master at {uri} refuses {method}: {reason}")]
+    MasterRefused {
+        /// The master's URI.
+        uri: String,
+        /// Method of the master's API.
+        method: &'static str,
+        /// Reason that the master gave.
+        reason: String,
+    },
+    /// The server at the master's URI does not speak the master's API.
+    #[error("{uri} answers {method} with something else than a ROS master would; is ROS_MASTER_URI right?")]
+    NotAMaster {
+        /// The URI.
+        uri: String,
+        /// Method of the master's API.
+        method: &'static str,
+    },
+    /// A name that ROS does not allow.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The node has a publisher of the topic already.
+    #[error("topic {topic} is already published by this node; use the publisher that exists")]
+    AlreadyPublished {
+        /// Global name of the topic.
+        topic: String,
+    },
+    /// The node has a subscriber of the topic already.
+    #[error("topic {topic} is already subscribed to by this node; use the subscriber that exists")]
+    AlreadySubscribed {
+        /// Global name of the topic.
+        topic: String,
+    },
+    /// A publisher needs a specific type.
+    #[error("topic {topic} cannot be published with the type *; name the type of its messages")]
+    PublishedWildcard {
+        /// Global name of the topic.
+        topic: String,
+    },
+    /// A port could not be opened.
+    #[error("cannot listen on {address} for other ROS nodes: {source}")]
+    Listen {
+        /// Address with port 0: any free port.
+        address: SocketAddr,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// The node ended.
+    #[error("the ROS node {node} has ended: {reason}")]
+    Closed {
+        /// Name of the node.
+        node: String,
+        /// Why.
+        reason: String,
+    },
+    /// A message with a length that the protocol cannot say.
+    #[error("a message of {length} bytes for topic {topic} is too long; ROS 1 allows 2^32 − 1 bytes")]
+    MessageTooLong {
+        /// Global name of the topic.
+        topic: String,
+        /// Bytes of the message.
+        length: usize,
+    },
+}

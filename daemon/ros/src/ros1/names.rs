@@ -1,0 +1,145 @@
+//! Names of nodes and topics.
+
+use thiserror::Error;
+
+/// Longest name that is taken, in bytes.
+const MAX_NAME_BYTES: usize = 1024;
+
+/// A name that ROS 1 does not allow.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum NameError {
+    /// It is empty.
+    #[error("a ROS name is empty")]
+    Empty,
+    /// It is too long.
+    #[error("a ROS name has {length} bytes; the longest has {MAX_NAME_BYTES}")]
+    TooLong {
+        /// Bytes of the name.
+        length: usize,
+    },
+    /// It begins with something else than a letter, `/` or `~`.
+    #[error("the ROS name {name:?} must begin with a letter, / or ~")]
+    Start {
+        /// The name.
+        name: String,
+    },
+    /// It has a character that no name has.
+    #[error("the ROS name {name:?} contains {character:?}; letters, digits, _ and / are allowed")]
+    Character {
+        /// The name.
+        name: String,
+        /// The first such character.
+        character: char,
+    },
+    /// A node's name with a namespace in it.
+    #[error("the node name {name:?} contains a namespace; set the namespace by ROS_NAMESPACE instead")]
+    NodeWithNamespace {
+        /// The name.
+        name: String,
+    },
+}
+
+/// Name of a node, by which relative and private names are resolved.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeName {
+    /// Begins with `/`, and ends with it only where it is the root.
+    namespace: String,
+    full: String,
+}
+
+impl NodeName {
+    /// Returns the name of a node in a namespace, which may lack the first `/`.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or a node's name with a namespace.
+    pub fn new(namespace: &str, name: &str) -> Result<Self, NameError> {
+        let root = "/".to_owned();
+        let namespace = if namespace.trim_matches('/').is_empty() { root } else { join("/", namespace)? };
+        if name.contains(['/', '~']) {
+            return Err(NameError::NodeWithNamespace { name: name.to_owned() });
+        }
+        let full = join(&namespace, name)?;
+        Ok(Self { namespace, full })
+    }
+
+    /// Returns the node's global name, such as `/robot/camera`.
+    pub fn full(&self) -> &str {
+        &self.full
+    }
+
+    /// Returns the global form of a topic's name: `/a` stays, `a` is in the namespace, `~a` is below the node.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow.
+    pub fn resolve(&self, name: &str) -> Result<String, NameError> {
+        match name.strip_prefix('~') {
+            Some(private) => join(&self.full, private.trim_start_matches('/')),
+            None if name.starts_with('/') => join("/", name),
+            None => join(&self.namespace, name),
+        }
+    }
+}
+
+/// Appends a checked name to a namespace, with one `/` between any two parts.
+fn join(namespace: &str, name: &str) -> Result<String, NameError> {
+    if name.trim_matches('/').is_empty() {
+        return Err(NameError::Empty);
+    }
+    let length = namespace.len() + 1 + name.len();
+    if length > MAX_NAME_BYTES {
+        return Err(NameError::TooLong { length });
+    }
+    let name_text = || name.to_owned();
+    if !name.starts_with(|first: char| first.is_ascii_alphabetic() || first == '/') {
+        return Err(NameError::Start { name: name_text() });
+    }
+    let is_allowed = |character: char| character.is_ascii_alphanumeric() || "_/".contains(character);
+    if let Some(character) = name.chars().find(|character| !is_allowed(*character)) {
+        return Err(NameError::Character { name: name_text(), character });
+    }
+    let parts = namespace.split('/').chain(name.split('/')).filter(|part| !part.is_empty());
+    Ok(parts.fold(String::new(), |whole, part| whole + "/" + part))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_resolve_by_their_first_character() {
+        let node = NodeName::new("robot", "camera").unwrap();
+        assert_eq!(node.full(), "/robot/camera");
+        for (name, expected) in [
+            ("image", "/robot/image"),
+            ("a/b", "/robot/a/b"),
+            ("/image", "/image"),
+            ("//a//b/", "/a/b"),
+            ("~image", "/robot/camera/image"),
+            ("~/image", "/robot/camera/image"),
+        ] {
+            assert_eq!(node.resolve(name).unwrap(), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn root_namespace_has_several_spellings() {
+        for namespace in ["", "/", "//"] {
+            assert_eq!(NodeName::new(namespace, "n").unwrap().resolve("t").unwrap(), "/t");
+        }
+        assert_eq!(NodeName::new("/a/b/", "n").unwrap().full(), "/a/b/n");
+    }
+
+    #[test]
+    fn names_that_ros_lacks_are_refused() {
+        let node = NodeName::new("/", "n").unwrap();
+        assert_eq!(node.resolve(""), Err(NameError::Empty));
+        assert_eq!(node.resolve("/"), Err(NameError::Empty));
+        assert_eq!(node.resolve("~"), Err(NameError::Empty));
+        assert_eq!(node.resolve("1a"), Err(NameError::Start { name: "1a".into() }));
+        let expected = NameError::Character { name: "a-b".into(), character: '-' };
+        assert_eq!(node.resolve("a-b"), Err(expected));
+        assert!(matches!(node.resolve(&"a".repeat(2000)), Err(NameError::TooLong { .. })));
+        let expected = NameError::NodeWithNamespace { name: "a/b".into() };
+        assert_eq!(NodeName::new("/", "a/b"), Err(expected));
+    }
+}

@@ -1,0 +1,266 @@
+//! The connection to one subscriber: a bounded queue, written by whoever publishes as far as the kernel takes it.
+
+use std::collections::VecDeque;
+use std::io::{self, IoSlice};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::net::TcpStream;
+use tokio::sync::Notify;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+use super::limits::{DRAIN_TIMEOUT, QueueLimits};
+use crate::messages::EncodedMessage;
+
+/// Pieces that one system call writes at most.
+const MAX_SLICES: usize = 64;
+
+/// Counts of the messages for one subscriber by their fate. At any time `offered = sent + dropped + lost + waiting`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SendCounts {
+    /// Messages that were published while the subscriber was connected.
+    pub offered: u64,
+    /// Messages that the kernel took whole.
+    pub sent: u64,
+    /// Bytes that the kernel took, with the length before each message.
+    pub sent_bytes: u64,
+    /// Messages that were dropped because the queue was full.
+    pub dropped: u64,
+    /// Messages that waited in the queue when the connection ended.
+    pub lost: u64,
+    /// Messages that wait in the queue, with the one that is partly written.
+    pub waiting: u64,
+}
+
+impl SendCounts {
+    pub(super) fn add(&mut self, other: &Self) {
+        self.offered += other.offered;
+        self.sent += other.sent;
+        self.sent_bytes += other.sent_bytes;
+        self.dropped += other.dropped;
+        self.lost += other.lost;
+        self.waiting += other.waiting;
+    }
+}
+
+/// Result of offering a message to a queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Offer {
+    Taken,
+    Full,
+    Closed,
+}
+
+/// A connection to a subscriber.
+#[derive(Debug)]
+pub(super) struct OutgoingConnection {
+    pub(super) subscriber: Arc<str>,
+    pub(super) local: SocketAddr,
+    pub(super) remote: SocketAddr,
+    stream: TcpStream,
+    limits: QueueLimits,
+    queue: Mutex<Queue>,
+    /// The task has something to write.
+    unsent: Notify,
+    /// Senders may look for room again.
+    room: Notify,
+}
+
+#[derive(Debug, Default)]
+struct Queue {
+    messages: VecDeque<QueuedMessage>,
+    bytes: usize,
+    is_closed: bool,
+    counts: SendCounts,
+}
+
+#[derive(Debug)]
+struct QueuedMessage {
+    prefix: [u8; 4],
+    message: EncodedMessage,
+    /// Bytes written, with the prefix.
+    written: usize,
+}
+
+impl QueuedMessage {
+    fn len(&self) -> usize {
+        self.prefix.len() + self.message.len()
+    }
+
+    /// Returns the pieces that are not written yet.
+    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        let mut skip = self.written;
+        let segments = self.message.segments().iter().map(|segment| &segment[..]);
+        std::iter::once(&self.prefix[..]).chain(segments).filter_map(move |piece| {
+            let skipped = skip.min(piece.len());
+            skip -= skipped;
+            Some(&piece[skipped..]).filter(|rest| !rest.is_empty())
+        })
+    }
+}
+
+impl OutgoingConnection {
+    pub(super) fn new(stream: TcpStream, subscriber: Arc<str>, limits: QueueLimits) -> io::Result<Self> {
+        Ok(Self {
+            subscriber,
+            local: stream.local_addr()?,
+            remote: stream.peer_addr()?,
+            stream,
+            limits,
+            queue: Mutex::default(),
+            unsent: Notify::new(),
+            room: Notify::new(),
+        })
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn counts(&self) -> SendCounts {
+        let queue = self.queue();
+        SendCounts { waiting: queue.messages.len() as u64, ..queue.counts }
+    }
+
+    /// Queues a message, and writes what the kernel takes at once. A full queue drops the message if `may_drop`, and leaves it
+    /// uncounted otherwise.
+    pub(super) fn offer(&self, message: &EncodedMessage, prefix: [u8; 4], may_drop: bool) -> Offer {
+        let mut queue = self.queue();
+        if queue.is_closed {
+            return Offer::Closed;
+        }
+        let message = QueuedMessage { prefix, message: message.clone(), written: 0 };
+        if !self.limits.admit(queue.messages.len(), queue.bytes, message.len()) {
+            if may_drop {
+                queue.counts.offered += 1;
+                queue.counts.dropped += 1;
+            }
+            return Offer::Full;
+        }
+        queue.counts.offered += 1;
+        queue.bytes += message.len();
+        queue.messages.push_back(message);
+        // An earlier message that waits for the kernel is the task's business.
+        if queue.messages.len() == 1 {
+            self.write(&mut queue);
+            if !queue.messages.is_empty() {
+                self.unsent.notify_one();
+            }
+        }
+        Offer::Taken
+    }
+
+    /// Waits until the queue has taken a message. Returns whether the connection is still there.
+    pub(super) async fn wait_for_room(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
+        loop {
+            // Made before looking, so that nothing that happens in between is missed.
+            let room = self.room.notified();
+            match self.offer(message, prefix, false) {
+                Offer::Taken => return true,
+                Offer::Closed => return false,
+                Offer::Full => room.await,
+            }
+        }
+    }
+
+    /// Writes until the queue is empty or the kernel takes no more. An error closes the queue.
+    fn write(&self, queue: &mut Queue) {
+        while !queue.messages.is_empty() {
+            let mut slices = [IoSlice::new(&[]); MAX_SLICES];
+            let mut count = 0;
+            let pieces = queue.messages.iter().flat_map(QueuedMessage::pieces);
+            for (slice, piece) in slices.iter_mut().zip(pieces) {
+                *slice = IoSlice::new(piece);
+                count += 1;
+            }
+            match self.stream.try_write_vectored(&slices[..count]) {
+                Ok(written) => queue.advance(written),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => {
+                    tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber is gone");
+                    queue.close();
+                    // The task ends the connection.
+                    self.unsent.notify_one();
+                }
+            }
+        }
+    }
+
+    fn write_unsent(&self) {
+        self.write(&mut self.queue());
+        self.room.notify_waiters();
+    }
+
+    fn has_unsent(&self) -> bool {
+        !self.queue().messages.is_empty()
+    }
+
+    /// Runs the connection until the subscriber closes it or `stop` is cancelled; then what waits is written within
+    /// [`DRAIN_TIMEOUT`].
+    pub(super) async fn run(&self, stop: &CancellationToken) {
+        // Subscribers send nothing; reading shows when they close.
+        let mut ignored = [0; 256];
+        while !self.queue().is_closed {
+            let has_unsent = self.has_unsent();
+            tokio::select! {
+                () = stop.cancelled() => {
+                    if timeout(DRAIN_TIMEOUT, self.drain()).await.is_err() {
+                        tracing::warn!(
+                            subscriber = &*self.subscriber,
+                            messages = self.counts().waiting,
+                            "a ROS subscriber did not take its last messages in time; they are lost"
+                        );
+                    }
+                    break;
+                }
+                readable = self.stream.readable() => {
+                    let read = readable.and_then(|()| self.stream.try_read(&mut ignored));
+                    match read {
+                        Ok(0) => break,
+                        Ok(_) => {}
+                        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                        Err(_) => break,
+                    }
+                }
+                _ = self.stream.writable(), if has_unsent => self.write_unsent(),
+                () = self.unsent.notified() => {}
+            }
+        }
+        self.queue().close();
+        self.room.notify_waiters();
+    }
+
+    async fn drain(&self) {
+        while self.has_unsent() && self.stream.writable().await.is_ok() {
+            self.write_unsent();
+        }
+    }
+}
+
+impl Queue {
+    /// Removes a number of written bytes from the front.
+    fn advance(&mut self, mut written: usize) {
+        self.counts.sent_bytes += written as u64;
+        while written > 0 {
+            let Some(first) = self.messages.front_mut() else { return };
+            let rest = first.len() - first.written;
+            if written < rest {
+                first.written += written;
+                return;
+            }
+            written -= rest;
+            self.bytes -= first.len();
+            self.messages.pop_front();
+            self.counts.sent += 1;
+        }
+    }
+
+    fn close(&mut self) {
+        self.is_closed = true;
+        self.counts.lost += self.messages.len() as u64;
+        self.messages.clear();
+        self.bytes = 0;
+    }
+}

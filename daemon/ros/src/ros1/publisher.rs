@@ -1,0 +1,218 @@
+//! Publishing a topic.
+
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::net::TcpStream;
+use tokio::sync::Notify;
+use tokio_util::sync::CancellationToken;
+
+use super::error::NodeError;
+use super::limits::QueueLimits;
+use super::node::RegistrationGuard;
+use super::outgoing::{Offer, OutgoingConnection, SendCounts};
+use super::tcpros::Publication;
+use crate::messages::EncodedMessage;
+
+/// Options of a publisher.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PublisherOptions {
+    /// Whether a new subscriber gets the last message at once.
+    pub is_latching: bool,
+    /// Bound of each subscriber's queue.
+    pub queue: QueueLimits,
+}
+
+/// Result of publishing a message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Published {
+    /// Subscribers in whose queue the message is, or to whom it is sent.
+    pub subscribers: usize,
+    /// Subscribers whose queue was full: they do not get it.
+    pub dropped: usize,
+}
+
+/// Connection to a subscriber, with what became of the messages for it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SubscriberStatus {
+    /// Name of the subscriber's node.
+    pub node: Arc<str>,
+    /// Own end of the connection.
+    pub local: SocketAddr,
+    /// The subscriber's end of the connection.
+    pub remote: SocketAddr,
+    /// Messages and bytes.
+    pub counts: SendCounts,
+}
+
+/// Publishes a topic. Dropping it ends the connections to subscribers and tells the master.
+#[derive(Debug)]
+pub struct Publisher {
+    pub(super) topic: Arc<PublishedTopic>,
+    pub(super) guard: RegistrationGuard,
+}
+
+impl Publisher {
+    /// Returns the global name of the topic.
+    pub fn topic(&self) -> &str {
+        &self.topic.publication.topic
+    }
+
+    /// Publishes a message without waiting. A subscriber whose queue is full does not get it, which is counted and returned.
+    ///
+    /// # Errors
+    /// The node has ended, or the message has more than 2³² − 1 bytes.
+    pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+        let (message, prefix) = self.check(message.into())?;
+        let connections = self.topic.take_message(&message, prefix);
+        let mut published = Published::default();
+        for connection in connections {
+            match connection.offer(&message, prefix, true) {
+                Offer::Taken => published.subscribers += 1,
+                Offer::Full => published.dropped += 1,
+                Offer::Closed => {}
+            }
+        }
+        Ok(published)
+    }
+
+    /// Publishes a message and waits until each subscriber's queue has taken it: nothing is dropped while a subscriber is
+    /// connected, and the slowest one sets the pace.
+    ///
+    /// # Errors
+    /// The node has ended, or the message has more than 2³² − 1 bytes.
+    pub async fn publish_waiting(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+        let (message, prefix) = self.check(message.into())?;
+        let connections = self.topic.take_message(&message, prefix);
+        let mut published = Published::default();
+        for connection in connections {
+            published.subscribers += usize::from(connection.wait_for_room(&message, prefix).await);
+        }
+        Ok(published)
+    }
+
+    /// Waits until this number of subscribers is connected.
+    ///
+    /// # Errors
+    /// The node has ended.
+    pub async fn wait_for_subscribers(&self, count: usize) -> Result<(), NodeError> {
+        loop {
+            // Made before looking, so that nothing that happens in between is missed.
+            let changed = self.topic.changed.notified();
+            self.guard.check_open()?;
+            if self.topic.state().connections.len() >= count {
+                return Ok(());
+            }
+            tokio::select! {
+                () = changed => {}
+                () = self.topic.stop.cancelled() => {}
+            }
+        }
+    }
+
+    /// Returns the connected subscribers.
+    pub fn subscribers(&self) -> Vec<SubscriberStatus> {
+        self.topic.subscribers()
+    }
+
+    /// Returns the sums over all subscribers, with those that are gone.
+    pub fn counts(&self) -> SendCounts {
+        self.topic.counts()
+    }
+
+    fn check(&self, message: EncodedMessage) -> Result<(EncodedMessage, [u8; 4]), NodeError> {
+        self.guard.check_open()?;
+        let length = message.len();
+        match u32::try_from(length) {
+            Ok(short) => Ok((message, short.to_le_bytes())),
+            Err(_) => Err(NodeError::MessageTooLong { topic: self.topic().to_owned(), length }),
+        }
+    }
+}
+
+impl Drop for Publisher {
+    fn drop(&mut self) {
+        self.topic.stop.cancel();
+    }
+}
+
+/// A topic that a node publishes.
+#[derive(Debug)]
+pub(super) struct PublishedTopic {
+    pub(super) publication: Publication,
+    limits: QueueLimits,
+    /// Ends the connections.
+    pub(super) stop: CancellationToken,
+    state: Mutex<TopicState>,
+    /// A connection was added.
+    changed: Notify,
+}
+
+#[derive(Debug, Default)]
+struct TopicState {
+    connections: Vec<Arc<OutgoingConnection>>,
+    latched: Option<(EncodedMessage, [u8; 4])>,
+    /// Counts of connections that are gone.
+    ended: SendCounts,
+}
+
+impl PublishedTopic {
+    pub(super) fn new(publication: Publication, limits: QueueLimits, stop: CancellationToken) -> Self {
+        Self { publication, limits, stop, state: Mutex::default(), changed: Notify::new() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, TopicState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps a message if the topic is latching, and returns the connections that it goes to.
+    fn take_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
+        let mut state = self.state();
+        if self.publication.is_latching {
+            state.latched = Some((message.clone(), prefix));
+        }
+        state.connections.clone()
+    }
+
+    pub(super) fn subscribers(&self) -> Vec<SubscriberStatus> {
+        let connections = self.state().connections.clone();
+        let status = |connection: &Arc<OutgoingConnection>| SubscriberStatus {
+            node: Arc::clone(&connection.subscriber),
+            local: connection.local,
+            remote: connection.remote,
+            counts: connection.counts(),
+        };
+        connections.iter().map(status).collect()
+    }
+
+    pub(super) fn counts(&self) -> SendCounts {
+        let state = self.state();
+        let mut sum = state.ended;
+        state.connections.iter().for_each(|connection| sum.add(&connection.counts()));
+        sum
+    }
+
+    /// Runs the connection to a subscriber whose header was answered.
+    pub(super) async fn run_connection(&self, stream: TcpStream, subscriber: Arc<str>) {
+        let connection = match OutgoingConnection::new(stream, subscriber, self.limits) {
+            Ok(connection) => Arc::new(connection),
+            Err(error) => {
+                tracing::debug!(%error, "a ROS subscriber is gone");
+                return;
+            }
+        };
+        {
+            let mut state = self.state();
+            if let Some((message, prefix)) = &state.latched {
+                connection.offer(message, *prefix, true);
+            }
+            state.connections.push(Arc::clone(&connection));
+        }
+        self.changed.notify_waiters();
+        connection.run(&self.stop).await;
+        let mut state = self.state();
+        state.connections.retain(|other| !Arc::ptr_eq(other, &connection));
+        // A publish that holds the list may still offer a message; a closed queue refuses it without counting.
+        state.ended.add(&connection.counts());
+    }
+}

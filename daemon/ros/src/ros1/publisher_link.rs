@@ -1,0 +1,246 @@
+//! The connection of a subscriber to one publisher, which is opened again when it breaks.
+
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use thiserror::Error;
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+use tokio::sync::Notify;
+use tokio::time::{sleep, timeout};
+
+use super::environment::{EnvironmentError, RpcUri};
+use super::incoming::ReceivedMessage;
+use super::limits::HANDSHAKE_TIMEOUT;
+use super::master::split_answer;
+use super::rpc::{self, RpcError};
+use super::socket::{configure, read_frame};
+use super::subscriber::{PublisherInfo, PublisherState, PublisherStatus, ReceiveCounts, SubscribedTopic};
+use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, MAX_HEADER_BYTES};
+use super::xmlrpc::Value;
+
+/// Pause before the second attempt; it doubles with each further one.
+const MIN_PAUSE: Duration = Duration::from_millis(100);
+
+/// Longest pause between attempts.
+const MAX_PAUSE: Duration = Duration::from_secs(5);
+
+/// Code of an answer that is a success.
+const SUCCESS: i64 = 1;
+
+/// Why there is no connection to a publisher.
+#[derive(Debug, Error)]
+enum LinkError {
+    #[error("the master names {uri:?} as a publisher's address, which is not a URI")]
+    Uri { uri: String, source: EnvironmentError },
+    #[error("the node at {uri} does not answer: {source}")]
+    Unreachable { uri: Arc<str>, source: RpcError },
+    #[error("the node at {uri} offers no TCPROS connection: {reason}")]
+    NoConnection { uri: Arc<str>, reason: String },
+    #[error("cannot connect to the publisher at {host}:{port}: {source}")]
+    Connect { host: String, port: u16, source: io::Error },
+    #[error("the publisher at {uri} did not finish the handshake in time")]
+    TimedOut { uri: Arc<str> },
+    #[error("the connection to the publisher broke: {0}")]
+    Broken(#[from] io::Error),
+    #[error("the publisher closed the connection")]
+    Closed,
+    #[error(transparent)]
+    Handshake(#[from] HandshakeError),
+}
+
+/// A publisher and the connection to it.
+#[derive(Debug)]
+pub(super) struct PublisherLink {
+    uri: Arc<str>,
+    state: Mutex<LinkState>,
+    /// Whether the master lists the publisher has changed.
+    listing: Notify,
+}
+
+#[derive(Debug)]
+struct LinkState {
+    is_listed: bool,
+    state: PublisherState,
+    counts: ReceiveCounts,
+}
+
+impl PublisherLink {
+    pub(super) fn new(uri: Arc<str>) -> Self {
+        let state = LinkState {
+            is_listed: true,
+            state: PublisherState::Connecting,
+            counts: ReceiveCounts::default(),
+        };
+        Self { uri, state: Mutex::new(state), listing: Notify::new() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, LinkState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    pub(super) fn status(&self) -> PublisherStatus {
+        let state = self.state();
+        PublisherStatus { uri: Arc::clone(&self.uri), state: state.state.clone(), counts: state.counts }
+    }
+
+    pub(super) fn is_listed(&self) -> bool {
+        self.state().is_listed
+    }
+
+    pub(super) fn set_listed(&self, is_listed: bool) {
+        self.state().is_listed = is_listed;
+        self.listing.notify_one();
+    }
+
+    fn set_state(&self, topic: &SubscribedTopic, state: PublisherState) {
+        self.state().state = state;
+        topic.changed.notify_waiters();
+    }
+
+    /// Connects again and again, until the publisher is no longer listed or the subscriber ends.
+    pub(super) async fn run(&self, topic: &SubscribedTopic) {
+        let mut pause = MIN_PAUSE;
+        let mut last_reason = String::new();
+        loop {
+            let connections = self.state().counts.connections;
+            let error = tokio::select! {
+                error = self.connect_and_read(topic) => error,
+                () = topic.stop.cancelled() => LinkError::Closed,
+            };
+            if topic.remove_unlisted(self) {
+                return;
+            }
+            if self.state().counts.connections > connections {
+                pause = MIN_PAUSE;
+            }
+            let reason = error.to_string();
+            if reason != last_reason {
+                let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
+                // A publisher that ends closes the connection before the master says so.
+                if matches!(error, LinkError::Closed) {
+                    tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");
+                } else {
+                    tracing::warn!(
+                        topic,
+                        publisher,
+                        reason,
+                        "no messages from a publisher of a ROS topic; trying again"
+                    );
+                }
+                last_reason.clone_from(&reason);
+            }
+            self.set_state(topic, PublisherState::Failed(reason));
+            tokio::select! {
+                () = sleep(pause) => pause = (pause * 2).min(MAX_PAUSE),
+                () = self.listing.notified() => {}
+                () = topic.stop.cancelled() => {}
+            }
+            if topic.remove_unlisted(self) {
+                return;
+            }
+            self.set_state(topic, PublisherState::Connecting);
+        }
+    }
+
+    async fn connect_and_read(&self, topic: &SubscribedTopic) -> LinkError {
+        match self.connect(topic).await {
+            Ok((stream, buffer, info)) => self.read(topic, stream, buffer, info).await,
+            Err(error) => error,
+        }
+    }
+
+    /// Asks the publisher's node for a port, connects, and exchanges headers.
+    async fn connect(
+        &self,
+        topic: &SubscribedTopic,
+    ) -> Result<(TcpStream, FrameBuffer, Arc<PublisherInfo>), LinkError> {
+        let (host, port) = self.request_topic(topic).await?;
+        let connected = timeout(HANDSHAKE_TIMEOUT, TcpStream::connect((host.as_str(), port))).await;
+        let connected = connected.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
+        let stream = connected.map_err(|source| LinkError::Connect { host, port, source })?;
+        let handshake = timeout(HANDSHAKE_TIMEOUT, self.exchange_headers(topic, stream)).await;
+        handshake.map_err(|_| LinkError::TimedOut { uri: Arc::clone(&self.uri) })?
+    }
+
+    async fn request_topic(&self, topic: &SubscribedTopic) -> Result<(String, u16), LinkError> {
+        let uri = RpcUri::parse(&self.uri)
+            .map_err(|source| LinkError::Uri { uri: self.uri.to_string(), source })?;
+        let subscription = &topic.subscription;
+        let protocols = Value::from([Value::from([Value::from("TCPROS")])]);
+        let params = vec![(&*subscription.node).into(), (&*subscription.topic).into(), protocols];
+        let answer = rpc::call(&uri, "requestTopic", params)
+            .await
+            .map_err(|source| LinkError::Unreachable { uri: Arc::clone(&self.uri), source })?;
+        let no_connection =
+            |reason: &str| LinkError::NoConnection { uri: Arc::clone(&self.uri), reason: reason.to_owned() };
+        match split_answer(answer) {
+            Some((SUCCESS, _, params)) => {
+                read_endpoint(&params).ok_or_else(|| no_connection("its answer names no host and port"))
+            }
+            Some((_, reason, _)) => Err(no_connection(&reason)),
+            None => Err(no_connection("its answer is not one of a ROS node")),
+        }
+    }
+
+    async fn exchange_headers(
+        &self,
+        topic: &SubscribedTopic,
+        mut stream: TcpStream,
+    ) -> Result<(TcpStream, FrameBuffer, Arc<PublisherInfo>), LinkError> {
+        configure(&stream)?;
+        stream.write_all(&topic.subscription.request().encode()).await?;
+        let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
+        let frame = read_frame(&mut stream, &mut buffer).await?.ok_or(LinkError::Closed)?;
+        let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
+        let (node, kind) = topic.subscription.accept(&header)?;
+        let uri = Arc::clone(&self.uri);
+        let (local, remote) = (stream.local_addr()?, stream.peer_addr()?);
+        buffer.set_max_frame_bytes(topic.options.max_message_bytes);
+        Ok((stream, buffer, Arc::new(PublisherInfo { node, uri, kind, local, remote })))
+    }
+
+    /// Reads messages until the connection ends.
+    async fn read(
+        &self,
+        topic: &SubscribedTopic,
+        mut stream: TcpStream,
+        mut buffer: FrameBuffer,
+        publisher: Arc<PublisherInfo>,
+    ) -> LinkError {
+        self.state().counts.connections += 1;
+        self.set_state(topic, PublisherState::Connected(Arc::clone(&publisher)));
+        loop {
+            let bytes = match read_frame(&mut stream, &mut buffer).await {
+                Ok(Some(bytes)) => bytes,
+                Ok(None) => return LinkError::Closed,
+                Err(error) => return LinkError::Broken(error),
+            };
+            let received = topic.clock.stamp();
+            {
+                let counts = &mut self.state().counts;
+                counts.messages += 1;
+                counts.bytes += bytes.len() as u64;
+            }
+            let message = ReceivedMessage { bytes, publisher: Arc::clone(&publisher), received };
+            if !topic.queue.push(message).await {
+                self.state().counts.dropped += 1;
+            }
+        }
+    }
+}
+
+/// Reads the protocol's parameters: its name, the host and the port.
+fn read_endpoint(params: &Value) -> Option<(String, u16)> {
+    match params.as_array()? {
+        [protocol, host, port, ..] if protocol.as_text() == Some("TCPROS") => {
+            Some((host.as_text()?.to_owned(), port.as_int()?.try_into().ok()?))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,267 @@
+//! Which topics the master should know, and what to call next so that it does. No I/O.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Time between two questions whether the master still knows the node.
+pub(super) const CHECK_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Pause after the master was not reachable.
+pub(super) const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Role of a node in a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Role {
+    Publisher,
+    Subscriber,
+}
+
+/// A publisher or subscriber of a topic.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Registration {
+    pub(super) role: Role,
+    pub(super) topic: Arc<str>,
+    /// Name of the type.
+    pub(super) kind: Arc<str>,
+}
+
+/// A call that brings the master's knowledge closer to what it should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum MasterCall {
+    Register(Registration),
+    Unregister(Registration),
+    /// Ask which node has this node's name.
+    LookUpNode,
+}
+
+/// Outcome of a call.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum CallOutcome {
+    Success,
+    /// The master does not know the node: it was restarted.
+    NodeUnknown,
+    /// Another node has the name now.
+    NodeReplaced {
+        uri: String,
+    },
+    Refused {
+        reason: String,
+    },
+    Unreachable {
+        reason: String,
+    },
+}
+
+/// Something to tell the owner.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Notice {
+    MasterLost { reason: String },
+    MasterBack,
+    MasterRestarted,
+    Refused { reason: String },
+    NodeReplaced { uri: String },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum RegistrationStatus {
+    Registered,
+    Missing,
+    Leaving,
+}
+
+/// The registrations of a node.
+#[derive(Debug, Default)]
+pub(super) struct Registrations {
+    entries: BTreeMap<Registration, RegistrationStatus>,
+    is_unreachable: bool,
+    is_check_due: bool,
+}
+
+impl Registrations {
+    /// Adds a registration that the master has.
+    pub(super) fn add(&mut self, registration: Registration) {
+        self.entries.insert(registration, RegistrationStatus::Registered);
+    }
+
+    /// Marks a registration for removal; the call to unregister it is due next.
+    pub(super) fn remove(&mut self, registration: Registration) {
+        self.entries.insert(registration, RegistrationStatus::Leaving);
+    }
+
+    /// Notes that [`CHECK_INTERVAL`] or [`RETRY_INTERVAL`] has passed.
+    pub(super) fn request_check(&mut self) {
+        self.is_check_due = true;
+    }
+
+    /// Returns how long to wait when there is nothing to call, or after a call that did not reach the master.
+    pub(super) fn pause(&self) -> Duration {
+        if self.is_unreachable { RETRY_INTERVAL } else { CHECK_INTERVAL }
+    }
+
+    /// Returns the next call to make now.
+    pub(super) fn next_call(&self) -> Option<MasterCall> {
+        let with = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
+        // After an absence it may be another master: what it knows is asked first.
+        if self.is_check_due && !self.entries.is_empty() {
+            return Some(MasterCall::LookUpNode);
+        }
+        if self.is_unreachable {
+            return None;
+        }
+        if let Some((registration, _)) = with(RegistrationStatus::Leaving) {
+            return Some(MasterCall::Unregister(registration.clone()));
+        }
+        with(RegistrationStatus::Missing).map(|(registration, _)| MasterCall::Register(registration.clone()))
+    }
+
+    /// Handles the outcome of a call.
+    pub(super) fn handle_outcome(&mut self, call: &MasterCall, outcome: CallOutcome) -> Option<Notice> {
+        if *call == MasterCall::LookUpNode {
+            self.is_check_due = false;
+        }
+        if let CallOutcome::Unreachable { reason } = outcome {
+            let was_unreachable = std::mem::replace(&mut self.is_unreachable, true);
+            return (!was_unreachable).then_some(Notice::MasterLost { reason });
+        }
+        let was_unreachable = std::mem::take(&mut self.is_unreachable);
+        match (call, outcome) {
+            (_, CallOutcome::NodeUnknown) => {
+                let had_registered = self.mark_all_missing();
+                return had_registered.then_some(Notice::MasterRestarted);
+            }
+            (_, CallOutcome::NodeReplaced { uri }) => return Some(Notice::NodeReplaced { uri }),
+            (MasterCall::Register(registration), CallOutcome::Success) => {
+                if let Some(status) = self.entries.get_mut(registration)
+                    && *status == RegistrationStatus::Missing
+                {
+                    *status = RegistrationStatus::Registered;
+                }
+            }
+            (MasterCall::Unregister(registration), CallOutcome::Success) => self.end_leaving(registration),
+            (MasterCall::Unregister(registration), CallOutcome::Refused { reason }) => {
+                self.end_leaving(registration);
+                return Some(Notice::Refused { reason });
+            }
+            (MasterCall::Register(_) | MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
+                // It is tried again after a pause, and told once.
+                self.is_unreachable = true;
+                return (!was_unreachable).then_some(Notice::Refused { reason });
+            }
+            (MasterCall::LookUpNode, CallOutcome::Success) | (_, CallOutcome::Unreachable { .. }) => {}
+        }
+        was_unreachable.then_some(Notice::MasterBack)
+    }
+
+    /// Takes all registrations for missing, and returns whether there was one.
+    fn mark_all_missing(&mut self) -> bool {
+        let had_registered = self.entries.values().any(|status| *status == RegistrationStatus::Registered);
+        self.entries.retain(|_, status| *status != RegistrationStatus::Leaving);
+        self.entries.values_mut().for_each(|status| *status = RegistrationStatus::Missing);
+        had_registered
+    }
+
+    /// Removes a registration that the master has removed.
+    fn end_leaving(&mut self, registration: &Registration) {
+        match self.entries.get_mut(registration) {
+            Some(RegistrationStatus::Leaving) => {
+                self.entries.remove(registration);
+            }
+            // Added again while the call was under way, which has removed the new one.
+            Some(status) => *status = RegistrationStatus::Missing,
+            None => {}
+        }
+    }
+
+    /// Removes and returns all registrations that the master may know.
+    pub(super) fn take_all(&mut self) -> Vec<Registration> {
+        std::mem::take(&mut self.entries).into_keys().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn registration(topic: &str) -> Registration {
+        Registration { role: Role::Publisher, topic: topic.into(), kind: "std_msgs/String".into() }
+    }
+
+    fn unreachable() -> CallOutcome {
+        CallOutcome::Unreachable { reason: "refused".into() }
+    }
+
+    #[test]
+    fn restarted_master_is_told_everything_again() {
+        let mut state = Registrations::default();
+        state.add(registration("/a"));
+        state.add(registration("/b"));
+        assert_eq!(state.next_call(), None);
+        assert_eq!(state.pause(), CHECK_INTERVAL);
+
+        state.request_check();
+        let check = state.next_call().unwrap();
+        assert_eq!(check, MasterCall::LookUpNode);
+        let lost = Notice::MasterLost { reason: "refused".into() };
+        assert_eq!(state.handle_outcome(&check, unreachable()), Some(lost));
+        assert_eq!(state.next_call(), None);
+        assert_eq!(state.pause(), RETRY_INTERVAL);
+        state.request_check();
+        assert_eq!(state.handle_outcome(&check, unreachable()), None);
+
+        state.request_check();
+        assert_eq!(state.handle_outcome(&check, CallOutcome::NodeUnknown), Some(Notice::MasterRestarted));
+        for topic in ["/a", "/b"] {
+            let call = MasterCall::Register(registration(topic));
+            assert_eq!(state.next_call(), Some(call.clone()));
+            assert_eq!(state.handle_outcome(&call, CallOutcome::Success), None);
+        }
+        assert_eq!(state.next_call(), None);
+    }
+
+    #[test]
+    fn master_that_kept_running_is_told_nothing() {
+        let mut state = Registrations::default();
+        state.add(registration("/a"));
+        state.handle_outcome(&MasterCall::LookUpNode, unreachable());
+        let notice = state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::Success);
+        assert_eq!(notice, Some(Notice::MasterBack));
+        assert_eq!(state.next_call(), None);
+    }
+
+    #[test]
+    fn departure_waits_for_the_master() {
+        let mut state = Registrations::default();
+        state.add(registration("/a"));
+        state.remove(registration("/a"));
+        let call = state.next_call().unwrap();
+        assert_eq!(call, MasterCall::Unregister(registration("/a")));
+        state.handle_outcome(&call, unreachable());
+        assert_eq!(state.next_call(), None);
+        state.request_check();
+        state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::Success);
+        assert_eq!(state.next_call(), Some(call.clone()));
+        state.handle_outcome(&call, CallOutcome::Success);
+        state.request_check();
+        assert_eq!(state.next_call(), None);
+    }
+
+    #[test]
+    fn topic_added_during_its_departure_is_registered_again() {
+        let mut state = Registrations::default();
+        state.remove(registration("/a"));
+        let call = state.next_call().unwrap();
+        state.add(registration("/a"));
+        state.handle_outcome(&call, CallOutcome::Success);
+        assert_eq!(state.next_call(), Some(MasterCall::Register(registration("/a"))));
+    }
+
+    #[test]
+    fn node_with_same_name_is_told() {
+        let mut state = Registrations::default();
+        state.add(registration("/a"));
+        let outcome = CallOutcome::NodeReplaced { uri: "http://other:1/".into() };
+        let notice = state.handle_outcome(&MasterCall::LookUpNode, outcome);
+        assert_eq!(notice, Some(Notice::NodeReplaced { uri: "http://other:1/".into() }));
+    }
+}

@@ -1,0 +1,253 @@
+//! The API that a node offers to the master and to other nodes ("slave API"). No I/O.
+
+use super::node::NodeShared;
+use super::subscriber::PublisherState;
+use super::xmlrpc::{Call, Response, Value};
+
+/// Code of an answer that is a success.
+const SUCCESS: i64 = 1;
+
+/// Code of an answer to a call that makes no sense.
+const ERROR: i64 = -1;
+
+/// Code of an answer to a call that could not be carried out.
+const FAILURE: i64 = 0;
+
+/// A call of the API. The first parameter, the caller's name, is left out where nothing is done with it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum SlaveCall {
+    BusStats,
+    BusInfo,
+    MasterUri,
+    Shutdown { caller: String, reason: String },
+    Pid,
+    Subscriptions,
+    Publications,
+    ParamUpdate,
+    PublisherUpdate { topic: String, publishers: Vec<String> },
+    RequestTopic { topic: String, protocols: Vec<String> },
+}
+
+/// Why a call is not one of the API.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum CallError {
+    UnknownMethod,
+    Params,
+}
+
+impl SlaveCall {
+    /// Reads a call.
+    pub(super) fn read(call: &Call) -> Result<Self, CallError> {
+        let texts = |value: &Value| -> Option<Vec<String>> {
+            value.as_array()?.iter().map(|text| text.as_text().map(str::to_owned)).collect()
+        };
+        let read = match (call.method.as_str(), call.params.as_slice()) {
+            ("getBusStats", [_]) => Some(Self::BusStats),
+            ("getBusInfo", [_]) => Some(Self::BusInfo),
+            ("getMasterUri", [_]) => Some(Self::MasterUri),
+            ("getPid", [_]) => Some(Self::Pid),
+            ("getSubscriptions", [_]) => Some(Self::Subscriptions),
+            ("getPublications", [_]) => Some(Self::Publications),
+            ("paramUpdate", [_, _, _]) => Some(Self::ParamUpdate),
+            ("shutdown", [caller, rest @ ..]) if rest.len() <= 1 => caller.as_text().map(|caller| {
+                let reason = rest.first().and_then(Value::as_text).unwrap_or_default();
+                Self::Shutdown { caller: caller.to_owned(), reason: reason.to_owned() }
+            }),
+            ("publisherUpdate", [_, topic, publishers]) => topic
+                .as_text()
+                .zip(texts(publishers))
+                .map(|(topic, publishers)| Self::PublisherUpdate { topic: topic.to_owned(), publishers }),
+            ("requestTopic", [_, topic, protocols]) => topic
+                .as_text()
+                .zip(protocol_names(protocols))
+                .map(|(topic, protocols)| Self::RequestTopic { topic: topic.to_owned(), protocols }),
+            (
+                "getBusStats" | "getBusInfo" | "getMasterUri" | "getPid" | "getSubscriptions"
+                | "getPublications" | "paramUpdate" | "shutdown" | "publisherUpdate" | "requestTopic",
+                _,
+            ) => None,
+            _ => return Err(CallError::UnknownMethod),
+        };
+        read.ok_or(CallError::Params)
+    }
+}
+
+/// Reads the names of protocols, each the first of a list with its parameters.
+fn protocol_names(value: &Value) -> Option<Vec<String>> {
+    let name = |protocol: &Value| protocol.as_array()?.first()?.as_text().map(str::to_owned);
+    value.as_array()?.iter().map(name).collect()
+}
+
+/// Answers a call to a node.
+pub(super) fn answer(node: &NodeShared, call: &Call) -> Response {
+    match SlaveCall::read(call) {
+        Ok(call) => Response::Success(carry_out(node, call)),
+        Err(CallError::Params) => {
+            let text = format!("wrong parameters for {}", call.method);
+            Response::Success([ERROR.into(), text.into(), 0.into()].into())
+        }
+        Err(CallError::UnknownMethod) => {
+            Response::Fault { code: ERROR, text: format!("unknown method {:?}", call.method) }
+        }
+    }
+}
+
+fn success(value: impl Into<Value>) -> Value {
+    [SUCCESS.into(), "".into(), value.into()].into()
+}
+
+fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
+    match call {
+        SlaveCall::BusStats => success(bus_statistics(node)),
+        SlaveCall::BusInfo => success(bus_info(node)),
+        SlaveCall::MasterUri => success(node.master.uri().as_str()),
+        SlaveCall::Pid => success(i64::from(std::process::id())),
+        SlaveCall::Subscriptions => {
+            let topics = node.topics().subscriptions.values().cloned().collect::<Vec<_>>();
+            let pair = |topic: &std::sync::Arc<super::subscriber::SubscribedTopic>| {
+                [(&*topic.subscription.topic).into(), (&*topic.subscription.kind.name).into()].into()
+            };
+            success(topics.iter().map(pair).collect::<Vec<Value>>())
+        }
+        SlaveCall::Publications => {
+            let topics = node.topics().publications.values().cloned().collect::<Vec<_>>();
+            let pair = |topic: &std::sync::Arc<super::publisher::PublishedTopic>| {
+                [(&*topic.publication.topic).into(), (&*topic.publication.kind.name).into()].into()
+            };
+            success(topics.iter().map(pair).collect::<Vec<Value>>())
+        }
+        SlaveCall::ParamUpdate => success(0),
+        SlaveCall::Shutdown { caller, reason } => {
+            let reason = if reason.is_empty() { "no reason given".to_owned() } else { reason };
+            node.close(format!("{caller} asked it to shut down: {reason}"));
+            success(0)
+        }
+        SlaveCall::PublisherUpdate { topic, publishers } => {
+            let subscribed = node.topics().subscriptions.get(&*topic).cloned();
+            if let Some(subscribed) = subscribed {
+                subscribed.set_publishers(&publishers);
+            }
+            success(0)
+        }
+        SlaveCall::RequestTopic { topic, protocols } => request_topic(node, &topic, &protocols),
+    }
+}
+
+fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value {
+    let failure = |text: String| [FAILURE.into(), text.into(), Value::Int(0)].into();
+    if !node.topics().publications.contains_key(topic) {
+        return failure(format!("topic {topic} is not published by node {}", node.name));
+    }
+    if !protocols.iter().any(|protocol| protocol == "TCPROS") {
+        return failure(format!("node {} offers TCPROS only, asked for {protocols:?}", node.name));
+    }
+    let text = format!("ready on {}:{}", node.host, node.tcpros_port);
+    let params = ["TCPROS".into(), node.host.as_str().into(), i64::from(node.tcpros_port).into()];
+    [SUCCESS.into(), text.into(), params.into()].into()
+}
+
+/// Returns a count as XML-RPC can say it.
+fn int(count: u64) -> Value {
+    Value::Int(i64::try_from(count).unwrap_or(i64::MAX))
+}
+
+/// Returns the statistics that `getBusStats` has: of publishers, subscribers, and services, which this node has none of.
+fn bus_statistics(node: &NodeShared) -> Value {
+    let (published, subscribed) = node.topics().lists();
+    let publishers = published.iter().map(|topic| {
+        let connections = topic.subscribers().into_iter().zip(0..).map(|(subscriber, id)| {
+            let counts = subscriber.counts;
+            [Value::Int(id), int(counts.sent_bytes), int(counts.sent), Value::Bool(true)].into()
+        });
+        let sent_bytes = int(topic.counts().sent_bytes);
+        let connections = connections.collect::<Vec<Value>>();
+        [(&*topic.publication.topic).into(), sent_bytes, connections.into()].into()
+    });
+    let subscribers = subscribed.iter().map(|topic| {
+        let connections = topic.publishers().into_iter().zip(0..).map(|(publisher, id)| {
+            let is_connected = matches!(publisher.state, PublisherState::Connected(_));
+            let counts = publisher.counts;
+            [Value::Int(id), int(counts.bytes), int(counts.dropped), Value::Bool(is_connected)].into()
+        });
+        [(&*topic.subscription.topic).into(), connections.collect::<Vec<Value>>().into()].into()
+    });
+    let services = Value::from([0.into(), 0.into(), 0.into()]);
+    [publishers.collect::<Vec<Value>>().into(), subscribers.collect::<Vec<Value>>().into(), services].into()
+}
+
+/// Returns the connections as `getBusInfo` has them: number, other end, direction, transport, topic, whether connected, and
+/// a description.
+fn bus_info(node: &NodeShared) -> Value {
+    let (published, subscribed) = node.topics().lists();
+    let mut connections: Vec<Value> = Vec::new();
+    let mut add = |other: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
+        let id = Value::Int(connections.len() as i64 + 1);
+        let connected = Value::Bool(is_connected);
+        let (other, direction, topic) = (other.into(), direction.into(), topic.into());
+        connections
+            .push([id, other, direction, "TCPROS".into(), topic, connected, description.into()].into());
+    };
+    for topic in published {
+        for subscriber in topic.subscribers() {
+            let description =
+                format!("TCPROS connection on port {} to [{}]", subscriber.local.port(), subscriber.remote);
+            add(&subscriber.node, "o", &topic.publication.topic, true, description);
+        }
+    }
+    for topic in subscribed {
+        for publisher in topic.publishers() {
+            let (is_connected, description) = match publisher.state {
+                PublisherState::Connecting => (false, "connecting".to_owned()),
+                PublisherState::Failed(reason) => (false, reason),
+                PublisherState::Connected(info) => {
+                    let description =
+                        format!("TCPROS connection on port {} to [{}]", info.local.port(), info.remote);
+                    (true, description)
+                }
+            };
+            add(&publisher.uri, "i", &topic.subscription.topic, is_connected, description);
+        }
+    }
+    connections.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn call(method: &str, params: Vec<Value>) -> Result<SlaveCall, CallError> {
+        SlaveCall::read(&Call { method: method.to_owned(), params })
+    }
+
+    #[test]
+    fn calls_are_read() {
+        assert_eq!(call("getPid", vec!["/c".into()]), Ok(SlaveCall::Pid));
+        let protocols =
+            Value::from([Value::from(["UDPROS".into(), 1.into()]), Value::from(["TCPROS".into()])]);
+        assert_eq!(
+            call("requestTopic", vec!["/c".into(), "/t".into(), protocols]),
+            Ok(SlaveCall::RequestTopic {
+                topic: "/t".into(),
+                protocols: vec!["UDPROS".into(), "TCPROS".into()]
+            })
+        );
+        assert_eq!(
+            call("publisherUpdate", vec!["/master".into(), "/t".into(), ["http://a:1/".into()].into()]),
+            Ok(SlaveCall::PublisherUpdate { topic: "/t".into(), publishers: vec!["http://a:1/".into()] })
+        );
+        assert_eq!(
+            call("shutdown", vec!["/master".into()]),
+            Ok(SlaveCall::Shutdown { caller: "/master".into(), reason: String::new() })
+        );
+    }
+
+    #[test]
+    fn wrong_calls_are_told_apart() {
+        assert_eq!(call("getPid", vec![]), Err(CallError::Params));
+        assert_eq!(
+            call("requestTopic", vec!["/c".into(), "/t".into(), ["TCPROS".into()].into()]),
+            Err(CallError::Params)
+        );
+        assert_eq!(call("format", vec!["/c".into()]), Err(CallError::UnknownMethod));
+    }
+}

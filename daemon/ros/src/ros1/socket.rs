@@ -1,0 +1,41 @@
+//! Options of TCPROS sockets, and reading of frames.
+
+use std::io;
+
+use bytes::Bytes;
+use socket2::{SockRef, TcpKeepalive};
+use tokio::io::AsyncReadExt;
+use tokio::net::TcpStream;
+
+use super::limits::{KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_PROBES, USER_TIMEOUT};
+use super::tcpros::FrameBuffer;
+
+/// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the one before, and keepalive and a
+/// timeout of the kernel, so that a peer that vanished is noticed whether or not something is being sent.
+pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    let keepalive = TcpKeepalive::new()
+        .with_time(KEEPALIVE_IDLE)
+        .with_interval(KEEPALIVE_INTERVAL)
+        .with_retries(KEEPALIVE_PROBES);
+    let socket = SockRef::from(stream);
+    socket.set_tcp_keepalive(&keepalive)?;
+    socket.set_tcp_user_timeout(Some(USER_TIMEOUT))
+}
+
+/// Reads until a frame is complete; nothing if the peer has closed the connection before the next one began.
+pub(super) async fn read_frame(
+    stream: &mut TcpStream,
+    buffer: &mut FrameBuffer,
+) -> io::Result<Option<Bytes>> {
+    loop {
+        let frame = buffer.next_frame().map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+        if frame.is_some() {
+            return Ok(frame);
+        }
+        if stream.read_buf(buffer.input()).await? == 0 {
+            let is_between_frames = !buffer.has_partial_frame();
+            return if is_between_frames { Ok(None) } else { Err(io::ErrorKind::UnexpectedEof.into()) };
+        }
+    }
+}

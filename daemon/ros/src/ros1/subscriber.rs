@@ -1,0 +1,272 @@
+//! Subscribing to a topic.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::SharedClock;
+use tokio::sync::Notify;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use super::error::NodeError;
+use super::incoming::{IncomingQueue, ReceivedMessage, WhenFull};
+use super::limits::{MAX_PUBLISHERS, QueueLimits};
+use super::node::RegistrationGuard;
+use super::publisher_link::PublisherLink;
+use super::tcpros::{Subscription, TopicType};
+
+/// Options of a subscriber.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SubscriberOptions {
+    /// Bound of the queue of received messages.
+    pub queue: QueueLimits,
+    /// Policy for a message that finds it full.
+    pub when_full: WhenFull,
+    /// Longest message that is read, in bytes. A publisher of a longer one is disconnected.
+    pub max_message_bytes: usize,
+}
+
+impl Default for SubscriberOptions {
+    fn default() -> Self {
+        Self {
+            queue: QueueLimits::default(),
+            when_full: WhenFull::default(),
+            max_message_bytes: 64 * 1024 * 1024,
+        }
+    }
+}
+
+/// A publisher, as its connection header describes it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PublisherInfo {
+    /// Name of the publisher's node.
+    pub node: Arc<str>,
+    /// URI of that node's XML-RPC server.
+    pub uri: Arc<str>,
+    /// Type of the messages, with the definition.
+    pub kind: TopicType,
+    /// Own end of the connection.
+    pub local: SocketAddr,
+    /// The publisher's end of the connection.
+    pub remote: SocketAddr,
+}
+
+/// Counts of the messages from one publisher.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReceiveCounts {
+    /// Messages that arrived whole, with those that were dropped.
+    pub messages: u64,
+    /// Bytes of these messages, without the length before each.
+    pub bytes: u64,
+    /// Messages that were dropped because the subscriber's queue was full.
+    pub dropped: u64,
+    /// Connections that were opened.
+    pub connections: u64,
+}
+
+impl ReceiveCounts {
+    fn add(&mut self, other: &Self) {
+        self.messages += other.messages;
+        self.bytes += other.bytes;
+        self.dropped += other.dropped;
+        self.connections += other.connections;
+    }
+}
+
+/// State of the connection to a publisher.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PublisherState {
+    /// Under way.
+    Connecting,
+    /// Messages arrive.
+    Connected(Arc<PublisherInfo>),
+    /// The last attempt failed, or the connection broke, for this reason. It is tried again.
+    Failed(String),
+}
+
+/// A publisher of a topic that is subscribed to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PublisherStatus {
+    /// URI of the XML-RPC server of the publisher's node.
+    pub uri: Arc<str>,
+    /// State of the connection.
+    pub state: PublisherState,
+    /// Counts of its messages.
+    pub counts: ReceiveCounts,
+}
+
+/// Receives the messages of a topic from all its publishers. Dropping it ends the connections and tells the master.
+#[derive(Debug)]
+pub struct Subscriber {
+    pub(super) topic: Arc<SubscribedTopic>,
+    pub(super) guard: RegistrationGuard,
+}
+
+impl Subscriber {
+    /// Returns the global name of the topic.
+    pub fn topic(&self) -> &str {
+        &self.topic.subscription.topic
+    }
+
+    /// Waits for the next message. What arrived before the node ended is still returned.
+    ///
+    /// # Errors
+    /// The node has ended.
+    pub async fn recv(&mut self) -> Result<ReceivedMessage, NodeError> {
+        tokio::select! {
+            biased;
+            message = self.topic.queue.pop() => Ok(message),
+            () = self.topic.stop.cancelled() => {
+                self.topic.queue.try_pop().ok_or_else(|| self.guard.closed())
+            }
+        }
+    }
+
+    /// Returns the publishers that the master knows, and those that are still connected. A caller that expects one can see
+    /// that there are several, and which.
+    pub fn publishers(&self) -> Vec<PublisherStatus> {
+        self.topic.publishers()
+    }
+
+    /// Returns the sums over all publishers, with those that are gone.
+    pub fn counts(&self) -> ReceiveCounts {
+        self.topic.counts()
+    }
+
+    /// Waits until this number of publishers is connected.
+    ///
+    /// # Errors
+    /// The node has ended.
+    pub async fn wait_for_publishers(&self, count: usize) -> Result<(), NodeError> {
+        loop {
+            // Made before looking, so that nothing that happens in between is missed.
+            let changed = self.topic.changed.notified();
+            self.guard.check_open()?;
+            let is_connected =
+                |publisher: &PublisherStatus| matches!(publisher.state, PublisherState::Connected(_));
+            if self.publishers().iter().filter(|publisher| is_connected(publisher)).count() >= count {
+                return Ok(());
+            }
+            tokio::select! {
+                () = changed => {}
+                () = self.topic.stop.cancelled() => {}
+            }
+        }
+    }
+
+    /// Returns a future that ends when the state of a connection to a publisher has changed since the future was made.
+    pub fn publishers_changed(&self) -> impl Future<Output = ()> + '_ {
+        self.topic.changed.notified()
+    }
+}
+
+impl Drop for Subscriber {
+    fn drop(&mut self) {
+        self.topic.stop.cancel();
+    }
+}
+
+/// A topic that a node subscribes to.
+#[derive(Debug)]
+pub(super) struct SubscribedTopic {
+    pub(super) subscription: Subscription,
+    pub(super) options: SubscriberOptions,
+    pub(super) queue: IncomingQueue,
+    pub(super) clock: SharedClock,
+    pub(super) stop: CancellationToken,
+    /// The state of a connection changed.
+    pub(super) changed: Notify,
+    tasks: TaskTracker,
+    state: Mutex<TopicState>,
+}
+
+#[derive(Debug, Default)]
+struct TopicState {
+    links: BTreeMap<Arc<str>, Arc<PublisherLink>>,
+    /// Counts of publishers that are gone.
+    ended: ReceiveCounts,
+}
+
+impl SubscribedTopic {
+    pub(super) fn new(
+        subscription: Subscription,
+        options: SubscriberOptions,
+        clock: SharedClock,
+        stop: CancellationToken,
+        tasks: TaskTracker,
+    ) -> Self {
+        Self {
+            subscription,
+            options,
+            queue: IncomingQueue::new(options.queue, options.when_full),
+            clock,
+            stop,
+            changed: Notify::new(),
+            tasks,
+            state: Mutex::default(),
+        }
+    }
+
+    fn state(&self) -> MutexGuard<'_, TopicState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn publishers(&self) -> Vec<PublisherStatus> {
+        self.state().links.values().map(|link| link.status()).collect()
+    }
+
+    pub(super) fn counts(&self) -> ReceiveCounts {
+        let state = self.state();
+        let mut sum = state.ended;
+        state.links.values().for_each(|link| sum.add(&link.status().counts));
+        sum
+    }
+
+    /// Takes over the master's list of publishers. Connections to those that are no longer listed go on until they break: a
+    /// restarted master has an empty list at first.
+    pub(super) fn set_publishers(self: &Arc<Self>, uris: &[String]) {
+        let mut state = self.state();
+        for (uri, link) in &state.links {
+            link.set_listed(uris.iter().any(|listed| **listed == **uri));
+        }
+        self.add(&mut state, uris);
+    }
+
+    /// Adds publishers to those that are known: the answer to a registration may be older than a list that came since.
+    pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
+        self.add(&mut self.state(), uris);
+    }
+
+    fn add(self: &Arc<Self>, state: &mut TopicState, uris: &[String]) {
+        for uri in uris {
+            if let Some(link) = state.links.get(&**uri) {
+                link.set_listed(true);
+            } else if state.links.len() >= MAX_PUBLISHERS {
+                let topic = &*self.subscription.topic;
+                tracing::warn!(topic, uri, "a ROS topic has too many publishers; this one is left out");
+            } else {
+                let uri: Arc<str> = uri.as_str().into();
+                let link = Arc::new(PublisherLink::new(Arc::clone(&uri)));
+                state.links.insert(uri, Arc::clone(&link));
+                let topic = Arc::clone(self);
+                self.tasks.spawn(async move { link.run(&topic).await });
+            }
+        }
+        self.changed.notify_waiters();
+    }
+
+    /// Removes a publisher that is not listed. Returns whether it was removed.
+    pub(super) fn remove_unlisted(&self, link: &PublisherLink) -> bool {
+        let mut state = self.state();
+        if link.is_listed() && !self.stop.is_cancelled() {
+            return false;
+        }
+        let counts = link.status().counts;
+        state.links.remove(link.uri());
+        state.ended.add(&counts);
+        drop(state);
+        self.changed.notify_waiters();
+        true
+    }
+}

@@ -1,0 +1,189 @@
+//! The checks of publisher and subscriber when they connect.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use super::{ConnectionHeader, HeaderError};
+use crate::messages::Message;
+
+/// Stands for any type or sum.
+const ANY: &str = "*";
+
+/// A message type as connection headers name it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TopicType {
+    /// Package and name, or `*`.
+    pub name: Arc<str>,
+    /// MD5 sum, or `*`.
+    pub md5: Arc<str>,
+    /// Full text of the definition, or nothing.
+    pub definition: Arc<str>,
+}
+
+impl TopicType {
+    /// Returns the type of a [`Message`].
+    pub fn of<M: Message>() -> Self {
+        let definition = M::DEFINITION;
+        Self {
+            name: definition.name.into(),
+            md5: definition.md5.into(),
+            definition: definition.full_text().into(),
+        }
+    }
+
+    /// Returns the type that every other one matches, for subscribers that take messages as bytes.
+    pub fn any() -> Self {
+        Self { name: ANY.into(), md5: ANY.into(), definition: "".into() }
+    }
+
+    /// Returns whether this is [`TopicType::any`].
+    pub fn is_any(&self) -> bool {
+        &*self.md5 == ANY
+    }
+
+    /// Returns whether messages of both types are the same. The sum decides; where it is `*`, the name does.
+    fn matches(&self, name: &str, md5: &str) -> bool {
+        let is_same = |ours: &str, theirs: &str| ours == theirs || ours == ANY || theirs == ANY;
+        is_same(&self.md5, md5) && is_same(&self.name, name)
+    }
+
+    fn description(name: &str, md5: &str) -> String {
+        format!("{name} (md5sum {md5})")
+    }
+}
+
+/// Why publisher and subscriber do not exchange messages.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum HandshakeError {
+    /// Not a header, or one without a field.
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    /// The subscriber asks for another topic than this node publishes.
+    #[error("topic {topic} is not published by node {node}")]
+    UnknownTopic {
+        /// Topic that was asked for.
+        topic: String,
+        /// Name of the node that was asked.
+        node: String,
+    },
+    /// Both sides have different types.
+    #[error(
+        "topic {topic} has two message types: {ours} here, {theirs} at node {peer}; \
+         let both use the same definition of the type"
+    )]
+    TypeMismatch {
+        /// Topic.
+        topic: String,
+        /// Type and sum on this side.
+        ours: String,
+        /// Type and sum on the other side.
+        theirs: String,
+        /// Name of the other node.
+        peer: String,
+    },
+    /// The publisher refused the subscription.
+    #[error("the publisher of topic {topic} refuses the subscription: {reason}")]
+    Refused {
+        /// Topic.
+        topic: String,
+        /// Reason that the publisher gave.
+        reason: String,
+    },
+}
+
+/// A topic that a node publishes, as it answers subscribers.
+#[derive(Clone, Debug)]
+pub struct Publication {
+    /// Name of the node.
+    pub node: Arc<str>,
+    /// Global name of the topic.
+    pub topic: Arc<str>,
+    /// Type of the messages.
+    pub kind: TopicType,
+    /// Whether a new subscriber gets the last message at once.
+    pub is_latching: bool,
+}
+
+impl Publication {
+    /// Returns the header that answers a subscriber's, and the subscriber's name.
+    ///
+    /// # Errors
+    /// The subscriber wants something else. It gets [`ConnectionHeader::error`] with the text.
+    pub fn answer(&self, request: &ConnectionHeader) -> Result<(ConnectionHeader, Arc<str>), HandshakeError> {
+        let topic = request.require("topic")?;
+        let md5 = request.require("md5sum")?;
+        let peer = request.get("callerid").unwrap_or("without a name");
+        // Some clients leave the type out where the sum is a wildcard.
+        let name = request.get("type").unwrap_or(ANY);
+        if topic != &*self.topic {
+            return Err(HandshakeError::UnknownTopic { topic: topic.into(), node: self.node.to_string() });
+        }
+        if !self.kind.matches(name, md5) {
+            return Err(HandshakeError::TypeMismatch {
+                topic: topic.into(),
+                ours: TopicType::description(&self.kind.name, &self.kind.md5),
+                theirs: TopicType::description(name, md5),
+                peer: peer.into(),
+            });
+        }
+        let answer = ConnectionHeader::from_fields([
+            ("callerid", &*self.node),
+            ("latching", if self.is_latching { "1" } else { "0" }),
+            ("md5sum", &*self.kind.md5),
+            ("message_definition", &*self.kind.definition),
+            ("topic", &*self.topic),
+            ("type", &*self.kind.name),
+        ]);
+        Ok((answer, peer.into()))
+    }
+}
+
+/// A topic that a node subscribes to, as it asks publishers.
+#[derive(Clone, Debug)]
+pub struct Subscription {
+    /// Name of the node.
+    pub node: Arc<str>,
+    /// Global name of the topic.
+    pub topic: Arc<str>,
+    /// Expected type of the messages.
+    pub kind: TopicType,
+}
+
+impl Subscription {
+    /// Returns the header that opens a connection.
+    pub fn request(&self) -> ConnectionHeader {
+        ConnectionHeader::from_fields([
+            ("callerid", &*self.node),
+            ("md5sum", &*self.kind.md5),
+            ("message_definition", &*self.kind.definition),
+            ("tcp_nodelay", "1"),
+            ("topic", &*self.topic),
+            ("type", &*self.kind.name),
+        ])
+    }
+
+    /// Checks the publisher's answer and returns the publisher's name and type.
+    ///
+    /// # Errors
+    /// The publisher refuses, or publishes another type.
+    pub fn accept(&self, answer: &ConnectionHeader) -> Result<(Arc<str>, TopicType), HandshakeError> {
+        let topic = || self.topic.to_string();
+        if let Some(reason) = answer.get("error") {
+            return Err(HandshakeError::Refused { topic: topic(), reason: reason.to_owned() });
+        }
+        let md5 = answer.require("md5sum")?;
+        let name = answer.require("type")?;
+        let peer = answer.get("callerid").unwrap_or("without a name");
+        if !self.kind.matches(name, md5) {
+            return Err(HandshakeError::TypeMismatch {
+                topic: topic(),
+                ours: TopicType::description(&self.kind.name, &self.kind.md5),
+                theirs: TopicType::description(name, md5),
+                peer: peer.into(),
+            });
+        }
+        let definition = answer.get("message_definition").unwrap_or_default().into();
+        Ok((peer.into(), TopicType { name: name.into(), md5: md5.into(), definition }))
+    }
+}

@@ -1,0 +1,150 @@
+//! Tests of headers, handshakes and frames.
+
+use bytes::{BufMut, Bytes};
+use proptest::prelude::*;
+
+use super::{
+    ConnectionHeader, FrameBuffer, FrameError, HandshakeError, HeaderError, MAX_HEADER_BYTES, Publication,
+    Subscription, TopicType,
+};
+use crate::messages::{CompressedImage, StringMessage};
+
+fn publication(kind: TopicType) -> Publication {
+    Publication { node: "/pub".into(), topic: "/t".into(), kind, is_latching: true }
+}
+
+fn subscription(kind: TopicType) -> Subscription {
+    Subscription { node: "/sub".into(), topic: "/t".into(), kind }
+}
+
+/// Passes a header through its bytes.
+fn sent(header: &ConnectionHeader) -> ConnectionHeader {
+    ConnectionHeader::decode(&header.encode()[4..]).unwrap()
+}
+
+#[test]
+fn equal_types_connect() {
+    let publication = publication(TopicType::of::<CompressedImage>());
+    for kind in [TopicType::of::<CompressedImage>(), TopicType::any()] {
+        let subscription = subscription(kind);
+        let (answer, subscriber) = publication.answer(&sent(&subscription.request())).unwrap();
+        assert_eq!(&*subscriber, "/sub");
+        assert_eq!(answer.get("latching"), Some("1"));
+        let (publisher, kind) = subscription.accept(&sent(&answer)).unwrap();
+        assert_eq!((&*publisher, &*kind.name), ("/pub", "sensor_msgs/CompressedImage"));
+        assert!(kind.definition.contains("MSG: std_msgs/Header"));
+    }
+}
+
+#[test]
+fn type_mismatch_names_both_types() {
+    let publication = publication(TopicType::of::<CompressedImage>());
+    let subscription = subscription(TopicType::of::<StringMessage>());
+    let error = publication.answer(&sent(&subscription.request())).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "topic /t has two message types: sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, \
+         std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /sub; \
+         let both use the same definition of the type"
+    );
+    let refusal = subscription.accept(&sent(&ConnectionHeader::error(&error.to_string()))).unwrap_err();
+    assert!(matches!(refusal, HandshakeError::Refused { reason, .. } if reason == error.to_string()));
+}
+
+#[test]
+fn other_topic_is_refused() {
+    let mut subscription = subscription(TopicType::any());
+    subscription.topic = "/other".into();
+    let error = publication(TopicType::any()).answer(&subscription.request()).unwrap_err();
+    assert_eq!(error.to_string(), "topic /other is not published by node /pub");
+}
+
+#[test]
+fn malformed_headers_are_refused() {
+    assert_eq!(ConnectionHeader::decode(b"abc").unwrap_err(), HeaderError::TooShort);
+    assert_eq!(ConnectionHeader::decode(b"\x05\0\0\0a=b").unwrap_err(), HeaderError::TooShort);
+    assert_eq!(ConnectionHeader::decode(b"\xff\xff\xff\xffa=b").unwrap_err(), HeaderError::TooShort);
+    assert_eq!(ConnectionHeader::decode(b"\x03\0\0\0abc").unwrap_err(), HeaderError::NoSeparator);
+    assert_eq!(ConnectionHeader::decode(b"\x02\0\0\0=\xff").unwrap_err(), HeaderError::NotUtf8);
+    assert_eq!(
+        ConnectionHeader::decode(&b"\x01\0\0\0=".repeat(101)).unwrap_err(),
+        HeaderError::TooManyFields
+    );
+    let error = publication(TopicType::any()).answer(&ConnectionHeader::default()).unwrap_err();
+    assert_eq!(error, HandshakeError::Header(HeaderError::Missing { name: "topic" }));
+}
+
+#[test]
+fn value_keeps_later_separators() {
+    let header = sent(&ConnectionHeader::from_fields([("message_definition", "uint8 A=1\n")]));
+    assert_eq!(header.get("message_definition"), Some("uint8 A=1\n"));
+}
+
+#[test]
+fn definition_that_is_too_long_is_left_out() {
+    let long = "x".repeat(MAX_HEADER_BYTES);
+    let header = sent(&ConnectionHeader::from_fields([("message_definition", &*long), ("topic", "/t")]));
+    assert_eq!(header, ConnectionHeader::from_fields([("topic", "/t")]));
+}
+
+#[test]
+fn claimed_length_reserves_little() {
+    let mut buffer = FrameBuffer::new(64 * 1024 * 1024);
+    buffer.input().put_slice(&50_000_000_u32.to_le_bytes());
+    assert_eq!(buffer.next_frame().unwrap(), None);
+    assert!(buffer.input().capacity() < 200_000);
+    buffer.input().put_bytes(0, 60_000);
+    assert!(buffer.input().capacity() < 2_000_000);
+}
+
+#[test]
+fn frame_that_is_too_long_is_refused() {
+    let mut buffer = FrameBuffer::new(10);
+    buffer.input().put_slice(&11_u32.to_le_bytes());
+    assert_eq!(buffer.next_frame().unwrap_err(), FrameError { length: 11, max: 10 });
+}
+
+proptest! {
+    #[test]
+    fn any_header_is_survived(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        let _ = ConnectionHeader::decode(&bytes);
+    }
+
+    #[test]
+    fn header_survives(fields in proptest::collection::btree_map("[a-z0-9_]{0,9}", ".{0,30}", 0..9)) {
+        let header = ConnectionHeader::from_fields(fields.iter().map(|(name, value)| (&**name, &**value)));
+        prop_assert_eq!(sent(&header), header);
+    }
+
+    #[test]
+    fn frames_survive_any_division(
+        frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..300), 0..8),
+        long in 0_usize..200_000,
+        reads in proptest::collection::vec(1_usize..90_000, 1..9),
+    ) {
+        let mut expected: Vec<Bytes> = frames.into_iter().map(Bytes::from).collect();
+        expected.insert(expected.len() / 2, vec![7; long].into());
+        let mut stream = Vec::new();
+        for frame in &expected {
+            stream.put_u32_le(u32::try_from(frame.len()).unwrap());
+            stream.put_slice(frame);
+        }
+        let mut buffer = FrameBuffer::new(1_000_000);
+        let mut found = Vec::new();
+        let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
+        while !rest.is_empty() {
+            // As a socket does: no more than fits.
+            let input = buffer.input();
+            let room = input.capacity() - input.len();
+            prop_assert!(room > 0);
+            let count = rest.len().min(*reads.next().unwrap()).min(room);
+            input.put_slice(&rest[..count]);
+            rest = &rest[count..];
+            while let Some(frame) = buffer.next_frame().unwrap() {
+                found.push(frame);
+            }
+        }
+        prop_assert_eq!(found, expected);
+        prop_assert!(!buffer.has_partial_frame());
+    }
+}

@@ -1,0 +1,190 @@
+//! A master for tests: topics only, as the protocol describes it.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use tokio::net::{TcpListener, TcpSocket};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::ros1::RpcUri;
+use crate::ros1::rpc;
+use crate::ros1::xmlrpc::{Call, Response, Value};
+
+/// Registrations of one role: topics with their nodes, each with its URI.
+type Topics = BTreeMap<String, BTreeMap<String, String>>;
+
+#[derive(Debug, Default)]
+struct State {
+    publishers: Topics,
+    subscribers: Topics,
+    types: BTreeMap<String, String>,
+    nodes: BTreeMap<String, String>,
+}
+
+/// A master on a separate port.
+#[derive(Debug)]
+pub(super) struct TestMaster {
+    address: SocketAddr,
+    stop: CancellationToken,
+    server: Option<tokio::task::JoinHandle<()>>,
+    state: Arc<Mutex<State>>,
+    changes: watch::Sender<()>,
+}
+
+impl TestMaster {
+    pub(super) async fn start() -> Self {
+        let address = SocketAddr::from(([127, 0, 0, 1], 0));
+        let mut master = Self {
+            address,
+            stop: CancellationToken::new(),
+            server: None,
+            state: Arc::default(),
+            changes: watch::Sender::default(),
+        };
+        master.resume();
+        master
+    }
+
+    pub(super) fn uri(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Stops the server and forgets everything.
+    pub(super) async fn kill(&mut self) {
+        self.stop.cancel();
+        self.server.take().expect("it runs").await.unwrap();
+        *self.state.lock().unwrap() = State::default();
+    }
+
+    /// Starts the server on the port that it had before.
+    pub(super) fn resume(&mut self) {
+        let socket = TcpSocket::new_v4().unwrap();
+        socket.set_reuseaddr(true).unwrap();
+        socket.bind(self.address).unwrap();
+        let listener: TcpListener = socket.listen(64).unwrap();
+        self.address = listener.local_addr().unwrap();
+        self.stop = CancellationToken::new();
+        let (state, changes) = (Arc::clone(&self.state), self.changes.clone());
+        let answer = move |call: &Call| {
+            let answer = answer(&mut state.lock().unwrap(), call);
+            changes.send_replace(());
+            answer
+        };
+        self.server = Some(tokio::spawn(rpc::serve(listener, answer, self.stop.clone())));
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap()
+    }
+
+    /// Returns the nodes that publish a topic.
+    pub(super) fn publishers(&self, topic: &str) -> Vec<String> {
+        self.state().publishers.get(topic).map(|nodes| nodes.keys().cloned().collect()).unwrap_or_default()
+    }
+
+    /// Returns the nodes that subscribe to a topic.
+    pub(super) fn subscribers(&self, topic: &str) -> Vec<String> {
+        self.state().subscribers.get(topic).map(|nodes| nodes.keys().cloned().collect()).unwrap_or_default()
+    }
+
+    /// Waits until a condition holds; it is looked at after each call.
+    pub(super) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
+        let mut changes = self.changes.subscribe();
+        while !condition(self) {
+            changes.changed().await.unwrap();
+        }
+    }
+}
+
+fn success(value: impl Into<Value>) -> Response {
+    Response::Success([Value::Int(1), "".into(), value.into()].into())
+}
+
+fn uris(nodes: Option<&BTreeMap<String, String>>) -> Value {
+    nodes.into_iter().flat_map(BTreeMap::values).map(|uri| uri.as_str().into()).collect::<Vec<Value>>().into()
+}
+
+fn answer(state: &mut State, call: &Call) -> Response {
+    let texts: Vec<&str> = call.params.iter().filter_map(Value::as_text).collect();
+    match (call.method.as_str(), &texts[..]) {
+        ("getUri", [_]) => success("http://master"),
+        ("registerPublisher", [node, topic, kind, uri]) => {
+            state.types.insert((*topic).to_owned(), (*kind).to_owned());
+            register(state, node, uri);
+            let nodes = state.publishers.entry((*topic).to_owned()).or_default();
+            nodes.insert((*node).to_owned(), (*uri).to_owned());
+            tell_subscribers(state, topic);
+            success(uris(state.subscribers.get(*topic)))
+        }
+        ("registerSubscriber", [node, topic, _, uri]) => {
+            register(state, node, uri);
+            let nodes = state.subscribers.entry((*topic).to_owned()).or_default();
+            nodes.insert((*node).to_owned(), (*uri).to_owned());
+            success(uris(state.publishers.get(*topic)))
+        }
+        ("unregisterPublisher", [node, topic, uri]) => {
+            let removed = remove(&mut state.publishers, topic, node, uri);
+            tell_subscribers(state, topic);
+            success(i64::from(removed))
+        }
+        ("unregisterSubscriber", [node, topic, uri]) => {
+            let removed = remove(&mut state.subscribers, topic, node, uri);
+            success(i64::from(removed))
+        }
+        ("lookupNode", [_, node]) => match state.nodes.get(*node) {
+            Some(uri) => success(uri.as_str()),
+            None => {
+                Response::Success([Value::Int(-1), format!("unknown node [{node}]").into(), "".into()].into())
+            }
+        },
+        ("getSystemState", [_]) => {
+            let list = |topics: &Topics| -> Value {
+                let entry = |(topic, nodes): (&String, &BTreeMap<String, String>)| {
+                    let nodes = nodes.keys().map(|node| node.as_str().into()).collect::<Vec<Value>>();
+                    Value::from([topic.as_str().into(), nodes.into()])
+                };
+                topics.iter().map(entry).collect::<Vec<Value>>().into()
+            };
+            success([list(&state.publishers), list(&state.subscribers), Vec::new().into()])
+        }
+        ("getTopicTypes", [_]) => {
+            let entry = |(topic, kind): (&String, &String)| {
+                Value::from([topic.as_str().into(), kind.as_str().into()])
+            };
+            success(state.types.iter().map(entry).collect::<Vec<Value>>())
+        }
+        _ => Response::Fault { code: 1, text: format!("unknown call {call:?}") },
+    }
+}
+
+/// Removes a registration that has this URI, and returns whether there was one.
+fn remove(topics: &mut Topics, topic: &str, node: &str, uri: &str) -> bool {
+    match topics.get_mut(topic) {
+        Some(nodes) if nodes.get(node).is_some_and(|known| known == uri) => nodes.remove(node).is_some(),
+        _ => false,
+    }
+}
+
+/// Notes a node's URI, and ends an older node with its name.
+fn register(state: &mut State, node: &str, uri: &str) {
+    let older = state.nodes.insert(node.to_owned(), uri.to_owned());
+    if let Some(older) = older.filter(|older| older != uri) {
+        let reason = format!("new node registered with same name [{node}]");
+        tell(&older, "shutdown", vec!["/master".into(), reason.into()]);
+    }
+}
+
+fn tell_subscribers(state: &State, topic: &str) {
+    let publishers = uris(state.publishers.get(topic));
+    for uri in state.subscribers.get(topic).into_iter().flat_map(BTreeMap::values) {
+        tell(uri, "publisherUpdate", vec!["/master".into(), topic.into(), publishers.clone()]);
+    }
+}
+
+/// Calls a node. A failure is the node's end.
+fn tell(uri: &str, method: &'static str, params: Vec<Value>) {
+    let uri = RpcUri::parse(uri).unwrap();
+    tokio::spawn(async move { rpc::call(&uri, method, params).await.map(drop) });
+}

@@ -1,0 +1,38 @@
+//! Tests of nodes against a master in this process and against each other.
+
+mod exchange;
+mod faults;
+mod master;
+mod slave_api;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+
+use self::master::TestMaster;
+use super::{Environment, Node, RpcUri};
+
+/// Longest time that a test waits for what must happen.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
+}
+
+fn environment(uri: &str) -> Environment {
+    Environment {
+        master: RpcUri::parse(uri).unwrap(),
+        advertised_host: Some("127.0.0.1".to_owned()),
+        namespace: "/".to_owned(),
+    }
+}
+
+async fn node(master: &TestMaster, name: &str) -> Node {
+    Node::new(&environment(&master.uri()), name, clock()).await.unwrap()
+}
+
+/// Awaits something that must happen.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, future).await.expect("it happens in time")
+}

@@ -1,0 +1,79 @@
+//! Calls of other nodes and tools to a node.
+
+use super::{TestMaster, node, within};
+use crate::messages::StringMessage;
+use crate::ros1::rpc::{self, RpcError};
+use crate::ros1::xmlrpc::Value;
+use crate::ros1::{Node, PublisherOptions, RpcUri, SubscriberOptions, TopicType};
+
+async fn ask(node: &Node, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
+    within(rpc::call(&RpcUri::parse(node.uri()).unwrap(), method, params)).await
+}
+
+async fn value(node: &Node, method: &str) -> Value {
+    let Value::Array(parts) = ask(node, method, vec!["/tool".into()]).await.unwrap() else {
+        panic!("an array")
+    };
+    assert_eq!(parts[0], Value::Int(1));
+    parts[2].clone()
+}
+
+#[tokio::test]
+async fn tools_get_answers() {
+    let master = TestMaster::start().await;
+    let (a, b) = (node(&master, "a").await, node(&master, "b").await);
+    let kind = TopicType::of::<StringMessage>();
+    let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
+    within(publisher.wait_for_subscribers(1)).await.unwrap();
+    within(subscriber.wait_for_publishers(1)).await.unwrap();
+
+    assert_eq!(value(&a, "getPid").await, Value::Int(std::process::id().into()));
+    assert_eq!(value(&a, "getMasterUri").await, master.uri().into());
+    let topics = Value::from([Value::from(["/t".into(), "std_msgs/String".into()])]);
+    assert_eq!(value(&a, "getPublications").await, topics);
+    assert_eq!(value(&a, "getSubscriptions").await, Vec::new().into());
+    assert_eq!(value(&b, "getSubscriptions").await, topics);
+
+    let info = value(&a, "getBusInfo").await;
+    let connection = info.as_array().unwrap()[0].as_array().unwrap();
+    let expected: [Value; 5] = [Value::Int(1), "/b".into(), "o".into(), "TCPROS".into(), "/t".into()];
+    assert_eq!(connection[..5], expected);
+    let info = value(&b, "getBusInfo").await;
+    let connection = info.as_array().unwrap()[0].as_array().unwrap();
+    assert_eq!((&connection[1], &connection[5]), (&Value::from(a.uri()), &Value::Bool(true)));
+    let statistics = value(&b, "getBusStats").await;
+    assert_eq!(statistics.as_array().unwrap().len(), 3);
+
+    let error = ask(&a, "noSuchMethod", vec![]).await.unwrap_err();
+    assert_eq!(error.to_string(), "fault -1: unknown method \"noSuchMethod\"");
+}
+
+#[tokio::test]
+async fn unknown_topics_and_protocols_are_refused() {
+    let master = TestMaster::start().await;
+    let a = node(&master, "a").await;
+    let _publisher =
+        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    for (topic, protocol, reason) in [
+        ("/other", "TCPROS", "topic /other is not published by node /a"),
+        ("/t", "UDPROS", "node /a offers TCPROS only, asked for [\"UDPROS\"]"),
+    ] {
+        let protocols = Value::from([Value::from([protocol.into()])]);
+        let answer = ask(&a, "requestTopic", vec!["/b".into(), topic.into(), protocols]).await.unwrap();
+        assert_eq!(answer, [Value::Int(0), reason.into(), Value::Int(0)].into());
+    }
+}
+
+#[tokio::test]
+async fn node_shuts_down_when_asked() {
+    let master = TestMaster::start().await;
+    let a = node(&master, "a").await;
+    let mut subscriber = a.subscribe("t", TopicType::any(), SubscriberOptions::default()).await.unwrap();
+    ask(&a, "shutdown", vec!["/rosnode".into(), "user request".into()]).await.unwrap();
+    let expected = "the ROS node /a has ended: /rosnode asked it to shut down: user request";
+    assert_eq!(within(a.ended()).await.to_string(), expected);
+    assert_eq!(within(subscriber.recv()).await.unwrap_err().to_string(), expected);
+    a.shutdown().await.unwrap();
+    assert!(master.subscribers("/t").is_empty());
+}

@@ -1,0 +1,327 @@
+//! Calls and responses from XML. Sizes, depth and numbers are bounded, and document types are refused.
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesRef, Event};
+use thiserror::Error;
+
+use super::{Call, Response, Value};
+
+/// Values within values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
+const MAX_DEPTH: usize = 16;
+
+/// Values of one document. The largest answer is the system state of a large robot: a few thousand names.
+const MAX_VALUES: usize = 100_000;
+
+/// A text that is not a call or response.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ParseError {
+    /// It is not XML.
+    #[error("the XML is malformed: {reason}")]
+    Malformed {
+        /// Reason.
+        reason: String,
+    },
+    /// It has a document type, which can define entities.
+    #[error("the XML has a document type, which XML-RPC has no use for")]
+    DocumentType,
+    /// An entity that XML does not define itself.
+    #[error("the XML refers to the unknown entity {name:?}")]
+    UnknownEntity {
+        /// Name of the entity.
+        name: String,
+    },
+    /// Another element or text than XML-RPC has there.
+    #[error("expected {expected} in the XML-RPC message, found {found}")]
+    Unexpected {
+        /// The element or text that should be there.
+        expected: &'static str,
+        /// The element or text that is there.
+        found: String,
+    },
+    /// A value that is not of its type.
+    #[error("{text:?} is not a value of the XML-RPC type {kind}")]
+    Value {
+        /// The type.
+        kind: &'static str,
+        /// The text.
+        text: String,
+    },
+    /// Values within values within values.
+    #[error("the XML-RPC message has more than {MAX_DEPTH} values within each other")]
+    TooDeep,
+    /// Too many values.
+    #[error("the XML-RPC message has more than {MAX_VALUES} values")]
+    TooManyValues,
+}
+
+/// Reads a call.
+///
+/// # Errors
+/// The text is not one: [`ParseError`].
+pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
+    let mut parser = Parser::new(utf8(xml)?);
+    parser.open("methodCall")?;
+    parser.open("methodName")?;
+    let method = parser.text_until_close()?.trim().to_owned();
+    let mut params = Vec::new();
+    if parser.open_or_close("params")? {
+        while parser.open_or_close("param")? {
+            params.push(parser.only_value()?);
+        }
+        parser.close()?;
+    }
+    parser.end()?;
+    Ok(Call { method, params })
+}
+
+/// Reads a response.
+///
+/// # Errors
+/// The text is not one: [`ParseError`].
+pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
+    let mut parser = Parser::new(utf8(xml)?);
+    parser.open("methodResponse")?;
+    let response = match parser.markup()? {
+        Token::Open(name) if name == "params" => {
+            parser.open("param")?;
+            let value = parser.only_value()?;
+            parser.close()?;
+            Response::Success(value)
+        }
+        Token::Open(name) if name == "fault" => fault(parser.only_value()?)?,
+        found => return Err(found.is_not("params or fault")),
+    };
+    parser.close()?;
+    parser.end()?;
+    Ok(response)
+}
+
+fn fault(value: Value) -> Result<Response, ParseError> {
+    let (mut code, mut text) = (None, None);
+    if let Value::Struct(members) = value {
+        for (name, member) in members {
+            match (name.as_str(), member) {
+                ("faultCode", Value::Int(number)) => code = Some(number),
+                ("faultString", Value::Text(reason)) => text = Some(reason),
+                _ => {}
+            }
+        }
+    }
+    match (code, text) {
+        (Some(code), Some(text)) => Ok(Response::Fault { code, text }),
+        _ => Err(ParseError::Unexpected {
+            expected: "faultCode and faultString",
+            found: "another value".to_owned(),
+        }),
+    }
+}
+
+#[derive(Debug)]
+enum Token {
+    Open(String),
+    Close,
+    Text(String),
+    End,
+}
+
+impl Token {
+    fn is_not(&self, expected: &'static str) -> ParseError {
+        let found = match self {
+            Self::Open(name) => format!("<{name}>"),
+            Self::Close => "the end of an element".to_owned(),
+            Self::Text(text) => format!("the text {text:?}"),
+            Self::End => "the end".to_owned(),
+        };
+        ParseError::Unexpected { expected, found }
+    }
+}
+
+struct Parser<'a> {
+    reader: Reader<&'a [u8]>,
+    depth: usize,
+    values: usize,
+}
+
+impl<'a> Parser<'a> {
+    fn new(xml: &'a str) -> Self {
+        let mut reader = Reader::from_str(xml);
+        reader.config_mut().expand_empty_elements = true;
+        Self { reader, depth: 0, values: 0 }
+    }
+
+    /// Returns the next token; a text comes in one or several pieces.
+    fn next(&mut self) -> Result<Token, ParseError> {
+        loop {
+            let event = self.reader.read_event().map_err(malformed)?;
+            return Ok(match event {
+                Event::Start(start) => Token::Open(start.local_name().as_ref().to_owned()),
+                Event::End(_) => Token::Close,
+                Event::Text(text) => Token::Text(text.to_string()),
+                Event::CData(text) => Token::Text(text.to_string()),
+                Event::GeneralRef(reference) => Token::Text(resolve(&reference)?),
+                Event::DocType(_) => return Err(ParseError::DocumentType),
+                Event::Eof => Token::End,
+                // Elements without content come as a start and an end.
+                Event::Empty(_) | Event::Comment(_) | Event::Decl(_) | Event::PI(_) => continue,
+            });
+        }
+    }
+
+    /// Returns the next token that is not white space between elements.
+    fn markup(&mut self) -> Result<Token, ParseError> {
+        loop {
+            match self.next()? {
+                Token::Text(text) if text.trim().is_empty() => {}
+                token => return Ok(token),
+            }
+        }
+    }
+
+    fn open(&mut self, expected: &'static str) -> Result<(), ParseError> {
+        if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.is_not(expected)) }
+    }
+
+    /// Returns whether the expected element begins; otherwise the element around it has ended.
+    fn open_or_close(&mut self, expected: &'static str) -> Result<bool, ParseError> {
+        match self.markup()? {
+            Token::Open(name) if name == expected => Ok(true),
+            Token::Close => Ok(false),
+            found => Err(found.is_not(expected)),
+        }
+    }
+
+    fn close(&mut self) -> Result<(), ParseError> {
+        match self.markup()? {
+            Token::Close => Ok(()),
+            found => Err(found.is_not("the end of an element")),
+        }
+    }
+
+    /// Takes what may follow the last element that was read: ends of elements, and then the end.
+    fn end(&mut self) -> Result<(), ParseError> {
+        loop {
+            match self.markup()? {
+                Token::Close => {}
+                Token::End => return Ok(()),
+                found => return Err(found.is_not("the end")),
+            }
+        }
+    }
+
+    fn text_until_close(&mut self) -> Result<String, ParseError> {
+        let mut whole = String::new();
+        loop {
+            match self.next()? {
+                Token::Text(text) => whole.push_str(&text),
+                Token::Close => return Ok(whole),
+                found => return Err(found.is_not("text")),
+            }
+        }
+    }
+
+    /// Reads a value and the end of the element around it.
+    fn only_value(&mut self) -> Result<Value, ParseError> {
+        self.open("value")?;
+        let value = self.value()?;
+        self.close()?;
+        Ok(value)
+    }
+
+    /// Reads a value whose element has begun.
+    fn value(&mut self) -> Result<Value, ParseError> {
+        self.values += 1;
+        self.depth += 1;
+        if self.values > MAX_VALUES {
+            return Err(ParseError::TooManyValues);
+        }
+        if self.depth > MAX_DEPTH {
+            return Err(ParseError::TooDeep);
+        }
+        // A value without a type is a string; with a type only white space is around it.
+        let mut text = String::new();
+        let value = loop {
+            match self.next()? {
+                Token::Text(piece) => text.push_str(&piece),
+                Token::Close => break Value::Text(text),
+                Token::Open(kind) if text.trim().is_empty() => {
+                    let value = self.typed(&kind)?;
+                    self.close()?;
+                    break value;
+                }
+                found => return Err(found.is_not("the end of the value")),
+            }
+        };
+        self.depth -= 1;
+        Ok(value)
+    }
+
+    fn typed(&mut self, kind: &str) -> Result<Value, ParseError> {
+        match kind {
+            "int" | "i4" | "i8" => self.scalar("int", |text| text.parse().ok().map(Value::Int)),
+            "boolean" => self.scalar("boolean", |text| match text {
+                "0" => Some(Value::Bool(false)),
+                "1" => Some(Value::Bool(true)),
+                _ => None,
+            }),
+            "double" => self.scalar("double", |text| text.parse().ok().map(Value::Double)),
+            "string" | "dateTime.iso8601" | "base64" => self.text_until_close().map(Value::Text),
+            "array" => self.array(),
+            "struct" => self.structure(),
+            other => Err(Token::Open(other.to_owned()).is_not("a type of XML-RPC")),
+        }
+    }
+
+    fn scalar(
+        &mut self,
+        kind: &'static str,
+        convert: impl Fn(&str) -> Option<Value>,
+    ) -> Result<Value, ParseError> {
+        let text = self.text_until_close()?;
+        convert(text.trim()).ok_or(ParseError::Value { kind, text })
+    }
+
+    fn array(&mut self) -> Result<Value, ParseError> {
+        self.open("data")?;
+        let mut elements = Vec::new();
+        while self.open_or_close("value")? {
+            elements.push(self.value()?);
+        }
+        self.close()?;
+        Ok(Value::Array(elements))
+    }
+
+    fn structure(&mut self) -> Result<Value, ParseError> {
+        let mut members = Vec::new();
+        while self.open_or_close("member")? {
+            self.open("name")?;
+            let name = self.text_until_close()?;
+            members.push((name, self.only_value()?));
+        }
+        Ok(Value::Struct(members))
+    }
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "what map_err calls takes a value")]
+fn malformed(error: impl ToString) -> ParseError {
+    ParseError::Malformed { reason: error.to_string() }
+}
+
+fn utf8(bytes: &[u8]) -> Result<&str, ParseError> {
+    std::str::from_utf8(bytes).map_err(malformed)
+}
+
+/// Returns what a reference such as `&amp;` or `&#13;` stands for.
+fn resolve(reference: &BytesRef<'_>) -> Result<String, ParseError> {
+    if let Some(character) = reference.resolve_char_ref().map_err(malformed)? {
+        return Ok(character.to_string());
+    }
+    Ok(match &**reference {
+        "amp" => "&",
+        "lt" => "<",
+        "gt" => ">",
+        "quot" => "\"",
+        "apos" => "'",
+        name => return Err(ParseError::UnknownEntity { name: name.to_owned() }),
+    }
+    .to_owned())
+}

@@ -1,0 +1,83 @@
+//! Statistics of connections: stored within the time of their link's clock samples, and deleted with these.
+
+use peernet_clock::{Span, WallTime};
+use peernet_logger::HostId;
+use peernet_stream::{
+    Connection, ConnectionStatistics, DirectionStatistics, Event, NetworkInterface, TransportRoundTrip,
+};
+
+use super::clocks::sample;
+use super::{Bed, generate};
+use crate::write::ConnectionSample;
+
+fn told(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample {
+    let sent = DirectionStatistics {
+        bytes,
+        messages: 3,
+        datagrams: Some(40),
+        lost: None,
+        duplicated: Some(0),
+        reordered: Some(5),
+        retransmitted: Some(6),
+    };
+    let trip =
+        TransportRoundTrip { min: None, smoothed: Span::from_micros(520), variation: Span::from_micros(33) };
+    ConnectionSample {
+        edge: bed.edge,
+        cloud,
+        at,
+        connection: Connection {
+            pipeline: "line".parse().expect("a name"),
+            network: "zmq-tcp".into(),
+            local: Some("10.0.0.2:40112".into()),
+            remote: Some("10.0.0.1:5551".into()),
+            interface: Some(NetworkInterface {
+                name: "wlan0".into(),
+                kind: Some("wireless".into()),
+                mtu_bytes: Some(1_500),
+            }),
+            statistics: ConnectionStatistics {
+                sent,
+                received: DirectionStatistics { bytes: u64::MAX, ..DirectionStatistics::default() },
+                lost_messages: 7,
+                round_trip: Some(trip),
+                ..ConnectionStatistics::default()
+            },
+        },
+    }
+}
+
+#[tokio::test]
+async fn connections_are_stored_within_time_of_clock_samples() {
+    let mut bed = Bed::new().await;
+    let (edge_told, cloud) = (generate::at(2.0), bed.cloud);
+    let early = told(&bed, cloud, edge_told, 1);
+    bed.writer.store_connections(&[early]).await.expect("stores");
+    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 0, "the link is not known yet");
+
+    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
+    let work = bed.batch(clocks);
+    bed.commit(&[work]).await;
+    let stranger = HostId::random();
+    let samples = [
+        told(&bed, cloud, edge_told, 2),
+        told(&bed, stranger, edge_told, 3),
+        told(&bed, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
+        told(&bed, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
+    ];
+    bed.writer.store_connections(&samples).await.expect("stores");
+    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 3);
+    assert_eq!(
+        bed.count(
+            "SELECT count(*) FROM connection_total WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'line' \
+             AND at_utc = '2025-01-01 00:00:02.000' AND sent_bytes = 2 AND sent_datagrams = 40 AND sent_retransmitted = 6 \
+             AND received_bytes = 9223372036854775807 AND received_datagrams IS NULL AND round_trip_ms = 0.52 \
+             AND round_trip_min_ms IS NULL AND (interface, interface_type, mtu_bytes) = ('wlan0', 'wireless', 1500)"
+        )
+        .await,
+        1
+    );
+    let within = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
+                  AND (SELECT max(at_ns) FROM clock_sample)";
+    assert_eq!(bed.count(within).await, 3, "whatever time was told");
+}

@@ -1,0 +1,82 @@
+//! Statistics of connections: a row for each connection and minute.
+
+use peernet_clock::{Span, WallTime};
+use peernet_logger::HostId;
+use peernet_stream::{Connection, DirectionStatistics};
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::SqliteArguments;
+use sqlx::{Arguments, SqliteConnection};
+
+use crate::column::column;
+
+/// What an edge told of one of its connections.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConnectionSample {
+    /// The edge.
+    pub edge: HostId,
+    /// The cloud.
+    pub cloud: HostId,
+    /// When, on the edge's wall clock.
+    pub at: WallTime,
+    /// The connection, and its totals so far.
+    pub connection: Connection,
+}
+
+/// A link has its row from the first sample of its clocks on. The time is that of a live update, which may claim any: it is
+/// moved into the time of the link's stored samples, with which retention deletes it.
+const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, network, local_address, remote_address, \
+     interface, interface_type, mtu_bytes, \
+     sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
+     received_bytes, received_messages, received_datagrams, received_lost, received_duplicated, received_reordered, \
+     received_retransmitted, malformed_messages, late_messages, lost_messages, \
+     round_trip_min_ns, round_trip_ns, round_trip_variation_ns) \
+     SELECT link.id, max(min(?3, (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), \
+       (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24, \
+     ?25, ?26, ?27, ?28, ?29, ?30 \
+     FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
+     WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
+
+/// Stores samples; those of a link that is not stored are left out.
+pub(super) async fn store(
+    connection: &mut SqliteConnection,
+    samples: &[ConnectionSample],
+) -> Result<(), sqlx::Error> {
+    for sample in samples {
+        let values = values(sample).map_err(sqlx::Error::Encode)?;
+        sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
+    }
+    Ok(())
+}
+
+fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
+    let ConnectionSample { edge, cloud, at, connection } = sample;
+    let (interface, statistics) = (connection.interface.as_ref(), &connection.statistics);
+    let mut to = SqliteArguments::default();
+    to.add(edge.to_string())?;
+    to.add(cloud.to_string())?;
+    to.add(at.unix_nanos())?;
+    to.add(connection.pipeline.to_string())?;
+    to.add(connection.network.clone())?;
+    to.add(connection.local.clone())?;
+    to.add(connection.remote.clone())?;
+    to.add(interface.map(|interface| interface.name.clone()))?;
+    to.add(interface.and_then(|interface| interface.kind.clone()))?;
+    to.add(interface.and_then(|interface| interface.mtu_bytes))?;
+    direction(&statistics.sent, &mut to)?;
+    direction(&statistics.received, &mut to)?;
+    for count in [statistics.malformed_messages, statistics.late_messages, statistics.lost_messages] {
+        to.add(column(count))?;
+    }
+    let trip = statistics.round_trip;
+    to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
+    to.add(trip.map(|trip| trip.smoothed.nanos()))?;
+    to.add(trip.map(|trip| trip.variation.nanos()))?;
+    Ok(to)
+}
+
+fn direction(known: &DirectionStatistics, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    to.add(column(known.bytes))?;
+    to.add(column(known.messages))?;
+    let datagrams = [known.datagrams, known.lost, known.duplicated, known.reordered, known.retransmitted];
+    datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
+}

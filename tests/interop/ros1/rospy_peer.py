@@ -1,0 +1,113 @@
+"""A rospy node that publishes, subscribes or echoes, as ros1_peer.rs does.
+
+rospy_peer.py publish NAME TOPIC COUNT BYTES
+rospy_peer.py subscribe NAME TOPIC COUNT
+rospy_peer.py rate NAME TOPIC COUNT
+rospy_peer.py refused NAME TOPIC
+rospy_peer.py echo NAME IN OUT
+rospy_peer.py ping NAME OUT IN COUNT BYTES
+"""
+import queue
+import sys
+import time
+
+import rospy
+from sensor_msgs.msg import CompressedImage
+from std_msgs.msg import String
+
+# Bytes of the queues: rospy reads a message of 1 MB in one go only if its buffer holds it.
+BUFFER_BYTES = 1 << 24
+
+
+def say(line):
+    print(line, flush=True)
+
+
+def picture(number, length):
+    """Byte i of picture n is i + n (mod 251)."""
+    pattern = bytes((index + number) % 251 for index in range(251))
+    data = (pattern * (length // 251 + 1))[:length]
+    message = CompressedImage(format="raw", data=data)
+    message.header.frame_id = "camera"
+    message.header.stamp = rospy.Time(number, 0)
+    return message
+
+
+def publish(topic, count, length):
+    publisher = rospy.Publisher(topic, CompressedImage, queue_size=int(count))
+    say("ready")
+    while publisher.get_num_connections() == 0:
+        rospy.sleep(0.01)
+    for number in range(int(count)):
+        publisher.publish(picture(number, int(length)))
+    sys.stdin.read()
+
+
+def subscribe(topic, count):
+    arrived = queue.Queue()
+    rospy.Subscriber(topic, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    say("ready")
+    for _ in range(int(count)):
+        message = arrived.get()
+        number = message.header.stamp.secs
+        intact = message.data == picture(number, len(message.data)).data
+        say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
+
+
+def rate(topic, count):
+    """Prints the messages per second between the first and the last."""
+    stamps = queue.Queue()
+    rospy.Subscriber(
+        topic, CompressedImage, lambda message: stamps.put(time.monotonic()), buff_size=BUFFER_BYTES, tcp_nodelay=True
+    )
+    say("ready")
+    first = last = stamps.get()
+    for _ in range(1, int(count)):
+        last = stamps.get()
+    say(f"rate {(int(count) - 1) / (last - first):.0f} dropped 0")
+
+
+def refused(topic):
+    """Subscribes with another type than the topic has."""
+    rospy.Subscriber(topic, String, lambda message: say("message"))
+    say("ready")
+    sys.stdin.read()
+
+
+def echo(source, target):
+    publisher = rospy.Publisher(target, CompressedImage, queue_size=1000, tcp_nodelay=True)
+    rospy.Subscriber(source, CompressedImage, publisher.publish, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    say("ready")
+    sys.stdin.read()
+
+
+def ping(out, back, count, length):
+    """Round trips, one at a time: prints the median and the 99th percentile in microseconds."""
+    arrived = queue.Queue()
+    subscriber = rospy.Subscriber(back, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    publisher = rospy.Publisher(out, CompressedImage, queue_size=1000, tcp_nodelay=True)
+    while publisher.get_num_connections() == 0 or subscriber.get_num_connections() == 0:
+        rospy.sleep(0.01)
+    message = picture(0, int(length))
+    micros = []
+    for _ in range(int(count)):
+        start = time.monotonic_ns()
+        publisher.publish(message)
+        arrived.get()
+        micros.append((time.monotonic_ns() - start) // 1000)
+    micros.sort()
+    quantile = lambda percent: micros[(len(micros) - 1) * percent // 100]
+    say(f"median {quantile(50)} p99 {quantile(99)} rate {int(count) * 1e6 / sum(micros):.0f}")
+
+
+def main():
+    command, name, *arguments = sys.argv[1:]
+    rospy.init_node(name, disable_signals=True)
+    commands = {
+        "publish": publish, "subscribe": subscribe, "rate": rate, "refused": refused, "echo": echo, "ping": ping
+    }
+    commands[command](*arguments)
+    rospy.signal_shutdown("done")
+
+
+main()

@@ -1,0 +1,81 @@
+//! What is sent and received on the connections of a link, from the kernel to the page.
+
+use peernet_tests::{Network, Plant, Site};
+
+const CLOUD: &str = r#"
+[serve]
+listen = "tcp://127.0.0.1:{data}"
+
+[[model]]
+name = "echo"
+kind = "echo"
+"#;
+
+const EDGE: &str = r#"
+[[pipeline]]
+name = "offload"
+sensor = { kind = "synthetic", size_bytes = 10000 }
+placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "echo" }
+load = { mode = "rate", hz = 50.0 }
+"#;
+
+#[test]
+fn connection_is_on_page_and_in_api_and_metrics() {
+    let site = Site::new();
+    let (aggregator, api) = site.aggregator();
+    let cloud = site.agent("cloud", CLOUD);
+    let edge = site.agent("edge", EDGE);
+    let connection = api.until("/api/v1/links/edge~cloud", |link| {
+        let connection = link["now"]["connections"].get(0)?;
+        (connection["up"]["messages"].as_u64()? > 50).then(|| connection.clone())
+    });
+    let (up, down) = (&connection["up"], &connection["down"]);
+    assert_eq!((&connection["pipeline"], &connection["network"]), (&"offload".into(), &"zmq-tcp".into()));
+    // An echo sends back what it got, and each direction has a message for opening the session.
+    assert!(up["bytes"].as_u64() >= Some(500_000) && down["bytes"].as_u64() >= Some(500_000), "{connection}");
+    assert!(up["datagrams"].as_u64() >= Some(50) && up["retransmitted_datagrams"].is_u64(), "{connection}");
+    assert!(up["lost_datagrams"].is_null() && down["retransmitted_datagrams"].is_null(), "{connection}");
+    let trip = &connection["transport_round_trip"];
+    assert!(trip["smoothed_s"].as_f64().is_some_and(|trip| trip > 0.0 && trip < 1.0), "{connection}");
+    let interface = &connection["interface"];
+    assert_eq!((&interface["name"], &interface["type"]), (&"lo".into(), &"loopback".into()));
+    let remote = format!("127.0.0.1:{}", site.data);
+    assert_eq!(connection["remote_address"], remote.as_str());
+
+    let (status, page) = api.get("/links/edge~cloud").expect("the aggregator answers");
+    assert_eq!(status, 200);
+    for text in ["Connections</h2>", "by lo, loopback, MTU ", "round trip of its packets ", remote.as_str()] {
+        assert!(page.contains(text), "the page lacks {text:?}: {page}");
+    }
+    let (_, metrics) = api.get("/metrics").expect("the aggregator answers");
+    let series = "peernet_link_transferred_bytes_total{edge=\"edge\",cloud=\"cloud\",network=\"zmq-tcp\",\
+                  pipeline=\"offload\",direction=\"upload\"} ";
+    assert!(metrics.contains(series), "{metrics}");
+
+    for process in [edge, cloud, aggregator] {
+        let ended = process.stop();
+        assert_eq!(ended.code(), 0, "{}", ended.log);
+    }
+}
+
+#[test]
+fn lossy_link_shows_retransmissions() {
+    let plant = Plant::new(|_| Network::direct());
+    plant.network.cloud().lose(10);
+    let _cloud = plant.cloud("");
+    let load = "load = { mode = \"rate\", hz = 20.0 }";
+    let _edge = plant.edge(&plant.pipeline("offload", 100_000, load), &[]);
+    let connection = plant.api.until("/api/v1/links/edge~cloud", |link| {
+        let connection = link["now"]["connections"].get(0)?;
+        (connection["up"]["retransmitted_datagrams"].as_u64()? > 5).then(|| connection.clone())
+    });
+    assert_eq!(
+        connection["interface"],
+        serde_json::json!({ "name": "data", "type": "ethernet", "mtu_bytes": 1500 })
+    );
+    // Those that were sent again count as datagrams, too.
+    let segments = connection["up"]["datagrams"].as_u64();
+    assert!(segments > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
+    let address = plant.network.cloud().address;
+    assert_eq!(connection["remote_address"], format!("{address}:5551").as_str());
+}

@@ -1,0 +1,113 @@
+//! The connections of a link, in numbers.
+
+use peernet_clock::Span;
+use peernet_stream as stream;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// An open connection of a link, by the account of its edge. Totals count from when it was opened.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkConnection {
+    /// The pipeline that uses it.
+    pub pipeline: String,
+    /// Kind of network, such as `zmq-tcp`.
+    pub network: String,
+    /// The edge's address and port; null where the transport has none.
+    pub local_address: Option<String>,
+    /// The cloud's address and port.
+    pub remote_address: Option<String>,
+    /// The edge's interface that it leaves by; null where it is not known.
+    pub interface: Option<LinkInterface>,
+    /// From edge to cloud.
+    pub up: LinkDirection,
+    /// From cloud to edge.
+    pub down: LinkDirection,
+    /// The round trip of the transport's own packets; null where the transport does not measure one.
+    pub transport_round_trip: Option<TransportRoundTrip>,
+    /// Messages that arrived and made no sense.
+    pub malformed_messages: u64,
+    /// Answers that arrived after the request had been given up.
+    pub late_messages: u64,
+    /// Requests that will never be answered, because the connection ended.
+    pub lost_messages: u64,
+}
+
+/// A network interface of an edge.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct LinkInterface {
+    pub name: String,
+    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux; null where the system does
+    /// not tell.
+    #[serde(rename = "type")]
+    pub kind: Option<String>,
+    pub mtu_bytes: Option<u32>,
+}
+
+/// One direction of a connection. Null is what the edge cannot know of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct LinkDirection {
+    /// Bytes of the messages, without what the transport adds around them.
+    pub bytes: u64,
+    pub messages: u64,
+    /// Datagrams with data, with TCP segments with data; those sent again count again.
+    pub datagrams: Option<u64>,
+    /// Sent and did not arrive.
+    pub lost_datagrams: Option<u64>,
+    /// Arrived more than once.
+    pub duplicated_datagrams: Option<u64>,
+    /// Arrived out of order.
+    pub reordered_datagrams: Option<u64>,
+    /// Sent again.
+    pub retransmitted_datagrams: Option<u64>,
+}
+
+/// Round trip of a transport's packets and their acknowledgements (RFC 6298), seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TransportRoundTrip {
+    /// The shortest lately; null before the first.
+    pub min_s: Option<f64>,
+    pub smoothed_s: f64,
+    /// Smoothed mean deviation.
+    pub variation_s: f64,
+}
+
+impl From<&stream::Connection> for LinkConnection {
+    fn from(connection: &stream::Connection) -> Self {
+        let statistics = &connection.statistics;
+        Self {
+            pipeline: connection.pipeline.to_string(),
+            network: connection.network.clone(),
+            local_address: connection.local.clone(),
+            remote_address: connection.remote.clone(),
+            interface: connection.interface.as_ref().map(|interface| LinkInterface {
+                name: interface.name.clone(),
+                kind: interface.kind.clone(),
+                mtu_bytes: interface.mtu_bytes,
+            }),
+            up: statistics.sent.into(),
+            down: statistics.received.into(),
+            transport_round_trip: statistics.round_trip.map(|trip| TransportRoundTrip {
+                min_s: trip.min.map(Span::seconds),
+                smoothed_s: trip.smoothed.seconds(),
+                variation_s: trip.variation.seconds(),
+            }),
+            malformed_messages: statistics.malformed_messages,
+            late_messages: statistics.late_messages,
+            lost_messages: statistics.lost_messages,
+        }
+    }
+}
+
+impl From<stream::DirectionStatistics> for LinkDirection {
+    fn from(direction: stream::DirectionStatistics) -> Self {
+        Self {
+            bytes: direction.bytes,
+            messages: direction.messages,
+            datagrams: direction.datagrams,
+            lost_datagrams: direction.lost,
+            duplicated_datagrams: direction.duplicated,
+            reordered_datagrams: direction.reordered,
+            retransmitted_datagrams: direction.retransmitted,
+        }
+    }
+}

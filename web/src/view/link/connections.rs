@@ -1,0 +1,152 @@
+//! The connections of a link: what was sent and received, and by which way.
+
+use peernet_clock::Span;
+use peernet_statistics::number::{NONE, SPACE, bytes, count, trip_ms};
+use peernet_stream::{Connection, DirectionStatistics};
+
+use super::Subject;
+
+/// One direction of a connection: a row of the table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct DirectionRow {
+    pub pipeline: String,
+    /// `upload` or `download`.
+    pub direction: &'static str,
+    pub bytes: String,
+    /// The columns after the bytes: messages, datagrams, lost, duplicated, reordered, sent again.
+    pub counts: Vec<Count>,
+}
+
+/// A count with the name of its column; what is not known has a reason instead.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Count {
+    pub name: &'static str,
+    pub value: Option<String>,
+}
+
+/// Which way a connection takes, in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Route {
+    pub pipeline: String,
+    pub words: String,
+}
+
+/// Both directions of each connection.
+pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
+    let connections = connections(subject).iter();
+    let both = connections.flat_map(|connection| {
+        let statistics = &connection.statistics;
+        [row(connection, "upload", &statistics.sent), row(connection, "download", &statistics.received)]
+    });
+    both.collect()
+}
+
+/// The way of each connection.
+pub(crate) fn routes(subject: &Subject<'_>) -> Vec<Route> {
+    let words = |connection: &Connection| Route {
+        pipeline: connection.pipeline.to_string(),
+        words: [Some(connection.network.clone()), ends(connection), interface(connection), trip(connection)]
+            .into_iter()
+            .flatten()
+            .chain(mishaps(connection))
+            .collect::<Vec<_>>()
+            .join(" · "),
+    };
+    connections(subject).iter().map(words).collect()
+}
+
+fn connections<'a>(subject: &Subject<'a>) -> &'a [Connection] {
+    subject.live.map_or(&[], |link| link.live.connections.as_slice())
+}
+
+fn row(connection: &Connection, direction: &'static str, known: &DirectionStatistics) -> DirectionRow {
+    let counts = [
+        ("messages", Some(known.messages)),
+        ("datagrams", known.datagrams),
+        ("lost", known.lost),
+        ("duplicated", known.duplicated),
+        ("reordered", known.reordered),
+        ("sent again", known.retransmitted),
+    ];
+    DirectionRow {
+        pipeline: connection.pipeline.to_string(),
+        direction,
+        bytes: bytes(known.bytes as f64).to_string(),
+        counts: counts.map(|(name, value)| Count { name, value: value.map(count) }).to_vec(),
+    }
+}
+
+/// `10.0.0.2:40112 → 10.0.0.1:5551`.
+fn ends(connection: &Connection) -> Option<String> {
+    Some(format!("{} → {}", connection.local.as_ref()?, connection.remote.as_ref()?))
+}
+
+/// `by wlan0, wireless, MTU 1,500 bytes`.
+fn interface(connection: &Connection) -> Option<String> {
+    let interface = connection.interface.as_ref()?;
+    let kind = interface.kind.as_ref().map(|kind| format!(", {kind}")).unwrap_or_default();
+    let mtu = interface.mtu_bytes.map(|mtu| format!(", MTU {}{SPACE}bytes", count(mtu.into())));
+    Some(format!("by {}{kind}{}", interface.name, mtu.unwrap_or_default()))
+}
+
+/// `round trip of its packets 0.52 ms, at least 0.41 ms`.
+fn trip(connection: &Connection) -> Option<String> {
+    let trip = connection.statistics.round_trip?;
+    let ms = |span: Span| format!("{}{SPACE}ms", trip_ms(span.seconds()));
+    let least = trip.min.map(|min| format!(", at least {}", ms(min))).unwrap_or_default();
+    Some(format!("round trip of its packets {}{least}", ms(trip.smoothed)))
+}
+
+/// What went wrong with messages, where anything did.
+fn mishaps(connection: &Connection) -> impl Iterator<Item = String> {
+    let statistics = connection.statistics;
+    let counts = [
+        (statistics.lost_messages, "lost with the connection"),
+        (statistics.late_messages, "answered too late"),
+        (statistics.malformed_messages, "malformed"),
+    ];
+    counts.into_iter().filter(|(many, _)| *many > 0).map(|(many, what)| format!("{} {what}", count(many)))
+}
+
+impl Count {
+    /// The count, or a dash.
+    pub(crate) fn text(&self) -> &str {
+        self.value.as_deref().unwrap_or(NONE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::samples;
+
+    #[test]
+    fn unknown_counts_are_dashes_and_zero_is_zero() {
+        let link = samples::link(Some(0.0005), &[]);
+        let rows = rows(&Subject::live(&link));
+        let [up, down] = &rows[..] else { panic!("{rows:?}") };
+        assert_eq!((up.direction, down.direction), ("upload", "download"));
+        assert_eq!((up.pipeline.as_str(), up.bytes.as_str()), ("line", "1.25 GB"));
+        let texts =
+            |row: &DirectionRow| row.counts.iter().map(|one| one.text().to_owned()).collect::<Vec<_>>();
+        assert_eq!(texts(up), ["10,482", "863,204", NONE, "0", "0", "17"]);
+        assert_eq!(texts(down), ["10,480", "10,655", NONE, NONE, "3", NONE]);
+    }
+
+    #[test]
+    fn route_names_interface_and_round_trip() {
+        let mut link = samples::link(Some(0.0005), &[]);
+        let words = |link: &_| routes(&Subject::live(link)).remove(0).words;
+        assert_eq!(
+            words(&link),
+            format!(
+                "zmq-tcp · 192.0.2.7:40112 → 192.0.2.5:5551 · by wlan0, wireless, MTU 1,500{SPACE}bytes · round trip of its \
+                 packets 2.31{SPACE}ms, at least 1.08{SPACE}ms · 2 lost with the connection"
+            )
+        );
+        let connection = &mut link.live.connections[0];
+        (connection.local, connection.interface) = (None, None);
+        connection.statistics = peernet_stream::ConnectionStatistics::default();
+        assert_eq!(words(&link), "zmq-tcp");
+    }
+}
