@@ -1,1 +1,32 @@
-//! ROS 2: topics over DDS.
+//! ROS 2 topics over DDS, without a ROS installation.
+//!
+//! A [`Ros2Node`] takes part in one DDS domain and opens [`Ros2Publisher`]s and [`Ros2Subscription`]s. Messages are
+//! bytes: a CDR encapsulation header of 4 bytes, then the CDR form of the message.
+//!
+//! Settings, names and QoS belong to every build, so that a configuration is checked everywhere. What speaks DDS
+//! needs the cargo feature `ros2`; without it [`Ros2Node::new`] returns [`Ros2Error::NotBuilt`], and callers need
+//! no `cfg` of their own.
+
+mod error;
+mod names;
+mod peers;
+mod qos;
+mod sample;
+mod settings;
+
+#[cfg(feature = "ros2")]
+mod dds;
+#[cfg(feature = "ros2")]
+pub use dds::{Ros2Node, Ros2Publisher, Ros2Subscription};
+
+#[cfg(not(feature = "ros2"))]
+mod not_built;
+#[cfg(not(feature = "ros2"))]
+pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
+
+pub use error::{NoPeer, Ros2Error};
+pub use names::{absolute_topic, dds_type};
+pub use peers::{EndpointId, EndpointRole, PeerTable, Refusal};
+pub use qos::{Durability, InvalidQos, QosProfile, Reliability};
+pub use sample::{ReceiveCounts, ReceivedSample};
+pub use settings::{Ros2Settings, SocketBufferWarning};

@@ -1,0 +1,142 @@
+//! Publishes, receives or echoes patterned messages: our end of the tests with foreign ROS 2 peers.
+//!
+//! `ros2_peer publish|receive TOPIC string|image COUNT BYTES`, `ros2_peer echo TOPIC string|image COUNT`.
+//! Domain and interface come from `ROS_DOMAIN_ID` and `ROS_LOCALHOST_ONLY`.
+
+#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for tests says what it saw")]
+
+use std::error::Error;
+use std::time::Duration;
+
+use bytes::{BufMut, Bytes, BytesMut};
+use peernet_clock::{Clock, ClockIdentity, SystemClock};
+use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
+
+type Outcome = Result<(), Box<dyn Error + Send + Sync>>;
+
+/// How long nobody may come, or nothing arrive.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[derive(Clone, Copy)]
+enum Kind {
+    String,
+    Image,
+}
+
+impl Kind {
+    fn type_name(self) -> &'static str {
+        match self {
+            Self::String => "std_msgs/msg/String",
+            Self::Image => "sensor_msgs/msg/CompressedImage",
+        }
+    }
+
+    /// Returns message `number` of a sequence.
+    fn message(self, size: usize, number: usize) -> Bytes {
+        let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);
+        match self {
+            Self::String => {
+                cdr.put_u32_le(u32::try_from(size + 1).unwrap_or(u32::MAX));
+                cdr.extend((0..size).map(|index| b'a' + ((index + number) % 26) as u8));
+                cdr.put_u8(0);
+            }
+            Self::Image => {
+                cdr.put_u32_le(u32::try_from(number).unwrap_or(u32::MAX));
+                cdr.put_u32_le(7);
+                // `frame_id` and `format`, both with the terminating zero and padded to four bytes.
+                cdr.put_slice(b"\x04\0\0\0cam\0\x05\0\0\0jpeg\0\0\0\0");
+                cdr.put_u32_le(u32::try_from(size).unwrap_or(u32::MAX));
+                cdr.extend((0..size).map(|index| ((index * 31 + number) % 256) as u8));
+            }
+        }
+        cdr.freeze()
+    }
+}
+
+struct Plan {
+    topic: String,
+    kind: Kind,
+    count: usize,
+    size: usize,
+}
+
+#[tokio::main]
+async fn main() -> Outcome {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let usage = "ros2_peer publish|receive|echo TOPIC string|image COUNT [BYTES]";
+    let [mode, topic, kind, count, rest @ ..] = &arguments[..] else { return Err(usage.into()) };
+    let kind = match kind.as_str() {
+        "string" => Kind::String,
+        "image" => Kind::Image,
+        _ => return Err(usage.into()),
+    };
+    let size = rest.first().map_or(Ok(0), |size| size.parse())?;
+    let plan = Plan { topic: topic.clone(), kind, count: count.parse()?, size };
+    let node = Ros2Node::new(Ros2Settings::default()).await?;
+    for warning in node.socket_buffer_warnings() {
+        eprintln!("warning: {warning}");
+    }
+    match mode.as_str() {
+        "publish" => publish(&node, &plan).await?,
+        "receive" => receive(&node, &plan).await?,
+        "echo" => echo(&node, &plan).await?,
+        _ => return Err(usage.into()),
+    }
+    Ok(node.shut_down().await?)
+}
+
+fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
+    Ok(SystemClock::new(ClockIdentity::of_this_machine("system")?))
+}
+
+async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
+    let clock = clock()?;
+    let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &QosProfile::default())?;
+    publisher.await_peer(PATIENCE).await?;
+    // The subscription may not know us yet although we know it, and DDS does not tell; it would get nothing from before.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    for number in 0..plan.count {
+        publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
+    }
+    publisher.await_acknowledgment(PATIENCE).await?;
+    println!("published and acknowledged: {}", plan.count);
+    Ok(())
+}
+
+async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
+    let qos = QosProfile { depth: 100, ..QosProfile::default() };
+    let mut subscription = node.subscription(&plan.topic, plan.kind.type_name(), &qos)?;
+    let mut payloads = Vec::with_capacity(plan.count);
+    while payloads.len() < plan.count {
+        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await;
+        let received = received.map_err(|_| format!("only {} of {} came", payloads.len(), plan.count))??;
+        payloads.push(received.payload);
+    }
+    // Compared afterwards: what is not read before its publisher leaves is lost.
+    for (number, payload) in payloads.iter().enumerate() {
+        let expected = plan.kind.message(plan.size, number);
+        if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {
+            return Err(format!("message {number} is not what was published").into());
+        }
+    }
+    // The publisher stays until it knows that everything was received.
+    let mut peers = subscription.peers();
+    let gone = peers.wait_for(|peers| peers.matched.is_empty());
+    tokio::time::timeout(PATIENCE, gone).await.map_err(|_| "the publisher never left")??;
+    let counts = subscription.counts();
+    println!("received unchanged: {} (lost {})", counts.received, counts.lost);
+    if counts.lost == 0 { Ok(()) } else { Err("messages were lost".into()) }
+}
+
+/// Sends every message of `TOPIC/ping` back on `TOPIC/pong`.
+async fn echo(node: &Ros2Node, plan: &Plan) -> Outcome {
+    let clock = clock()?;
+    let (ping, pong) = (format!("{}/ping", plan.topic), format!("{}/pong", plan.topic));
+    let publisher = node.publisher(&pong, plan.kind.type_name(), &QosProfile::default())?;
+    let mut subscription = node.subscription(&ping, plan.kind.type_name(), &QosProfile::default())?;
+    for _ in 0..plan.count {
+        let received = tokio::time::timeout(PATIENCE, subscription.receive()).await??;
+        publisher.publish(received.payload, clock.wall()).await?;
+    }
+    Ok(publisher.await_acknowledgment(PATIENCE).await?)
+}

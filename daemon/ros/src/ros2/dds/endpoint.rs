@@ -1,0 +1,65 @@
+//! What publishers and subscriptions have in common.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+use super::node::NodeState;
+use crate::ros2::error::NoPeer;
+use crate::ros2::{EndpointId, EndpointRole, PeerTable, Ros2Error};
+
+/// One of our endpoints, which ends with its value.
+pub(super) struct Endpoint {
+    pub(super) id: EndpointId,
+    pub(super) role: EndpointRole,
+    /// Absolute name of the topic.
+    pub(super) topic: String,
+    pub(super) type_name: String,
+    pub(super) peers: watch::Receiver<PeerTable>,
+    pub(super) node: Arc<NodeState>,
+}
+
+impl Endpoint {
+    /// Waits for a peer on the topic.
+    ///
+    /// # Errors
+    ///
+    /// [`Ros2Error::NoPeer`] after the time, [`Ros2Error::ShutDown`] when the node is shut down meanwhile.
+    pub(super) async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
+        let mut peers = self.peers.clone();
+        let matched = peers.wait_for(|peers| !peers.matched.is_empty());
+        let in_time = tokio::time::timeout(patience, matched);
+        match self.node.closed.run_until_cancelled(in_time).await {
+            Some(Ok(Ok(_))) => Ok(()),
+            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.absence(patience)))),
+            // The sender lives as long as the endpoint is registered, which is as long as it exists.
+            None | Some(Ok(Err(_))) => Err(self.shut_down()),
+        }
+    }
+
+    pub(super) fn shut_down(&self) -> Ros2Error {
+        Ros2Error::ShutDown { topic: self.topic.clone() }
+    }
+
+    fn absence(&self, waited: Duration) -> NoPeer {
+        let discovery = self.node.discovery();
+        NoPeer {
+            role: self.role,
+            topic: self.topic.clone(),
+            type_name: self.type_name.clone(),
+            waited,
+            domain_id: self.node.domain_id,
+            interfaces: self.node.interfaces.clone(),
+            participants: discovery.participants(),
+            refused: self.peers.borrow().refused.values().cloned().collect(),
+            topics: discovery.topics(),
+        }
+    }
+}
+
+impl Drop for Endpoint {
+    fn drop(&mut self) {
+        self.node.remove_endpoint(self.id);
+    }
+}

@@ -1,0 +1,114 @@
+//! The network interfaces that a node uses, and the buffers of its sockets.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr};
+
+use nix::ifaddrs::{InterfaceAddress, getifaddrs};
+use socket2::{Domain, Socket, Type};
+
+use crate::ros2::{Ros2Error, SocketBufferWarning};
+
+/// IPv4 addresses of chosen network interfaces.
+#[derive(Clone, Debug)]
+pub(super) struct Interfaces {
+    /// The addresses; empty for all interfaces.
+    pub(super) addresses: Vec<IpAddr>,
+    /// The choice in words, as `lo (127.0.0.1)`.
+    pub(super) description: String,
+}
+
+impl Interfaces {
+    /// Looks up interfaces by names or addresses.
+    ///
+    /// # Errors
+    ///
+    /// [`Ros2Error::UnknownInterface`] for one that does not exist, [`Ros2Error::Interfaces`] when the kernel lists none.
+    pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
+        Self::find_among(names, &existing().map_err(Ros2Error::Interfaces)?)
+    }
+
+    fn find_among(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, Ros2Error> {
+        if names.is_empty() {
+            return Ok(Self { addresses: Vec::new(), description: "all interfaces".to_owned() });
+        }
+        let mut chosen: Vec<(String, Ipv4Addr)> = Vec::new();
+        for wanted in names {
+            let is_wanted =
+                |(name, address): &&(String, Ipv4Addr)| name == wanted || address.to_string() == *wanted;
+            let before = chosen.len();
+            chosen.extend(existing.iter().filter(is_wanted).cloned());
+            if chosen.len() == before {
+                return Err(Ros2Error::UnknownInterface { name: wanted.clone(), known: list(existing) });
+            }
+        }
+        let addresses = chosen.iter().map(|(_, address)| IpAddr::V4(*address)).collect();
+        Ok(Self { addresses, description: list(&chosen) })
+    }
+
+    /// Whether participants of the same host are to be found over the loopback interface.
+    pub(super) fn have_loopback(&self) -> bool {
+        self.addresses.is_empty() || self.addresses.iter().any(IpAddr::is_loopback)
+    }
+}
+
+fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
+    let with_address = |interface: InterfaceAddress| {
+        let address = interface.address.as_ref()?.as_sockaddr_in()?.ip();
+        Some((interface.interface_name, address))
+    };
+    Ok(getifaddrs()?.filter_map(with_address).collect())
+}
+
+fn list(existing: &[(String, Ipv4Addr)]) -> String {
+    let words: Vec<String> = existing.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+    if words.is_empty() { "none".to_owned() } else { words.join(", ") }
+}
+
+/// Compares the socket buffers that the kernel grants with those that are needed.
+///
+/// A socket is asked instead of `/proc/sys/net/core`, which network namespaces of older kernels do not show.
+///
+/// # Errors
+///
+/// No UDP socket can be made.
+pub(super) fn check_socket_buffers(needed: usize) -> io::Result<Vec<SocketBufferWarning>> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
+    socket.set_recv_buffer_size(needed)?;
+    socket.set_send_buffer_size(needed)?;
+    // Linux reports twice what it grants, because it counts its own bookkeeping.
+    let granted = [
+        ("net.core.rmem_max", socket.recv_buffer_size()? / 2),
+        ("net.core.wmem_max", socket.send_buffer_size()? / 2),
+    ];
+    let is_too_small = |(sysctl, granted): (&'static str, usize)| {
+        (granted < needed).then_some(SocketBufferWarning { sysctl, granted, needed })
+    };
+    Ok(granted.into_iter().filter_map(is_too_small).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interface_is_found_by_name_and_by_address() {
+        let existing =
+            [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
+        let find = |name: &str| Interfaces::find_among(&[name.to_owned()], &existing);
+        let by_name = find("eth0").expect("exists");
+        assert_eq!((by_name.addresses.len(), by_name.description.as_str()), (1, "eth0 (10.0.0.1)"));
+        assert!(!by_name.have_loopback());
+        assert!(find("127.0.0.1").expect("exists").have_loopback());
+        let error = find("eth1").expect_err("does not exist").to_string();
+        assert!(error.contains("`eth1`") && error.contains("eth0 (10.0.0.1)"), "{error}");
+        assert!(Interfaces::find_among(&[], &existing).expect("all").have_loopback());
+    }
+
+    #[test]
+    fn too_small_buffers_are_told_with_the_remedy() {
+        assert_eq!(check_socket_buffers(16 << 10).expect("a socket"), []);
+        let warnings = check_socket_buffers(1 << 30).expect("a socket");
+        let text = warnings[0].to_string();
+        assert!(text.contains("sysctl -w net.core.rmem_max=1073741824"), "{text}");
+    }
+}

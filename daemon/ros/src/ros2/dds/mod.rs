@@ -1,0 +1,16 @@
+//! What speaks DDS; nothing outside this folder names `rustdds`.
+
+mod conversions;
+mod discovery;
+mod endpoint;
+mod interfaces;
+mod node;
+mod node_list;
+mod publisher;
+mod raw_message;
+mod sequence_tracker;
+mod subscription;
+
+pub use node::Ros2Node;
+pub use publisher::Ros2Publisher;
+pub use subscription::Ros2Subscription;

@@ -1,0 +1,369 @@
+//! A ROS 2 node: a participant of a DDS domain.
+
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use futures::StreamExt;
+use rustdds::no_key::DataWriter;
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent,
+    DomainParticipantStatusListener, Publisher, RTPSEntity, StatusEvented, Subscriber, Topic, TopicKind,
+};
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+use super::conversions::{endpoint_id, incompatibility, policies};
+use super::discovery::{DiscoveryEvent, DiscoveryState};
+use super::endpoint::Endpoint;
+use super::interfaces::{Interfaces, check_socket_buffers};
+use super::node_list::{self, NodeEntry};
+use super::publisher::Ros2Publisher;
+use super::raw_message::{RawAdapter, RawMessage};
+use super::sequence_tracker::SequenceTracker;
+use super::subscription::Ros2Subscription;
+use crate::ros2::names::{absolute_topic, dds_topic, dds_type};
+use crate::ros2::{
+    Durability, EndpointId, EndpointRole, QosProfile, ReceiveCounts, Ros2Error, Ros2Settings,
+    SocketBufferWarning,
+};
+
+/// A node of ROS 2.
+///
+/// Has four threads of `rustdds`. Its publishers and subscriptions end with it.
+pub struct Ros2Node {
+    settings: Ros2Settings,
+    socket_buffer_warnings: Vec<SocketBufferWarning>,
+    state: Arc<NodeState>,
+    /// Present until the node is shut down.
+    parts: Option<Parts>,
+}
+
+struct Parts {
+    participant: DomainParticipant,
+    publisher: Publisher,
+    subscriber: Subscriber,
+    discovery: JoinHandle<()>,
+}
+
+/// What the endpoints of a node share.
+pub(super) struct NodeState {
+    pub(super) domain_id: u16,
+    pub(super) interfaces: String,
+    pub(super) closed: CancellationToken,
+    discovery: Mutex<DiscoveryState>,
+    node_list: Mutex<NodeList>,
+}
+
+struct NodeList {
+    writer: DataWriter<RawMessage, RawAdapter>,
+    entry: NodeEntry,
+}
+
+impl Ros2Node {
+    /// Joins a DDS domain and appears in the node list of ROS 2.
+    ///
+    /// # Errors
+    ///
+    /// Settings or environment variables that are not valid, or a domain that cannot be joined.
+    pub async fn new(settings: Ros2Settings) -> Result<Self, Ros2Error> {
+        let settings = settings.with_environment(|name| std::env::var(name).ok())?;
+        let domain_id = settings.domain_id.unwrap_or(0);
+        let interfaces = Interfaces::find(&settings.interfaces)?;
+        let failed = |reason: String| Ros2Error::Join {
+            domain_id,
+            interfaces: interfaces.description.clone(),
+            reason,
+        };
+        let socket_buffer_warnings =
+            check_socket_buffers(settings.socket_buffer_bytes).map_err(|error| failed(error.to_string()))?;
+        let builder = participant_builder(&settings, &interfaces);
+        // Waits for threads to start.
+        let participant = tokio::task::spawn_blocking(move || builder.build())
+            .await
+            .map_err(|error| failed(error.to_string()))?
+            .map_err(|error| failed(error.to_string()))?;
+        Self::join(settings, interfaces.description.clone(), socket_buffer_warnings, participant)
+            .map_err(|error| failed(error.to_string()))
+    }
+
+    fn join(
+        settings: Ros2Settings,
+        interfaces: String,
+        socket_buffer_warnings: Vec<SocketBufferWarning>,
+        participant: DomainParticipant,
+    ) -> rustdds::dds::CreateResult<Self> {
+        let qos = |role| policies(role, &QosProfile::default());
+        let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
+        let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
+        let node_list = NodeList::new(&settings, &participant, &publisher)?;
+        let state = Arc::new(NodeState {
+            domain_id: participant.domain_id(),
+            interfaces,
+            closed: CancellationToken::new(),
+            discovery: Mutex::new(DiscoveryState::new(endpoint_id(participant.guid()).participant())),
+            node_list: Mutex::new(node_list),
+        });
+        state.announce();
+        let discovery = tokio::spawn(follow_discovery(participant.status_listener(), Arc::clone(&state)));
+        let parts = Some(Parts { participant, publisher, subscriber, discovery });
+        Ok(Self { settings, socket_buffer_warnings, state, parts })
+    }
+
+    /// The settings, with what the environment variables filled in.
+    pub fn settings(&self) -> &Ros2Settings {
+        &self.settings
+    }
+
+    /// Limits of the kernel below the socket buffers that were asked for.
+    pub fn socket_buffer_warnings(&self) -> &[SocketBufferWarning] {
+        &self.socket_buffer_warnings
+    }
+
+    /// Returns how many other participants of the domain are there.
+    pub fn participants(&self) -> usize {
+        self.state.discovery().participants()
+    }
+
+    /// Opens a publisher of a topic. `type_name` is as `std_msgs/msg/String`.
+    ///
+    /// # Errors
+    ///
+    /// Names or a QoS profile that are not valid, or `rustdds` fails.
+    pub fn publisher(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: &QosProfile,
+    ) -> Result<Ros2Publisher, Ros2Error> {
+        let role = EndpointRole::Publisher;
+        let (parts, names, dds_topic) = self.prepare(role, topic, type_name, qos)?;
+        let mut discovery = self.state.discovery();
+        let writer = parts
+            .publisher
+            .create_datawriter_no_key(&dds_topic, Some(policies(role, qos)))
+            .map_err(|error| names.failed(role, &error))?;
+        let id = endpoint_id(writer.guid());
+        // Under the same lock, so that no event about the endpoint is handled before it is known.
+        let peers = discovery.add_local(id, role, &names.dds_type);
+        drop(discovery);
+        self.state.announce();
+        let (topic, type_name) = (names.topic, type_name.to_owned());
+        let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
+        Ok(Ros2Publisher { writer, endpoint, qos: qos.clone(), unacknowledged: AtomicUsize::new(0) })
+    }
+
+    /// Opens a subscription of a topic. `type_name` is as `std_msgs/msg/String`.
+    ///
+    /// # Errors
+    ///
+    /// Names or a QoS profile that are not valid, or `rustdds` fails.
+    pub fn subscription(
+        &self,
+        topic: &str,
+        type_name: &str,
+        qos: &QosProfile,
+    ) -> Result<Ros2Subscription, Ros2Error> {
+        let role = EndpointRole::Subscription;
+        let (parts, names, dds_topic) = self.prepare(role, topic, type_name, qos)?;
+        let mut discovery = self.state.discovery();
+        let reader = parts
+            .subscriber
+            .create_simple_datareader_no_key(&dds_topic, Some(policies(role, qos)))
+            .map_err(|error| names.failed(role, &error))?;
+        let id = endpoint_id(reader.guid());
+        let peers = discovery.add_local(id, role, &names.dds_type);
+        drop(discovery);
+        self.state.announce();
+        let (topic, type_name) = (names.topic, type_name.to_owned());
+        let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
+        let (tracker, counts) = (SequenceTracker::default(), ReceiveCounts::default());
+        Ok(Ros2Subscription { reader, endpoint, tracker, counts })
+    }
+
+    fn prepare(
+        &self,
+        role: EndpointRole,
+        topic: &str,
+        type_name: &str,
+        qos: &QosProfile,
+    ) -> Result<(&Parts, Names, Topic), Ros2Error> {
+        let topic = absolute_topic(&self.settings.namespace, &self.settings.node_name, topic)?;
+        let names = Names { topic, dds_type: dds_type(type_name)? };
+        qos.check().map_err(|source| Ros2Error::InvalidQos { topic: names.topic.clone(), source })?;
+        let Some(parts) = &self.parts else {
+            return Err(Ros2Error::ShutDown { topic: names.topic });
+        };
+        let dds_topic = parts
+            .participant
+            .create_topic(
+                dds_topic(&names.topic),
+                names.dds_type.clone(),
+                &policies(role, qos),
+                TopicKind::NoKey,
+            )
+            .map_err(|error| names.failed(role, &error))?;
+        Ok((parts, names, dds_topic))
+    }
+
+    /// Leaves the domain. Its publishers and subscriptions fail from now on; what others did not acknowledge yet is
+    /// not sent again (see [`Ros2Publisher::await_acknowledgment`]).
+    ///
+    /// # Errors
+    ///
+    /// A thread of `rustdds` panicked.
+    pub async fn shut_down(mut self) -> Result<(), Ros2Error> {
+        self.state.closed.cancel();
+        let Some(parts) = self.parts.take() else { return Ok(()) };
+        let failed = |reason: String| Ros2Error::Leave { domain_id: self.state.domain_id, reason };
+        parts.discovery.await.map_err(|error| failed(error.to_string()))?;
+        let participant = parts.participant;
+        // Waits for the threads of rustdds to end.
+        tokio::task::spawn_blocking(move || drop(participant))
+            .await
+            .map_err(|error| failed(error.to_string()))
+    }
+}
+
+impl Drop for Ros2Node {
+    fn drop(&mut self) {
+        self.state.closed.cancel();
+        if let Some(parts) = self.parts.take() {
+            // Dropping the participant waits for the threads of rustdds, which must not block a thread of tokio.
+            let name = "leaving ROS 2".to_owned();
+            if let Err(error) = std::thread::Builder::new().name(name).spawn(move || drop(parts)) {
+                tracing::warn!(%error, "the ROS 2 domain was left on a thread of the runtime");
+            }
+        }
+    }
+}
+
+/// Names of a topic and its type.
+struct Names {
+    /// Absolute.
+    topic: String,
+    dds_type: String,
+}
+
+impl Names {
+    fn failed(&self, role: EndpointRole, error: &rustdds::dds::CreateError) -> Ros2Error {
+        Ros2Error::Open { role, topic: self.topic.clone(), reason: error.to_string() }
+    }
+}
+
+impl NodeState {
+    pub(super) fn discovery(&self) -> MutexGuard<'_, DiscoveryState> {
+        self.discovery.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn remove_endpoint(&self, id: EndpointId) {
+        self.discovery().remove_local(id);
+        self.announce();
+    }
+
+    /// Publishes our entry of the node list.
+    fn announce(&self) {
+        if self.closed.is_cancelled() {
+            return;
+        }
+        // Locked before the endpoints are read, so that a newer list is never followed by an older one.
+        let mut list = self.node_list.lock().unwrap_or_else(PoisonError::into_inner);
+        list.entry.endpoints = self.discovery().local_endpoints();
+        let Some(message) = RawMessage::from_payload(list.entry.to_payload()) else { return };
+        if let Err(error) = list.writer.write(message, Some(rustdds::Timestamp::now())) {
+            tracing::warn!(error = %error.forget_data(), "the node list of ROS 2 does not show what this node has now");
+        }
+    }
+}
+
+impl NodeList {
+    fn new(
+        settings: &Ros2Settings,
+        participant: &DomainParticipant,
+        publisher: &Publisher,
+    ) -> rustdds::dds::CreateResult<Self> {
+        let qos = QosProfile {
+            depth: 1,
+            durability: Durability::TransientLocal,
+            // The list is published from destructors, which must not wait.
+            max_blocking_ms: 0,
+            ..QosProfile::default()
+        };
+        let qos = policies(EndpointRole::Publisher, &qos);
+        let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
+        let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
+        let entry = NodeEntry {
+            participant: endpoint_id(participant.guid()),
+            namespace: settings.namespace.clone(),
+            name: settings.node_name.clone(),
+            identifier_length: settings.identifier_length(),
+            endpoints: Vec::new(),
+        };
+        Ok(Self { writer: publisher.create_datawriter_no_key(&topic, Some(qos))?, entry })
+    }
+}
+
+fn participant_builder(settings: &Ros2Settings, interfaces: &Interfaces) -> DomainParticipantBuilder {
+    let builder = DomainParticipantBuilder::new(settings.domain_id.unwrap_or(0))
+        .same_host_loopback(interfaces.have_loopback())
+        .socket_receive_buffer_size(settings.socket_buffer_bytes)
+        .socket_send_buffer_size(settings.socket_buffer_bytes);
+    if interfaces.addresses.is_empty() {
+        builder
+    } else {
+        builder.with_only_networks(interfaces.addresses.clone())
+    }
+}
+
+/// Hands what discovery finds out to the endpoints, until the node is shut down.
+async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<NodeState>) {
+    let mut events = listener.as_async_status_stream();
+    while let Some(Some(event)) = state.closed.run_until_cancelled(events.next()).await {
+        if let Some(event) = translate(event) {
+            tracing::debug!(?event, "discovery of ROS 2");
+            state.discovery().apply(event);
+        }
+    }
+}
+
+fn translate(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent> {
+    use DomainParticipantStatusEvent as Event;
+    let participant = |prefix: &[u8]| <[u8; 12]>::try_from(prefix).ok();
+    Some(match event {
+        Event::ParticipantDiscovered { dpd } => {
+            DiscoveryEvent::ParticipantFound(endpoint_id(dpd.guid).participant())
+        }
+        Event::ParticipantLost { id, .. } => DiscoveryEvent::ParticipantGone(participant(id.as_ref())?),
+        Event::ReaderDetected { reader: endpoint } | Event::WriterDetected { writer: endpoint } => {
+            DiscoveryEvent::EndpointFound {
+                id: endpoint_id(endpoint.guid),
+                topic: endpoint.topic_name,
+                type_name: endpoint.type_name,
+            }
+        }
+        Event::ReaderLost { guid, .. } | Event::WriterLost { guid, .. } => {
+            DiscoveryEvent::EndpointGone(endpoint_id(guid))
+        }
+        Event::RemoteReaderMatched { local_writer, remote_reader } => {
+            DiscoveryEvent::Matched { local: endpoint_id(local_writer), remote: endpoint_id(remote_reader) }
+        }
+        Event::RemoteWriterMatched { local_reader, remote_writer } => {
+            DiscoveryEvent::Matched { local: endpoint_id(local_reader), remote: endpoint_id(remote_writer) }
+        }
+        Event::RemoteReaderQosIncompatible { local_writer, remote_reader, requested_qos, offered_qos } => {
+            DiscoveryEvent::Incompatible {
+                local: endpoint_id(local_writer),
+                remote: endpoint_id(remote_reader),
+                refusal: incompatibility(&offered_qos, &requested_qos),
+            }
+        }
+        Event::RemoteWriterQosIncompatible { local_reader, remote_writer, requested_qos, offered_qos } => {
+            DiscoveryEvent::Incompatible {
+                local: endpoint_id(local_reader),
+                remote: endpoint_id(remote_writer),
+                refusal: incompatibility(&offered_qos, &requested_qos),
+            }
+        }
+        // The others are summaries of these, or about security, which is off.
+        _ => return None,
+    })
+}

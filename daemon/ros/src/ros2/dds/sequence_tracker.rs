@@ -1,0 +1,73 @@
+//! Gaps between the sequence numbers of received messages.
+
+use std::collections::BTreeMap;
+
+use crate::ros2::{EndpointId, ReceiveCounts};
+
+/// Sequence numbers of the publishers of a topic, for finding the gaps between them.
+#[derive(Debug, Default)]
+pub(super) struct SequenceTracker {
+    highest: BTreeMap<EndpointId, i64>,
+}
+
+impl SequenceTracker {
+    /// Most publishers that are remembered; each host on the network can make new ones.
+    const MAX_WRITERS: usize = 1_024;
+
+    /// Records a message; returns how many messages are missing directly before it.
+    ///
+    /// The first message of a publisher has none before it: a volatile subscription gets nothing from before.
+    pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
+        let Some(highest) = self.highest.get_mut(&writer) else {
+            if self.highest.len() >= Self::MAX_WRITERS {
+                self.highest.pop_first();
+            }
+            self.highest.insert(writer, sequence);
+            return 0;
+        };
+        if sequence <= *highest {
+            counts.late += 1;
+            counts.lost = counts.lost.saturating_sub(1);
+            return 0;
+        }
+        let missing = u64::try_from(sequence.saturating_sub(*highest).saturating_sub(1)).unwrap_or(0);
+        *highest = sequence;
+        counts.lost = counts.lost.saturating_add(missing);
+        missing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_counted_per_publisher() {
+        let (a, b) = (EndpointId([1; 16]), EndpointId([2; 16]));
+        let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
+        let mut record = |writer, sequence| tracker.record(writer, sequence, &mut counts);
+        assert_eq!(record(a, 7), 0, "nothing is known of what came before the first message");
+        assert_eq!(record(b, 1), 0);
+        assert_eq!(record(a, 8), 0);
+        assert_eq!(record(a, 12), 3);
+        assert_eq!(record(b, 2), 0);
+        assert_eq!(record(a, 10), 0, "a late message is not lost");
+        assert_eq!(record(a, 13), 0);
+        assert_eq!((counts.lost, counts.late), (2, 1));
+    }
+
+    #[test]
+    fn hostile_numbers_do_not_overflow() {
+        let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
+        tracker.record(EndpointId([1; 16]), i64::MIN, &mut counts);
+        tracker.record(EndpointId([1; 16]), i64::MAX, &mut counts);
+        for writer in 0..=u8::MAX {
+            for other in 0..8 {
+                let mut id = [writer; 16];
+                id[0] = other;
+                tracker.record(EndpointId(id), 1, &mut counts);
+            }
+        }
+        assert!(tracker.highest.len() <= SequenceTracker::MAX_WRITERS);
+    }
+}

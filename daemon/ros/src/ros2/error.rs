@@ -1,0 +1,234 @@
+//! Errors of the ROS 2 client.
+
+use std::time::Duration;
+
+use super::peers::{EndpointRole, Refusal};
+use super::qos::InvalidQos;
+
+/// Why something about ROS 2 failed.
+#[derive(Debug, thiserror::Error)]
+pub enum Ros2Error {
+    /// The program was built without ROS 2.
+    #[error(
+        "this build has no ROS 2; build with the cargo feature `ros2` of peernet-ros, or install the packages, which have it"
+    )]
+    NotBuilt,
+    /// A name that ROS 2 does not allow.
+    #[error("`{name}` is no {kind} name of ROS 2; an example of one is `{example}`")]
+    InvalidName {
+        /// The name.
+        name: String,
+        /// What it is to name.
+        kind: &'static str,
+        /// A name that is allowed.
+        example: &'static str,
+    },
+    /// An environment variable whose value cannot be obeyed.
+    #[error("the environment variable {name} is `{value}`, but must be {expected}")]
+    InvalidVariable {
+        /// The variable.
+        name: &'static str,
+        /// Its value.
+        value: String,
+        /// The values that can be obeyed.
+        expected: &'static str,
+    },
+    /// A domain that cannot exist.
+    #[error("the domain {domain_id} is out of range; domains of ROS 2 go from 0 to 232")]
+    InvalidDomain {
+        /// The domain.
+        domain_id: u16,
+    },
+    /// A QoS profile that no endpoint can have.
+    #[error("the QoS of topic {topic} is not valid: {source}")]
+    InvalidQos {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        source: InvalidQos,
+    },
+    /// A network interface that does not exist or has no IPv4 address.
+    #[error("there is no network interface `{name}` with an IPv4 address here; there are {known}")]
+    UnknownInterface {
+        /// Name or address of the interface.
+        name: String,
+        /// The interfaces of this host.
+        known: String,
+    },
+    /// The network interfaces could not be listed.
+    #[error("cannot list the network interfaces of this host: {0}")]
+    Interfaces(std::io::Error),
+    /// The domain could not be joined.
+    #[error("cannot join the ROS 2 domain {domain_id} on {interfaces}: {reason}")]
+    Join {
+        /// The domain.
+        domain_id: u16,
+        /// The network interfaces.
+        interfaces: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// A publisher or subscription could not be opened.
+    #[error("cannot open a {role} of topic {topic}: {reason}")]
+    Open {
+        /// What was to be opened.
+        role: EndpointRole,
+        /// The topic.
+        topic: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// A payload that does not begin with the encapsulation header of CDR in little-endian byte order.
+    #[error("a payload for topic {topic} does not begin with the header 00 01 00 00 of little-endian CDR")]
+    NotCdr {
+        /// The topic.
+        topic: String,
+    },
+    /// A message could not be published in time.
+    #[error(
+        "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; lower the rate, or raise net.core.rmem_max on their hosts"
+    )]
+    PublishTimeout {
+        /// The topic.
+        topic: String,
+        /// How long it was waited for room.
+        waited: Duration,
+        /// Matched subscriptions.
+        peers: usize,
+    },
+    /// A message could not be published.
+    #[error("cannot publish to topic {topic}: {reason}")]
+    Publish {
+        /// The topic.
+        topic: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// Not everything that was published was acknowledged in time.
+    #[error(
+        "subscriptions of topic {topic} did not acknowledge everything within {waited:?}; the messages that they lack are lost"
+    )]
+    Unacknowledged {
+        /// The topic.
+        topic: String,
+        /// How long it was waited.
+        waited: Duration,
+    },
+    /// Receiving failed for good.
+    #[error("cannot receive from topic {topic}: {reason}")]
+    Receive {
+        /// The topic.
+        topic: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// The domain could not be left in order; peers notice only when the lease of the node has run out.
+    #[error("cannot leave the ROS 2 domain {domain_id} in order: {reason}")]
+    Leave {
+        /// The domain.
+        domain_id: u16,
+        /// What went wrong.
+        reason: String,
+    },
+    /// Nobody is at the other end of a topic.
+    #[error("{0}")]
+    NoPeer(Box<NoPeer>),
+    /// The node was shut down.
+    #[error("the node of topic {topic} was shut down")]
+    ShutDown {
+        /// The topic.
+        topic: String,
+    },
+}
+
+/// Nobody came to the other end of a topic, and what was tried.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", self.describe())]
+pub struct NoPeer {
+    /// Our role on the topic.
+    pub role: EndpointRole,
+    /// The topic.
+    pub topic: String,
+    /// Our message type.
+    pub type_name: String,
+    /// How long it was waited.
+    pub waited: Duration,
+    /// The domain.
+    pub domain_id: u16,
+    /// The network interfaces.
+    pub interfaces: String,
+    /// Other participants of the domain that were found.
+    pub participants: usize,
+    /// Peers on the topic that do not fit.
+    pub refused: Vec<Refusal>,
+    /// Topics of ROS 2 that others were seen on.
+    pub topics: Vec<String>,
+}
+
+impl NoPeer {
+    /// Most topics that are listed.
+    const LISTED_TOPICS: usize = 8;
+
+    fn describe(&self) -> String {
+        let Self { role, topic, type_name, domain_id, interfaces, participants, .. } = self;
+        let peer = role.opposite();
+        let seconds = self.waited.as_secs_f64();
+        let tried = format!(
+            "no {peer} of topic {topic} ({type_name}) was found within {seconds} s in domain {domain_id} on \
+             {interfaces}, where {participants} other participants were seen"
+        );
+        if let Some(refusal) = self.refused.first() {
+            let others = self.refused.len() - 1;
+            let more = if others == 0 { String::new() } else { format!(" (and {others} more)") };
+            return format!("{tried}; a {peer} is there, but {refusal}{more}: make both ends agree");
+        }
+        if *participants == 0 {
+            return format!(
+                "{tried}; is the peer running, is its ROS_DOMAIN_ID {domain_id}, and does multicast to 239.255.0.1 \
+                 reach it through {interfaces}?"
+            );
+        }
+        let mut listed = self.topics.iter().take(Self::LISTED_TOPICS).cloned().collect::<Vec<_>>().join(", ");
+        if self.topics.len() > Self::LISTED_TOPICS {
+            listed.push_str(", …");
+        }
+        if listed.is_empty() {
+            listed.push_str("none");
+        }
+        format!("{tried}; is the name right? Topics seen: {listed}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn no_peer() -> NoPeer {
+        NoPeer {
+            role: EndpointRole::Subscription,
+            topic: "/image".into(),
+            type_name: "sensor_msgs/msg/Image".into(),
+            waited: Duration::from_secs(5),
+            domain_id: 7,
+            interfaces: "lo (127.0.0.1)".into(),
+            participants: 0,
+            refused: Vec::new(),
+            topics: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn absence_of_a_peer_says_what_was_tried_and_what_to_do() {
+        let nobody = no_peer().to_string();
+        for part in
+            ["no publisher of topic /image", "within 5 s", "domain 7", "lo (127.0.0.1)", "ROS_DOMAIN_ID 7"]
+        {
+            assert!(nobody.contains(part), "{part}: {nobody}");
+        }
+        let elsewhere = NoPeer { participants: 1, topics: vec!["/camera".into()], ..no_peer() }.to_string();
+        assert!(elsewhere.contains("Topics seen: /camera"), "{elsewhere}");
+        let refused = vec![Refusal::OtherType { type_name: "std_msgs/msg/String".into() }];
+        let other = NoPeer { participants: 1, refused, ..no_peer() }.to_string();
+        assert!(other.contains("its message type is std_msgs/msg/String"), "{other}");
+    }
+}

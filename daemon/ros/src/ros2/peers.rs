@@ -1,0 +1,119 @@
+//! The other ends of a topic.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+/// Identity of a publisher or subscription in DDS (its GUID): 12 bytes of its participant, 4 of its own.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct EndpointId(pub [u8; 16]);
+
+/// What an endpoint does on its topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EndpointRole {
+    /// It publishes.
+    Publisher,
+    /// It subscribes.
+    Subscription,
+}
+
+/// Why an endpoint exchanges no messages with one at the other end of its topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// The peer gives the topic another message type.
+    OtherType {
+        /// The peer's type, as `std_msgs/msg/String`.
+        type_name: String,
+    },
+    /// The subscription requests more than the publisher offers.
+    IncompatibleQos {
+        /// The policy, as `Reliability`.
+        policy: String,
+        /// What the publisher offers.
+        offered: String,
+        /// What the subscription requests.
+        requested: String,
+    },
+}
+
+/// The endpoints at the other end of a topic that are there now.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PeerTable {
+    /// Those that messages are exchanged with.
+    pub matched: BTreeSet<EndpointId>,
+    /// Those that no messages are exchanged with.
+    pub refused: BTreeMap<EndpointId, Refusal>,
+    /// Peers that were matched since the endpoint exists.
+    pub matched_total: u64,
+    /// Matched peers that have gone.
+    pub unmatched_total: u64,
+}
+
+#[cfg(feature = "ros2")]
+impl EndpointId {
+    /// Returns the identity of the participant.
+    pub(super) fn participant(self) -> [u8; 12] {
+        let [own @ .., _, _, _, _] = self.0;
+        own
+    }
+}
+
+#[cfg(feature = "ros2")]
+impl PeerTable {
+    /// Adds a matched peer; returns whether it was none before.
+    pub(super) fn add(&mut self, id: EndpointId) -> bool {
+        let was_refused = self.refused.remove(&id).is_some();
+        let is_new = self.matched.insert(id);
+        self.matched_total += u64::from(is_new);
+        was_refused || is_new
+    }
+
+    /// Removes a peer, matched or refused.
+    pub(super) fn remove(&mut self, id: EndpointId) {
+        self.refused.remove(&id);
+        self.unmatched_total += u64::from(self.matched.remove(&id));
+    }
+}
+
+impl EndpointRole {
+    /// Returns the role at the other end of the topic.
+    pub fn opposite(self) -> Self {
+        match self {
+            Self::Publisher => Self::Subscription,
+            Self::Subscription => Self::Publisher,
+        }
+    }
+}
+
+impl fmt::Display for EndpointRole {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Publisher => "publisher",
+            Self::Subscription => "subscription",
+        })
+    }
+}
+
+impl fmt::Display for EndpointId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for EndpointId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, formatter)
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OtherType { type_name } => write!(formatter, "its message type is {type_name}"),
+            Self::IncompatibleQos { policy, offered, requested } => write!(
+                formatter,
+                "the QoS policy {policy} does not fit: the publisher offers {offered}, the subscription requests \
+                 {requested}"
+            ),
+        }
+    }
+}

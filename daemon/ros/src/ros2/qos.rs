@@ -1,0 +1,142 @@
+//! Quality of service of a topic.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// Quality of service of one publisher or subscription; the defaults are the default profile of ROS 2.
+///
+/// A subscription only gets messages of a publisher that offers at least what it requests: reliable or better,
+/// transient-local or better, a deadline that is not longer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct QosProfile {
+    /// Whether lost messages are sent again. Default: `reliable`.
+    pub reliability: Reliability,
+    /// Messages that a publisher keeps for subscriptions that come late, and a subscription for being read; at least 1.
+    /// Default: 10.
+    pub depth: u32,
+    /// Whether a subscription that comes late gets the kept messages. Default: `volatile`.
+    pub durability: Durability,
+    /// Longest time between two messages that is promised or requested; none by default. Milliseconds.
+    pub deadline_ms: Option<f64>,
+    /// How long publishing waits for room when subscriptions do not keep up. Default: 5,000. Milliseconds.
+    pub max_blocking_ms: u32,
+}
+
+/// Whether lost messages are sent again.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reliability {
+    /// Messages are sent again until every matched subscription has them.
+    #[default]
+    Reliable,
+    /// Messages are sent once.
+    BestEffort,
+}
+
+/// Whether a subscription that comes late gets messages from before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Durability {
+    /// Only messages that are published after both ends know each other arrive.
+    #[default]
+    Volatile,
+    /// The last [`depth`](QosProfile::depth) messages arrive as well.
+    TransientLocal,
+}
+
+impl Default for QosProfile {
+    fn default() -> Self {
+        Self {
+            reliability: Reliability::default(),
+            depth: 10,
+            durability: Durability::default(),
+            deadline_ms: None,
+            max_blocking_ms: 5_000,
+        }
+    }
+}
+
+/// A QoS profile that no endpoint can have.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum InvalidQos {
+    /// The number of kept messages is out of range.
+    #[error("depth is {0}, but must be from 1 to {max}", max = QosProfile::MAX_DEPTH)]
+    Depth(u32),
+    /// The deadline is no duration.
+    #[error("deadline_ms is {0}, but must be a positive number of milliseconds of at most a day")]
+    Deadline(f64),
+}
+
+impl QosProfile {
+    /// Most messages that an endpoint keeps.
+    pub const MAX_DEPTH: u32 = 8_192;
+
+    /// Longest deadline: a day. Milliseconds.
+    const MAX_DEADLINE_MS: f64 = 24.0 * 3_600_000.0;
+
+    /// Checks the ranges of the values.
+    ///
+    /// # Errors
+    ///
+    /// The first value that is out of range.
+    pub fn check(&self) -> Result<(), InvalidQos> {
+        if !(1..=Self::MAX_DEPTH).contains(&self.depth) {
+            return Err(InvalidQos::Depth(self.depth));
+        }
+        match self.deadline_ms {
+            Some(deadline) if !(deadline > 0.0 && deadline <= Self::MAX_DEADLINE_MS) => {
+                Err(InvalidQos::Deadline(deadline))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for Reliability {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Reliable => "reliable",
+            Self::BestEffort => "best-effort",
+        })
+    }
+}
+
+impl fmt::Display for Durability {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Volatile => "volatile",
+            Self::TransientLocal => "transient-local",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        let with = |change: fn(&mut QosProfile)| {
+            let mut qos = QosProfile::default();
+            change(&mut qos);
+            qos.check()
+        };
+        assert_eq!(with(|_| ()), Ok(()));
+        assert_eq!(with(|qos| qos.depth = 0), Err(InvalidQos::Depth(0)));
+        assert_eq!(with(|qos| qos.depth = 8_193), Err(InvalidQos::Depth(8_193)));
+        assert_eq!(with(|qos| qos.deadline_ms = Some(33.3)), Ok(()));
+        assert_eq!(with(|qos| qos.deadline_ms = Some(0.0)), Err(InvalidQos::Deadline(0.0)));
+        assert!(with(|qos| qos.deadline_ms = Some(f64::NAN)).is_err());
+    }
+
+    #[test]
+    fn profile_is_read_with_its_defaults() {
+        let qos: QosProfile =
+            serde_json::from_str(r#"{"reliability":"best-effort","depth":1}"#).expect("valid");
+        let expected = QosProfile { reliability: Reliability::BestEffort, depth: 1, ..QosProfile::default() };
+        assert_eq!(qos, expected);
+        assert!(serde_json::from_str::<QosProfile>(r#"{"history":1}"#).is_err());
+    }
+}

@@ -1,0 +1,165 @@
+//! Settings of a ROS 2 node.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::Ros2Error;
+use super::names::check_node;
+
+/// Settings of a ROS 2 node. What is left open comes from the environment variables of ROS 2.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ros2Settings {
+    /// DDS domain, from 0 to 232; left open, `ROS_DOMAIN_ID`, and 0 without it.
+    pub domain_id: Option<u16>,
+    /// Names (`eth0`) or IPv4 addresses of the network interfaces to use. Left empty, all; the loopback interface only
+    /// where `ROS_LOCALHOST_ONLY` is 1 or `ROS_AUTOMATIC_DISCOVERY_RANGE` is `LOCALHOST`.
+    pub interfaces: Vec<String>,
+    /// Name of the node in the node list of ROS 2.
+    pub node_name: String,
+    /// Namespace of the node; relative topic names stand below it.
+    pub namespace: String,
+    /// Size of the receive and send buffers that the kernel is asked for. Bytes.
+    pub socket_buffer_bytes: usize,
+    /// Distribution of ROS 2 that the peers use, as `humble`; left open, `ROS_DISTRO`. Only the node list depends on
+    /// it: the form of its identifiers changed with Iron.
+    pub distribution: Option<String>,
+}
+
+impl Default for Ros2Settings {
+    fn default() -> Self {
+        Self {
+            domain_id: None,
+            interfaces: Vec::new(),
+            node_name: "peernet".to_owned(),
+            namespace: "/".to_owned(),
+            socket_buffer_bytes: 8 << 20,
+            distribution: None,
+        }
+    }
+}
+
+impl Ros2Settings {
+    /// Highest domain: the UDP ports of higher ones would exceed 65,535.
+    pub const MAX_DOMAIN_ID: u16 = 232;
+
+    /// Distributions before Iron, whose identifiers in the node list have 24 bytes instead of 16.
+    #[cfg(any(feature = "ros2", test))]
+    const WITH_LONG_IDENTIFIERS: [&str; 3] = ["foxy", "galactic", "humble"];
+
+    /// Returns the settings with what is left open taken from environment variables, and checks them.
+    ///
+    /// # Errors
+    ///
+    /// A name or domain that is not allowed, or a variable whose value cannot be obeyed.
+    pub fn with_environment(mut self, variable: impl Fn(&str) -> Option<String>) -> Result<Self, Ros2Error> {
+        let set = |name: &str| variable(name).filter(|value| !value.is_empty());
+        check_node(&self.namespace, &self.node_name)?;
+        if self.domain_id.is_none() {
+            self.domain_id = match set("ROS_DOMAIN_ID") {
+                None => Some(0),
+                Some(value) => Some(value.trim().parse().map_err(|_| Ros2Error::InvalidVariable {
+                    name: "ROS_DOMAIN_ID",
+                    value,
+                    expected: "a number from 0 to 232",
+                })?),
+            };
+        }
+        if let Some(domain_id) = self.domain_id.filter(|id| *id > Self::MAX_DOMAIN_ID) {
+            return Err(Ros2Error::InvalidDomain { domain_id });
+        }
+        if self.interfaces.is_empty() && is_localhost_only(&set)? {
+            self.interfaces.push("127.0.0.1".to_owned());
+        }
+        if self.distribution.is_none() {
+            self.distribution = set("ROS_DISTRO");
+        }
+        Ok(self)
+    }
+
+    /// Number of bytes of an identifier in the node list.
+    #[cfg(any(feature = "ros2", test))]
+    pub(super) fn identifier_length(&self) -> usize {
+        match self.distribution.as_deref() {
+            Some(distribution) if Self::WITH_LONG_IDENTIFIERS.contains(&distribution) => 24,
+            _ => 16,
+        }
+    }
+}
+
+fn is_localhost_only(set: &impl Fn(&str) -> Option<String>) -> Result<bool, Ros2Error> {
+    // As in ROS 2, the older variable wins where both are set.
+    if set("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1") {
+        return Ok(true);
+    }
+    match set("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+        None | Some("SUBNET" | "SYSTEM_DEFAULT") => Ok(false),
+        Some("LOCALHOST") => Ok(true),
+        // OFF lets nobody be found except static peers, which rustdds does not have.
+        Some(value) => Err(Ros2Error::InvalidVariable {
+            name: "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            value: value.to_owned(),
+            expected: "SUBNET, LOCALHOST or SYSTEM_DEFAULT",
+        }),
+    }
+}
+
+/// A limit of the kernel below the size of the socket buffers that was asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SocketBufferWarning {
+    /// The limiting setting of the kernel.
+    pub sysctl: &'static str,
+    /// What the kernel grants. Bytes.
+    pub granted: usize,
+    /// What was asked for. Bytes.
+    pub needed: usize,
+}
+
+impl fmt::Display for SocketBufferWarning {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { sysctl, granted, needed } = self;
+        write!(
+            formatter,
+            "the kernel limits socket buffers to {granted} bytes where {needed} were asked for ({sysctl}): ROS 2 \
+             messages of more than about {granted} bytes get lost or arrive late; run `sysctl -w {sysctl}={needed}`"
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn resolved(settings: Ros2Settings, variables: &[(&str, &str)]) -> Result<Ros2Settings, Ros2Error> {
+        settings.with_environment(|name| {
+            variables.iter().find(|(other, _)| *other == name).map(|(_, value)| (*value).to_owned())
+        })
+    }
+
+    #[test]
+    fn environment_fills_in_what_is_left_open() {
+        let settings = resolved(Ros2Settings::default(), &[]).expect("valid");
+        assert_eq!((settings.domain_id, settings.interfaces.len()), (Some(0), 0));
+        let all = [("ROS_DOMAIN_ID", "7"), ("ROS_LOCALHOST_ONLY", "1"), ("ROS_DISTRO", "humble")];
+        let settings = resolved(Ros2Settings::default(), &all).expect("valid");
+        assert_eq!((settings.domain_id, settings.identifier_length()), (Some(7), 24));
+        assert_eq!(settings.interfaces, ["127.0.0.1"]);
+        let given =
+            Ros2Settings { domain_id: Some(3), interfaces: vec!["eth0".into()], ..Ros2Settings::default() };
+        let settings = resolved(given, &all).expect("valid");
+        assert_eq!((settings.domain_id, settings.interfaces), (Some(3), vec!["eth0".to_owned()]));
+    }
+
+    #[test]
+    fn value_that_cannot_be_obeyed_is_an_error() {
+        for variable in
+            [("ROS_DOMAIN_ID", "x"), ("ROS_DOMAIN_ID", "233"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]
+        {
+            assert!(resolved(Ros2Settings::default(), &[variable]).is_err(), "{variable:?}");
+        }
+        let range = [("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")];
+        let settings = resolved(Ros2Settings::default(), &range).expect("valid");
+        assert_eq!(settings.interfaces, ["127.0.0.1"]);
+    }
+}

@@ -1,0 +1,194 @@
+"""The end of the tests with foreign ROS 2 peers that Eclipse Cyclone DDS speaks.
+
+cyclonedds_peer.py publish|receive TOPIC string|image COUNT BYTES
+cyclonedds_peer.py ping|pong TOPIC string|image COUNT BYTES      round trips; `ping` prints their quantiles
+cyclonedds_peer.py nodes NAME                                    waits until the node list has NAME with an endpoint
+"""
+
+import sys
+import time
+from dataclasses import dataclass
+
+from cyclonedds.core import Policy, Qos, ReadCondition, SampleState, InstanceState, ViewState, WaitSet
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, int32, sequence, uint8, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+PATIENCE_S = 20.0
+RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=10)), Policy.History.KeepAll)
+
+
+@dataclass
+class String_(IdlStruct, typename="std_msgs.msg.dds_.String_"):
+    data: str
+
+
+@dataclass
+class Time_(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header_(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    stamp: Time_
+    frame_id: str
+
+
+@dataclass
+class CompressedImage_(IdlStruct, typename="sensor_msgs.msg.dds_.CompressedImage_"):
+    header: Header_
+    format: str
+    data: sequence[uint8]
+
+
+@dataclass
+class Gid_(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeEntitiesInfo_(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid_]
+    writer_gid_seq: sequence[Gid_]
+
+
+@dataclass
+class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"):
+    gid: Gid_
+    node_entities_info_seq: sequence[NodeEntitiesInfo_]
+
+
+ALPHABET = "abcdefghijklmnopqrstuvwxyz"
+TYPES = {"string": String_, "image": CompressedImage_}
+
+
+def message(kind, size, number):
+    if kind == "string":
+        start = number % 26
+        return String_((ALPHABET * (size // 26 + 2))[start : start + size])
+    period = bytes((index * 31 + number) % 256 for index in range(256))
+    data = (period * (size // 256 + 1))[:size]
+    return CompressedImage_(Header_(Time_(number, 7), "cam"), "jpeg", data)
+
+
+def same(kind, sample, expected):
+    if kind == "string":
+        return sample.data == expected.data
+    return (
+        sample.header == expected.header
+        and sample.format == expected.format
+        and bytes(sample.data) == bytes(expected.data)
+    )
+
+
+class Incoming:
+    """Waits for the samples of a topic without polling."""
+
+    def __init__(self, participant, topic, type_, qos=RELIABLE):
+        self.reader = DataReader(participant, Topic(participant, topic, type_, qos=qos), qos=qos)
+        condition = ReadCondition(self.reader, SampleState.Any | ViewState.Any | InstanceState.Any)
+        self.waitset = WaitSet(participant)
+        self.waitset.attach(condition)
+        self.taken = []
+
+    def next(self):
+        while not self.taken:
+            if not self.waitset.wait(duration(seconds=PATIENCE_S)):
+                raise SystemExit("cyclonedds: nothing arrived in time")
+            self.taken = [sample for sample in self.reader.take(64) if sample.sample_info.valid_data]
+        return self.taken.pop(0)
+
+
+class Outgoing:
+    def __init__(self, participant, topic, type_):
+        self.writer = DataWriter(participant, Topic(participant, topic, type_, qos=RELIABLE), qos=RELIABLE)
+
+    def await_reader(self):
+        end = time.monotonic() + PATIENCE_S
+        while not self.writer.get_matched_subscriptions():
+            if time.monotonic() > end:
+                raise SystemExit("cyclonedds: no subscription was found in time")
+            time.sleep(0.02)
+
+
+def publish(participant, topic, kind, count, size):
+    outgoing = Outgoing(participant, topic, TYPES[kind])
+    outgoing.await_reader()
+    # The other end may not know us yet although we know it; it would get nothing from before.
+    time.sleep(1)
+    for number in range(count):
+        outgoing.writer.write(message(kind, size, number))
+    if not outgoing.writer.wait_for_acks(duration(seconds=PATIENCE_S)):
+        raise SystemExit("cyclonedds: not everything was acknowledged in time")
+    # rustdds drops what was not read before its publisher leaves.
+    time.sleep(1)
+    print("published and acknowledged:", count)
+
+
+def receive(participant, topic, kind, count, size):
+    incoming = Incoming(participant, topic, TYPES[kind])
+    for number in range(count):
+        if not same(kind, incoming.next(), message(kind, size, number)):
+            raise SystemExit(f"cyclonedds: message {number} is not what was published")
+    print("received unchanged:", count)
+
+
+def pong(participant, topic, kind, count, _size):
+    outgoing = Outgoing(participant, topic + "/pong", TYPES[kind])
+    incoming = Incoming(participant, topic + "/ping", TYPES[kind])
+    for _ in range(count):
+        outgoing.writer.write(incoming.next())
+    outgoing.writer.wait_for_acks(duration(seconds=PATIENCE_S))
+
+
+def ping(participant, topic, kind, count, size):
+    outgoing = Outgoing(participant, topic + "/ping", TYPES[kind])
+    incoming = Incoming(participant, topic + "/pong", TYPES[kind])
+    outgoing.await_reader()
+    while not incoming.reader.get_matched_publications():
+        time.sleep(0.02)
+    sample, times = message(kind, size, 1), []
+    for _ in range(count):
+        start = time.perf_counter()
+        outgoing.writer.write(sample)
+        incoming.next()
+        times.append(time.perf_counter() - start)
+    # The first ones are for warming up.
+    times = sorted(times[len(times) // 10 :])
+    p50, p99 = times[len(times) // 2], times[len(times) * 99 // 100]
+    rate = len(times) / sum(times)
+    print(f"{size} bytes: {rate:.0f} round trips/s, p50 {p50 * 1e6:.0f} µs, p99 {p99 * 1e6:.0f} µs")
+
+
+def nodes(participant, name):
+    qos = Qos(
+        Policy.Reliability.Reliable(duration(seconds=1)), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
+    )
+    incoming = Incoming(participant, "ros_discovery_info", ParticipantEntitiesInfo_, qos)
+    while True:
+        for node in incoming.next().node_entities_info_seq:
+            if node.node_namespace + node.node_name == name and node.writer_gid_seq:
+                print("seen in the node list:", name)
+                return
+
+
+def main():
+    participant = DomainParticipant()
+    mode, *rest = sys.argv[1:]
+    if mode == "nodes":
+        nodes(participant, rest[0])
+        return
+    topic, kind, count, size = rest
+    modes = {"publish": publish, "receive": receive, "ping": ping, "pong": pong}
+    modes[mode](participant, "rt" + topic, kind, int(count), int(size))
+
+
+if __name__ == "__main__":
+    main()
