@@ -156,6 +156,19 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
     publisher.wait_for_subscribers(1).await?;
     subscriber.wait_for_publishers(1).await?;
     let image = picture(0, length);
+    // A rospy node may count as connected before it sends: repeated until an answer comes, and until the last one has come.
+    let pause = std::time::Duration::from_millis(300);
+    let mut has_answer = false;
+    loop {
+        if !has_answer {
+            publisher.publish(image.encode(WireForm::Ros1)?)?;
+        }
+        match tokio::time::timeout(pause, subscriber.recv()).await {
+            Ok(message) => has_answer = message.is_ok(),
+            Err(_) if has_answer => break,
+            Err(_) => {}
+        }
+    }
     let mut micros = Vec::with_capacity(count);
     for _ in 0..count {
         let start = clock.mono();

@@ -64,7 +64,7 @@ async fn serve(node: &NodeShared, mut stream: TcpStream, peer: std::net::SocketA
         () = node.stop.cancelled() => return,
     };
     match handshake {
-        Ok(Ok((topic, subscriber))) => topic.run_connection(stream, subscriber).await,
+        Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
         Ok(Err(error)) => {
             tracing::warn!(node = &*node.name, %peer, %error, "a ROS subscriber was refused");
         }
@@ -72,25 +72,27 @@ async fn serve(node: &NodeShared, mut stream: TcpStream, peer: std::net::SocketA
     }
 }
 
+/// Reads the subscriber's header and returns the topic, the subscriber's name and the answer. A refusal has been sent.
 async fn shake_hands(
     node: &NodeShared,
     stream: &mut TcpStream,
-) -> Result<(Arc<PublishedTopic>, Arc<str>), AcceptError> {
+) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
     configure(stream)?;
     let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
     let frame = read_frame(stream, &mut buffer).await?.ok_or(AcceptError::Closed)?;
-    let (answer, result) = match answer(node, &frame) {
-        Ok((answer, topic, subscriber)) => (answer, Ok((topic, subscriber))),
-        Err(error) => (ConnectionHeader::error(&error.to_string()), Err(error.into())),
-    };
-    stream.write_all(&answer.encode()).await?;
-    result
+    match answer(node, &frame) {
+        Ok(answer) => Ok(answer),
+        Err(error) => {
+            stream.write_all(&ConnectionHeader::error(&error.to_string()).encode()).await?;
+            Err(error.into())
+        }
+    }
 }
 
 fn answer(
     node: &NodeShared,
     frame: &[u8],
-) -> Result<(ConnectionHeader, Arc<PublishedTopic>, Arc<str>), HandshakeError> {
+) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), HandshakeError> {
     let request = ConnectionHeader::decode(frame)?;
     let topic = request.get("topic").ok_or(HeaderError::Missing { name: "topic" })?;
     let published = node.topics().publications.get(topic).cloned();
@@ -99,5 +101,5 @@ fn answer(
         node: node.name.to_string(),
     })?;
     let (answer, subscriber) = published.publication.answer(&request)?;
-    Ok((answer, published, subscriber))
+    Ok((published, subscriber, answer))
 }

@@ -10,7 +10,7 @@ use tokio::sync::Notify;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::limits::{DRAIN_TIMEOUT, QueueLimits};
+use super::limits::{DRAIN_TIMEOUT, HANDSHAKE_TIMEOUT, QueueLimits};
 use crate::messages::EncodedMessage;
 
 /// Pieces that one system call writes at most.
@@ -71,6 +71,8 @@ pub(super) struct OutgoingConnection {
 struct Queue {
     messages: VecDeque<QueuedMessage>,
     bytes: usize,
+    /// Whether the header has been written, which precedes all messages.
+    is_open: bool,
     is_closed: bool,
     counts: SendCounts,
 }
@@ -142,7 +144,7 @@ impl OutgoingConnection {
         queue.bytes += message.len();
         queue.messages.push_back(message);
         // An earlier message that waits for the kernel is the task's business.
-        if queue.messages.len() == 1 {
+        if queue.is_open && queue.messages.len() == 1 {
             self.write(&mut queue);
             if !queue.messages.is_empty() {
                 self.unsent.notify_one();
@@ -197,9 +199,38 @@ impl OutgoingConnection {
         !self.queue().messages.is_empty()
     }
 
-    /// Runs the connection until the subscriber closes it or `stop` is cancelled; then what waits is written within
-    /// [`DRAIN_TIMEOUT`].
-    pub(super) async fn run(&self, stop: &CancellationToken) {
+    /// Writes the header, and then messages until the subscriber closes the connection or `stop` is cancelled; then what waits
+    /// is written within [`DRAIN_TIMEOUT`].
+    pub(super) async fn run(&self, header: &[u8], stop: &CancellationToken) {
+        match timeout(HANDSHAKE_TIMEOUT, self.write_header(header)).await {
+            Ok(Ok(())) => self.run_open(stop).await,
+            Ok(Err(error)) => {
+                tracing::debug!(subscriber = &*self.subscriber, %error, "a ROS subscriber is gone");
+            }
+            Err(_) => tracing::warn!(
+                subscriber = &*self.subscriber,
+                "a ROS subscriber did not read its header in time"
+            ),
+        }
+        self.queue().close();
+        self.room.notify_waiters();
+    }
+
+    async fn write_header(&self, mut header: &[u8]) -> io::Result<()> {
+        while !header.is_empty() {
+            self.stream.writable().await?;
+            match self.stream.try_write(header) {
+                Ok(written) => header = &header[written..],
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.queue().is_open = true;
+        self.write_unsent();
+        Ok(())
+    }
+
+    async fn run_open(&self, stop: &CancellationToken) {
         // Subscribers send nothing; reading shows when they close.
         let mut ignored = [0; 256];
         while !self.queue().is_closed {
@@ -228,8 +259,6 @@ impl OutgoingConnection {
                 () = self.unsent.notified() => {}
             }
         }
-        self.queue().close();
-        self.room.notify_waiters();
     }
 
     async fn drain(&self) {

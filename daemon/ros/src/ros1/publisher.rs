@@ -11,7 +11,7 @@ use super::error::NodeError;
 use super::limits::QueueLimits;
 use super::node::RegistrationGuard;
 use super::outgoing::{Offer, OutgoingConnection, SendCounts};
-use super::tcpros::Publication;
+use super::tcpros::{ConnectionHeader, Publication};
 use crate::messages::EncodedMessage;
 
 /// Options of a publisher.
@@ -192,8 +192,13 @@ impl PublishedTopic {
         sum
     }
 
-    /// Runs the connection to a subscriber whose header was answered.
-    pub(super) async fn run_connection(&self, stream: TcpStream, subscriber: Arc<str>) {
+    /// Runs the connection to a subscriber, which gets `answer` first.
+    pub(super) async fn run_connection(
+        &self,
+        stream: TcpStream,
+        subscriber: Arc<str>,
+        answer: ConnectionHeader,
+    ) {
         let connection = match OutgoingConnection::new(stream, subscriber, self.limits) {
             Ok(connection) => Arc::new(connection),
             Err(error) => {
@@ -206,10 +211,11 @@ impl PublishedTopic {
             if let Some((message, prefix)) = &state.latched {
                 connection.offer(message, *prefix, true);
             }
+            // Before the answer is sent: what is published after the subscriber has read it must not be missed.
             state.connections.push(Arc::clone(&connection));
         }
         self.changed.notify_waiters();
-        connection.run(&self.stop).await;
+        connection.run(&answer.encode(), &self.stop).await;
         let mut state = self.state();
         state.connections.retain(|other| !Arc::ptr_eq(other, &connection));
         // A publish that holds the list may still offer a message; a closed queue refuses it without counting.

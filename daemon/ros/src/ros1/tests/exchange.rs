@@ -56,6 +56,20 @@ async fn subscriber_may_come_first() {
 }
 
 #[tokio::test]
+async fn connected_subscriber_misses_no_message() {
+    let master = TestMaster::start().await;
+    let (a, b) = (node(&master, "a").await, node(&master, "b").await);
+    let kind = TopicType::of::<StringMessage>();
+    let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    for number in 0..50 {
+        let mut subscriber = b.subscribe("t", kind.clone(), SubscriberOptions::default()).await.unwrap();
+        within(subscriber.wait_for_publishers(1)).await.unwrap();
+        publisher.publish(text(&number.to_string())).unwrap();
+        assert_eq!(receive(&mut subscriber).await, number.to_string());
+    }
+}
+
+#[tokio::test]
 async fn large_messages_arrive_whole() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
