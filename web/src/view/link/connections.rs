@@ -131,7 +131,7 @@ mod tests {
         let rows = rows(&Subject::live(&link));
         let [up, down] = &rows[..] else { panic!("{rows:?}") };
         assert_eq!((up.direction, down.direction), ("upload", "download"));
-        assert_eq!((up.pipeline.as_str(), up.bytes.as_str()), ("line", "1.25 GB"));
+        assert_eq!((up.pipeline.as_str(), up.bytes.as_str()), ("line", "1.25\u{202f}GB"));
         let texts =
             |row: &DirectionRow| row.counts.iter().map(|one| one.text().to_owned()).collect::<Vec<_>>();
         assert_eq!(texts(up), ["10,482", "863,204", NONE, "0", "0", "17"]);
