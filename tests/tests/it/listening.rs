@@ -41,7 +41,7 @@ fn two_addresses_are_served_at_the_same_time() {
     }
     let hosts = api.json("/api/v1/hosts/cloud");
     let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second}", site.data);
-    assert_eq!(hosts["serves"], serves.as_str(), "{hosts}");
+    assert_eq!(hosts["description"]["serves"], serves.as_str(), "{hosts}");
     for edge in edges {
         assert_eq!(edge.stop().code(), 0);
     }

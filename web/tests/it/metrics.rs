@@ -116,8 +116,14 @@ async fn every_line_is_valid_and_counters_only_grow() {
     let ok =
         "peernet_pipeline_window_iterations{host=\"cam-1\",pipeline=\"local\",outcome=\"ok\",window=\"60s\"}";
     assert!(value(&first, ok) > 1_000.0, "{}", value(&first, ok));
-    assert!(value(&first, "peernet_link_offset_half_width_seconds{edge=\"cam-2\",cloud=\"rack-a\"}") > 0.0);
-    let loss = value(&first, "peernet_link_probe_loss_ratio{edge=\"cam-2\",cloud=\"rack-a\"}");
+    assert!(
+        value(
+            &first,
+            "peernet_link_offset_half_width_seconds{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\"}"
+        ) > 0.0
+    );
+    let loss =
+        value(&first, "peernet_link_probe_loss_ratio{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\"}");
     assert!((0.0..=1.0).contains(&loss), "{loss}");
     let again = "peernet_link_retransmitted_datagrams_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
                  pipeline=\"offload-full\",direction=\"upload\"}";

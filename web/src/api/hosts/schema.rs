@@ -71,7 +71,7 @@ pub(crate) struct Description {
     pub gpus: Vec<String>,
     pub system: String,
     pub architecture: String,
-    /// Address at which it serves models, if it does.
+    /// Addresses at which it serves models, with `, ` between them, if it does.
     pub serves: Option<String>,
     pub models: Vec<String>,
 }

@@ -4,7 +4,7 @@ use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 use peernet_agent::AgentConfig;
-use peernet_agent::config::{Limit, WarmUp};
+use peernet_agent::config::{Limit, PlacementConfig, WarmUp};
 use peernet_inference::bank::Folders;
 use peernet_report::record::NetworkConfig;
 use serde::de::DeserializeOwned;
@@ -153,6 +153,10 @@ fn read(
         pipeline.limit = limit;
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;
+        if let PlacementConfig::Remote(remote) = &mut pipeline.placement {
+            // Plans of earlier releases name it, and a plan must stay what it was for an experiment to go on.
+            remote.network.get_or_insert(remote.peer.network());
+        }
     }
     if is_all(&warm_up, &limit, experiment.episode_steps) {
         return Err(ConfigurationError::AllWarmUp(in_words(&warm_up)));
