@@ -20,9 +20,11 @@ pub struct NetworkFigures {
     pub malformed: u64,
     /// Answers that arrived after the request had been given up.
     pub late: u64,
-    /// Edge: requests that will never be answered, the connection being gone. Cloud: answers that could not be
-    /// handed to the network.
+    /// Edge: requests that will never be answered, as the connection is gone or one of the two messages was lost on
+    /// the way. Cloud: answers that could not be handed to the network or were lost on the way.
     pub lost: u64,
+    /// Messages of which only a part arrived.
+    pub incomplete: u64,
 }
 
 /// The live form of [`NetworkFigures`], written from any thread.
@@ -35,6 +37,7 @@ pub(crate) struct Counters {
     malformed: AtomicU64,
     late: AtomicU64,
     lost: AtomicU64,
+    incomplete: AtomicU64,
 }
 
 impl Counters {
@@ -60,6 +63,10 @@ impl Counters {
         self.lost.fetch_add(count, Ordering::Relaxed);
     }
 
+    pub(crate) fn incomplete(&self) {
+        self.incomplete.fetch_add(1, Ordering::Relaxed);
+    }
+
     pub(crate) fn figures(&self) -> NetworkFigures {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         NetworkFigures {
@@ -70,6 +77,7 @@ impl Counters {
             malformed: read(&self.malformed),
             late: read(&self.late),
             lost: read(&self.lost),
+            incomplete: read(&self.incomplete),
         }
     }
 }

@@ -20,6 +20,6 @@ pub use session::{
 };
 pub use settings::{InvalidSettings, SessionSettings};
 pub use transport::{
-    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, NetworkKind, Peer,
-    SendFailure, zmtp,
+    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,
+    NetworkKind, Peer, SendFailure, datagram, zmtp,
 };

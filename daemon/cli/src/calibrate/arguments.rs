@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
+    /// Kind of network: zmq-tcp or zmq-udp; ros is not there yet.
     #[arg(long, default_value_t, value_parser = network)]
     pub(super) network: NetworkKind,
     /// Do not show the progress.

@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     /// This device's name in the network configuration.
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
-    /// Kind of network: zmq-tcp; zmq-udp and ros are not there yet.
+    /// Kind of network: zmq-tcp or zmq-udp; ros is not there yet.
     #[arg(long, default_value_t, value_parser = network)]
     pub(super) network: NetworkKind,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` the name of the one that

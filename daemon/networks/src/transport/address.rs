@@ -85,6 +85,16 @@ impl Address {
         Self { scheme: Scheme("tcp"), host: Host::Ip(ip), port }
     }
 
+    /// The same address for another kind of network.
+    pub(crate) fn of_kind(self, kind: NetworkKind) -> Self {
+        Self { scheme: Scheme(kind.scheme()), ..self }
+    }
+
+    /// What stands before `://`.
+    pub const fn scheme(&self) -> &'static str {
+        self.scheme.0
+    }
+
     /// The host, without brackets.
     pub fn host(&self) -> String {
         match &self.host {
@@ -221,7 +231,7 @@ mod tests {
     fn what_is_wrong_is_said() {
         for (text, problem) in [
             ("cloud:5551", "the scheme is missing"),
-            ("udp://cloud:5551", "unknown scheme \"udp\""),
+            ("pgm://cloud:5551", "unknown scheme \"pgm\""),
             ("tcp://cloud", "the port is missing"),
             ("tcp://:5551", "the host is missing"),
             ("tcp://cloud:", "\"\" is not a port"),

@@ -11,5 +11,7 @@ mod requests;
 mod shutdown;
 mod support;
 mod telling;
+mod udp;
+mod udp_relay;
 mod versions;
 mod wire;

@@ -16,6 +16,35 @@ use peernet_stream::Hardware;
 /// Far more than anything here needs; a test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
+/// Makes tests of a function that takes a [`NetworkKind`]: one for each network.
+macro_rules! over_every_network {
+    ($($name:ident),*) => {$(
+        mod $name {
+            #[tokio::test]
+            async fn zmq_tcp() {
+                super::$name(peernet_networks::NetworkKind::ZmqTcp).await;
+            }
+
+            #[tokio::test]
+            async fn zmq_udp() {
+                super::$name(peernet_networks::NetworkKind::ZmqUdp).await;
+            }
+        }
+    )*};
+}
+pub(crate) use over_every_network;
+
+/// A free port of this machine.
+pub(crate) fn any_port(network: NetworkKind) -> String {
+    format!("{}://127.0.0.1:0", network.scheme())
+}
+
+/// The network that an address is of.
+fn network_of(address: &Address) -> NetworkKind {
+    let found = NetworkKind::ALL.iter().find(|kind| kind.scheme() == address.scheme());
+    *found.expect("an address has the scheme of a network")
+}
+
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
     tokio::time::timeout(PATIENCE, what).await.expect("the test hangs")
 }
@@ -72,7 +101,12 @@ pub(crate) struct Cloud {
 
 impl Cloud {
     pub(crate) async fn start() -> Self {
-        Self::start_at("tcp://127.0.0.1:0", settings()).await
+        Self::over(NetworkKind::ZmqTcp).await
+    }
+
+    /// A cloud at a port of a network.
+    pub(crate) async fn over(network: NetworkKind) -> Self {
+        Self::start_at(&any_port(network), settings()).await
     }
 
     pub(crate) async fn start_at(address: &str, settings: SessionSettings) -> Self {
@@ -86,7 +120,7 @@ impl Cloud {
 
     async fn bind(address: &str, settings: SessionSettings, clock: SharedClock) -> Self {
         let (host, address) = (HostId::random(), address.parse().expect("an address"));
-        let listener = Listener::bind(NetworkKind::ZmqTcp, &address, settings, host, clock);
+        let listener = Listener::bind(network_of(&address), &address, settings, host, clock);
         Self { host, listener: within(listener).await.expect("the port is free") }
     }
 
@@ -143,12 +177,12 @@ pub(crate) async fn open(
     hello: SessionHello,
     settings: SessionSettings,
 ) -> Result<Session, OpenError> {
-    within(Session::open(NetworkKind::ZmqTcp, address, hello, settings, clock())).await
+    within(Session::open(network_of(address), address, hello, settings, clock())).await
 }
 
 /// Opens a session as an edge that reads another clock.
 async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
-    within(Session::open(NetworkKind::ZmqTcp, &address, hello(), settings(), clock)).await
+    within(Session::open(network_of(&address), &address, hello(), settings(), clock)).await
 }
 
 pub(crate) fn log() -> Recorder {
