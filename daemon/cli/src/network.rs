@@ -20,7 +20,7 @@ pub(crate) enum NetworkNameError {
 pub(crate) fn network(text: &str) -> Result<NetworkKind, NetworkNameError> {
     let found = NetworkKind::ALL.iter().find(|kind| kind.name() == text).copied();
     found.ok_or_else(|| match text {
-        "zmq-udp" | "ros" => NetworkNameError::Planned(text.to_owned()),
+        "ros" => NetworkNameError::Planned(text.to_owned()),
         _ => NetworkNameError::Unknown,
     })
 }

@@ -22,6 +22,6 @@ pub use session::{
 pub use settings::{InvalidSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
-    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, NetworkKind,
-    NetworkMismatch, Peer, SendFailure, zmtp,
+    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,
+    NetworkKind, NetworkMismatch, Peer, SendFailure, datagram, zmtp,
 };

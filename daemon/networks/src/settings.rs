@@ -23,6 +23,8 @@ const CLOSE_TIMEOUT_MS: (u64, u64) = (0, MAX_TIME_MS);
 const MESSAGE_BYTES: (u64, u64) = (4 << 10, 4 << 30);
 const IN_FLIGHT_BYTES: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
+const DATAGRAM_BYTES: (u64, u64) = (512, 8_192);
+const SOCKET_BUFFER_BYTES: (u64, u64) = (64 << 10, 1 << 30);
 
 /// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
 /// one holds.
@@ -53,6 +55,15 @@ pub struct SessionSettings {
     pub max_unfinished_bytes: u64,
     /// Sessions that a listener holds at once. A host may have at most as many as stay free beside it.
     pub max_sessions: u32,
+    /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. Networks of datagrams only.
+    pub datagram_bytes: u64,
+    /// The rate at which datagrams are sent; 0 follows what arrives. Bits per second. Networks of datagrams only.
+    pub max_send_bits_per_second: u64,
+    /// How long the fragments of a message are waited for that has left as a whole. Milliseconds. Networks of
+    /// datagrams only.
+    pub reassembly_timeout_ms: u64,
+    /// The system's buffers of each socket. Bytes. Networks of datagrams only.
+    pub socket_buffer_bytes: u64,
 }
 
 impl Default for SessionSettings {
@@ -68,6 +79,10 @@ impl Default for SessionSettings {
             max_in_flight_bytes: 512 * 1024 * 1024,
             max_unfinished_bytes: 128 * 1024 * 1024,
             max_sessions: 256,
+            datagram_bytes: 1_200,
+            max_send_bits_per_second: 0,
+            reassembly_timeout_ms: 100,
+            socket_buffer_bytes: 4 * 1024 * 1024,
         }
     }
 }
@@ -106,6 +121,9 @@ impl SessionSettings {
         between("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
         between("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
         between("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
+        between("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
+        between("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
+        between("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -134,6 +152,10 @@ impl SessionSettings {
             max_in_flight_bytes: clamped(self.max_in_flight_bytes, IN_FLIGHT_BYTES),
             max_unfinished_bytes: clamped(self.max_unfinished_bytes, UNFINISHED_BYTES),
             max_sessions: self.max_sessions.clamp(1, MAX_SESSIONS),
+            datagram_bytes: clamped(self.datagram_bytes, DATAGRAM_BYTES),
+            max_send_bits_per_second: self.max_send_bits_per_second,
+            reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS),
+            socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES),
         }
     }
 
@@ -151,6 +173,10 @@ impl SessionSettings {
 
     pub(crate) const fn heartbeat_timeout(&self) -> Duration {
         Duration::from_millis(self.heartbeat_timeout_ms)
+    }
+
+    pub(crate) const fn reassembly_timeout(&self) -> Duration {
+        Duration::from_millis(self.reassembly_timeout_ms)
     }
 
     pub(crate) const fn close_timeout(&self) -> Duration {
@@ -184,6 +210,9 @@ mod tests {
             (with(|s| s.hello_timeout_ms = 0), "hello_timeout_ms"),
             (with(|s| s.max_unfinished_bytes = 0), "max_unfinished_bytes"),
             (with(|s| s.max_sessions = 0), "max_sessions"),
+            (with(|s| s.datagram_bytes = 9_000), "datagram_bytes"),
+            (with(|s| s.reassembly_timeout_ms = 0), "reassembly_timeout_ms"),
+            (with(|s| s.socket_buffer_bytes = 0), "socket_buffer_bytes"),
         ] {
             assert_eq!(settings.check().expect_err(key).key, key);
             assert_eq!(settings.clamped().check(), Ok(()), "{key}");

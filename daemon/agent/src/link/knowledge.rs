@@ -211,7 +211,8 @@ impl Knowledge {
         if now.unix_seconds() != self.second.at {
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
-            self.close(end, self.relation.offset(end), now, &mut news);
+            let offset = self.relation.offset(end);
+            self.close(end, offset.as_ref(), now, &mut news);
         }
         news
     }
@@ -219,7 +220,8 @@ impl Knowledge {
     /// Closes the second now: nothing more will come.
     pub(super) fn finish(&mut self, now: WallTime) -> News {
         let mut news = self.turn(now);
-        self.close(now, self.relation.offset(now), now, &mut news);
+        let offset = self.relation.offset(now);
+        self.close(now, offset.as_ref(), now, &mut news);
         news
     }
 
@@ -294,11 +296,11 @@ impl Knowledge {
     }
 
     /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
-    fn close(&mut self, at: WallTime, offset: Option<Offset>, now: WallTime, news: &mut News) {
+    fn close(&mut self, at: WallTime, offset: Option<&Offset>, now: WallTime, news: &mut News) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
                 self.networks.keys().chain(self.second.networks()).collect();
-            let sample = |network| self.sample(network, at, offset.clone());
+            let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             news.samples.extend_from_slice(&samples);
             self.last = samples;

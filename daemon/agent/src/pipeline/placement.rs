@@ -25,7 +25,7 @@ pub(super) enum Placement {
     Remote {
         session: Session,
         link: Attached,
-        config: RemoteConfig,
+        config: Box<RemoteConfig>,
     },
     /// A sensor alone: no sample is answered.
     None,
@@ -86,7 +86,7 @@ impl Placement {
                 let clock = Arc::clone(&context.host.clock);
                 let session = Session::open(&remote.peer, hello, settings, clock).await?;
                 let link = context.links.attach(&session, &remote.peer, &config.name);
-                Ok(Self::Remote { session, link, config: remote.clone() })
+                Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
             }
             PlacementConfig::None {} => Ok(Self::None),
         }

@@ -79,7 +79,8 @@ pub(crate) async fn run(
                     session.frame(&from, frame, wires.clock.stamp());
                 },
                 Some(Arrival::Gone(connection, _)) => session.gone(connection),
-                Some(Arrival::Garbage(..)) => {}
+                // The port's connections lose nothing and do not move.
+                Some(Arrival::Garbage(..) | Arrival::Incomplete(..) | Arrival::Lost(..) | Arrival::Moved(..)) => {}
                 None => return Err(Failure::Socket { address }),
             },
             event = wires.stored.recv() => match event {

@@ -138,6 +138,11 @@ impl<W> Client<W> {
         }
     }
 
+    /// A request or its answer was lost on the way; who waits for it, if anybody does.
+    pub(crate) fn lose(&mut self, request: u64) -> Option<W> {
+        self.waiting.remove(&request)
+    }
+
     /// Ends the session; the first reason stays. Returns those who wait in vain.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
         self.over.get_or_insert(reason);
@@ -199,6 +204,7 @@ mod tests {
     enum Step {
         Begin,
         GiveUp(u64),
+        Lose(u64),
         Hear(Header),
         End,
     }
@@ -207,6 +213,7 @@ mod tests {
         let step = prop_oneof![
             6 => Just(Step::Begin),
             2 => (0..16_u64).prop_map(Step::GiveUp),
+            2 => (0..16_u64).prop_map(Step::Lose),
             8 => strategies::header(vec![session]).prop_map(Step::Hear),
             1 => Just(Step::End),
         ];
@@ -234,6 +241,12 @@ mod tests {
                     Step::GiveUp(request) => {
                         if client.give_up(request) {
                             prop_assert!(request < begun && ended.insert(request));
+                        }
+                    }
+                    Step::Lose(request) => {
+                        if let Some(waiter) = client.lose(request) {
+                            prop_assert_eq!(waiter, request);
+                            prop_assert!(ended.insert(waiter));
                         }
                     }
                     Step::Hear(header) => match client.hear(header) {

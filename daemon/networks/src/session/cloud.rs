@@ -23,7 +23,9 @@ use crate::message::{
     SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
 };
 use crate::statistics::{ConnectionStatistics, Counters, TransportStatistics};
-use crate::transport::{Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer};
+use crate::transport::{
+    Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendOptions,
+};
 use crate::{Address, SessionSettings};
 
 /// Why a port could not be listened on.
@@ -173,6 +175,17 @@ impl Listener {
                     if let Some(incoming) = heard(&self.shared, &peer, frames, (received, epoch)) {
                         return Some(incoming);
                     }
+                }
+                Arrival::Incomplete(connection, loss) => {
+                    tracing::debug!(?connection, %loss, "a message of an edge was lost on the way");
+                }
+                Arrival::Lost(connection, loss) => {
+                    tracing::debug!(?connection, %loss, "an answer was lost on the way");
+                    self.shared.counters.lost(1);
+                }
+                Arrival::Moved(connection, address) => {
+                    tracing::debug!(?connection, %address, "an edge has another address");
+                    self.shared.machine().moved(connection, address);
                 }
                 Arrival::Gone(connection, reason) => {
                     let sessions = self.shared.machine().gone(connection);
@@ -384,12 +397,12 @@ impl PortState {
         let mut frames = Vec::with_capacity(2 + payload.len());
         frames.extend([header, grown.unwrap_or_default()]);
         frames.extend(payload);
-        self.send(&route.peer, frames)
+        self.send(&route.peer, frames, Some(request))
     }
 
     fn tell(&self, peer: &Peer, header: &Header) -> bool {
         match header.encode() {
-            Ok(header) => self.send(peer, vec![header]),
+            Ok(header) => self.send(peer, vec![header], None),
             Err(error) => {
                 tracing::warn!(%error, "a message to an edge was dropped");
                 false
@@ -397,9 +410,9 @@ impl PortState {
         }
     }
 
-    fn send(&self, peer: &Peer, frames: Frames) -> bool {
+    fn send(&self, peer: &Peer, frames: Frames, tag: Option<u64>) -> bool {
         let bytes = Sizes::of(&frames).total();
-        match self.sender.send(peer, frames) {
+        match self.sender.send(peer, frames, SendOptions { deadline: None, tag }) {
             Ok(()) => {
                 self.counters.sent(bytes);
                 true

@@ -18,7 +18,7 @@ use crate::message::{
     SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
-use crate::transport::{Dialled, EdgeSender, SendFailure};
+use crate::transport::{Dialled, EdgeSender, SendFailure, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Stands for a timeout that the clock cannot hold.
@@ -71,6 +71,8 @@ pub(crate) struct SessionState {
 #[derive(Debug)]
 pub(crate) enum Answer {
     Reply(Box<Arrived>),
+    /// The request or its answer was lost on the way, and how much of it arrived.
+    Lost(String),
     Over(CloseReason),
 }
 
@@ -159,7 +161,7 @@ impl Session {
             Ok(place) => place,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
-        let mut pending = match shared.send(&mut exchange.log, sample) {
+        let mut pending = match shared.send(&mut exchange.log, sample, deadline) {
             Ok(pending) => pending,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
@@ -167,6 +169,7 @@ impl Session {
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
             Ok(Ok(Answer::Reply(arrived))) => self.take(&mut exchange, &pending, *arrived),
+            Ok(Ok(Answer::Lost(reason))) => exchange.result = Err(RequestError::Lost(reason)),
             Ok(Ok(Answer::Over(reason))) => exchange.result = Err(RequestError::Lost(reason.to_string())),
             Ok(Err(_)) => exchange.result = Err(RequestError::Lost("the receiving task is gone".into())),
             Err(_) => {}
@@ -295,7 +298,12 @@ impl SessionState {
     }
 
     /// Encodes and hands to the network, from the task that asks for it.
-    fn send(&self, log: &mut Recorder, sample: &Sample) -> Result<Pending<'_>, RequestError> {
+    fn send(
+        &self,
+        log: &mut Recorder,
+        sample: &Sample,
+        deadline: tokio::time::Instant,
+    ) -> Result<Pending<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = log.start(stage::ENCODE);
@@ -326,7 +334,8 @@ impl SessionState {
         frames.extend([header, tree]);
         frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
         pending.sizes = Sizes::of(&frames);
-        match self.sender.send(frames) {
+        let options = SendOptions { deadline: Some(deadline), tag: Some(request) };
+        match self.sender.send(frames, options) {
             Ok(()) => {
                 self.counters.sent(pending.sizes.total());
                 Ok(pending)

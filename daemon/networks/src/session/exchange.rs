@@ -54,7 +54,7 @@ pub(crate) struct Departed {
 /// Why there is no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// The session ended before the answer came, or was over already.
+    /// The session ended before the answer came or was over already, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
     /// The time was over; an answer that still comes is dropped and counted.

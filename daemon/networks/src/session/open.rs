@@ -7,7 +7,7 @@ use super::client::{Opened, opened};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialled};
+use crate::transport::{DialFailure, Dialled, EdgeArrival, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Why a session could not be opened.
@@ -79,13 +79,19 @@ pub(crate) async fn handshake(
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
     let open = open.encode().map_err(|error| unreachable(error.to_string()))?;
     let bytes = open.len() as u64;
-    dialled.sender.send(vec![open]).map_err(|error| unreachable(error.to_string()))?;
+    dialled
+        .sender
+        .send(vec![open], SendOptions::default())
+        .map_err(|error| unreachable(error.to_string()))?;
     counters.sent(bytes);
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
-        let Ok(Ok(frames)) = frames else {
-            return Err(OpenError::TimedOut { address: address.clone(), waited_ms });
+        let frames = match frames {
+            Ok(Ok(EdgeArrival::Message(frames))) => frames,
+            // The transport sends again what opens a session.
+            Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_) | EdgeArrival::Garbage(_))) => continue,
+            _ => return Err(OpenError::TimedOut { address: address.clone(), waited_ms }),
         };
         counters.received(Sizes::of(&frames).total());
         let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };

@@ -11,7 +11,7 @@ use super::client::{CloseReason, Heard};
 use super::edge::{Answer, SessionState};
 use super::exchange::{Arrived, Sizes};
 use crate::message::{Goodbye, Header};
-use crate::transport::{Disconnected, EdgeReceiver, Frames};
+use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
 
 impl SessionState {
     /// A message arrived at `arrived`. Returns why the session is over, if it now is.
@@ -56,6 +56,16 @@ impl SessionState {
         }
     }
 
+    /// A request or its answer did not arrive as a whole.
+    fn lose(&self, loss: MessageLoss, what: &str) {
+        let waiter = loss.tag.and_then(|request| self.machine().lose(request));
+        if let Some(waiter) = waiter {
+            self.counters.lost(1);
+            // One that was given up this very moment needs no answer.
+            let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
+        }
+    }
+
     fn tell(&self, reason: &CloseReason, waiters: Vec<oneshot::Sender<Answer>>) {
         self.counters.lost(waiters.len() as u64);
         for waiter in waiters {
@@ -94,11 +104,21 @@ impl Receiving {
                     biased;
                     () = &mut stop => break CloseReason::Local,
                     message = receiver.receive() => match message {
-                        Ok(frames) => {
+                        Ok(EdgeArrival::Message(frames)) => {
                             let arrived = self.shared.clock.stamp();
                             if let Some(reason) = self.shared.heard(frames, arrived) {
                                 break reason;
                             }
+                        }
+                        Ok(EdgeArrival::Incomplete(loss)) => {
+                            self.shared.lose(loss, "the answer was lost on the way");
+                        }
+                        Ok(EdgeArrival::Lost(loss)) => {
+                            self.shared.lose(loss, "it was lost on the way to the cloud");
+                        }
+                        Ok(EdgeArrival::Garbage(problem)) => {
+                            tracing::debug!(problem, "dropped what came from where the cloud is");
+                            self.shared.counters.malformed();
                         }
                         Err(Disconnected(reason)) => break CloseReason::Broken(reason),
                     },
@@ -120,7 +140,10 @@ impl Receiving {
         };
         let sent = Header::Goodbye(goodbye).encode().map_err(|error| error.to_string()).and_then(|header| {
             let bytes = header.len() as u64;
-            self.shared.sender.send(vec![header]).map_err(|error| error.to_string())?;
+            self.shared
+                .sender
+                .send(vec![header], SendOptions::default())
+                .map_err(|error| error.to_string())?;
             Ok(bytes)
         });
         match sent {

@@ -1,6 +1,7 @@
 //! The cloud's side of all sessions of a listener, without I/O.
 
 use std::collections::{HashMap, HashSet};
+use std::net::SocketAddr;
 
 use crate::SessionSettings;
 use crate::message::{
@@ -267,6 +268,15 @@ impl Server {
             .in_flight
             .remove(&request)
             .then(|| Route { peer: entry.peer.clone(), max_message_bytes: entry.max_message_bytes })
+    }
+
+    /// A connection's peer has another address from now on.
+    pub(crate) fn moved(&mut self, connection: ConnectionId, address: SocketAddr) {
+        for session in self.connections.get(&connection).into_iter().flatten() {
+            if let Some(entry) = self.sessions.get_mut(session) {
+                entry.peer.address = Some(address);
+            }
+        }
     }
 
     /// A connection ended: its sessions are gone.

@@ -282,7 +282,7 @@ mod tests {
     fn what_is_wrong_is_said() {
         for (text, problem) in [
             ("cloud:5551", "the scheme is missing"),
-            ("udp://cloud:5551", "unknown scheme \"udp\""),
+            ("pgm://cloud:5551", "unknown scheme \"pgm\""),
             ("tcp://cloud", "the port is missing"),
             ("tcp://:5551", "the host is missing"),
             ("tcp://cloud:", "\"\" is not a port"),

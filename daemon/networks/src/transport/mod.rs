@@ -4,8 +4,11 @@
 
 mod address;
 mod address_group;
+pub mod datagram;
+mod memory;
 mod tcp_info;
 mod zmq_tcp;
+mod zmq_udp;
 pub mod zmtp;
 
 pub use address::{Address, InvalidAddress, NetworkMismatch};
@@ -20,6 +23,7 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use peernet_stream::NetworkName;
 use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
 
 use crate::SessionSettings;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
@@ -74,6 +78,8 @@ networks! {
     /// ZMTP over TCP: any ZeroMQ library can be the peer (DEALER on the edge, ROUTER on the cloud).
     #[default]
     ZmqTcp = "zmq-tcp" at "tcp" in zmq_tcp;
+    /// RADIO and DISH datagrams over UDP, of which some may be lost.
+    ZmqUdp = "zmq-udp" at "udp" in zmq_udp;
 }
 
 impl fmt::Display for NetworkKind {
@@ -102,6 +108,36 @@ pub enum SendFailure {
     Gone(String),
 }
 
+/// What a transport may know of a message to carry it well.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SendOptions {
+    /// When the message is of no use any more.
+    pub(crate) deadline: Option<Instant>,
+    /// The sender's number for the message: a loss that is noticed later carries it. A message without a tag is sent
+    /// again when it is lost.
+    pub(crate) tag: Option<u64>,
+}
+
+/// A message that did not arrive as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MessageLoss {
+    /// The sender's number for it; `None` when it gave none, or when nobody can tell.
+    pub tag: Option<u64>,
+    /// Fragments that arrived.
+    pub received: u32,
+    /// Fragments that it had; 0 when nobody can tell.
+    pub total: u32,
+}
+
+impl fmt::Display for MessageLoss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.total {
+            0 => f.write_str("nothing of it arrived"),
+            total => write!(f, "{} of {total} fragments arrived", self.received),
+        }
+    }
+}
+
 /// The edge's end of one connection. It is never re-established: a session lives and dies with it.
 pub(crate) struct Dialled {
     /// Hands messages to the network, from any task or thread.
@@ -113,7 +149,7 @@ pub(crate) struct Dialled {
 /// The sending half of the edge's end.
 pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
     /// Hands over a whole message without waiting.
-    fn send(&self, frames: Frames) -> Result<(), SendFailure>;
+    fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
     /// Both ends of the connection; `None` where the transport has no such addresses.
     fn addresses(&self) -> Option<ConnectionAddresses> {
@@ -126,6 +162,19 @@ pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
     }
 }
 
+/// Something that the edge's end of a connection noticed.
+#[derive(Debug)]
+pub(crate) enum EdgeArrival {
+    /// A whole message.
+    Message(Frames),
+    /// A message of the cloud that did not arrive as a whole.
+    Incomplete(MessageLoss),
+    /// A message to the cloud that did not arrive as a whole.
+    Lost(MessageLoss),
+    /// Something that makes no sense; dropped.
+    Garbage(String),
+}
+
 /// A connection has ended, and why.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -133,8 +182,8 @@ pub(crate) struct Disconnected(pub(crate) String);
 
 /// The receiving half of the edge's end.
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {
-    /// The next whole message, or why there will be none. Dropping the future loses nothing.
-    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, Disconnected>>;
+    /// What arrives next, or why nothing more will. Dropping the future loses nothing.
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>>;
 
     /// Closes the connection, after what was sent has gone out or `linger` has passed.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
@@ -153,7 +202,7 @@ pub(crate) struct Bound {
 /// The sending half of the cloud's end.
 pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
     /// Hands over a whole message without waiting.
-    fn send(&self, peer: &Peer, frames: Frames) -> Result<(), SendFailure>;
+    fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
     /// A connection's hello has come and is being decided on.
     fn greet(&self, connection: ConnectionId);
@@ -179,9 +228,15 @@ pub(crate) trait CloudReceiver: Send + fmt::Debug {
 pub enum Arrival {
     /// A whole message.
     Message(Peer, Frames),
+    /// A message of a peer that did not arrive as a whole.
+    Incomplete(ConnectionId, MessageLoss),
+    /// A message to a peer that did not arrive as a whole.
+    Lost(ConnectionId, MessageLoss),
+    /// A connection's peer has another address from now on.
+    Moved(ConnectionId, SocketAddr),
     /// A connection ended.
     Gone(ConnectionId, String),
-    /// Bytes that are not even of the transport's own protocol; the connection was dropped.
+    /// Bytes that are not even of the transport's own protocol; a connection that sent them was dropped.
     Garbage(Option<SocketAddr>, String),
 }
 

@@ -19,7 +19,7 @@ use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    Disconnected, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure,
+    Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -152,7 +152,8 @@ struct DealerSender {
 }
 
 impl EdgeSender for DealerSender {
-    fn send(&self, frames: Frames) -> Result<(), SendFailure> {
+    // TCP repeats what is lost: neither the deadline nor the tag is of use.
+    fn send(&self, frames: Frames, _options: SendOptions) -> Result<(), SendFailure> {
         sent(self.socket.try_send(to_message(frames)))
     }
 
@@ -174,19 +175,20 @@ struct Dealer {
 }
 
 impl EdgeReceiver for Dealer {
-    fn receive(&mut self) -> BoxFuture<'_, Result<Frames, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
         Box::pin(async {
+            let arrived = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
             loop {
                 if let Some(reason) = &self.ended {
                     return self
                         .socket
                         .try_recv()
-                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| Ok(to_frames(&m)));
+                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| arrived(&m));
                 }
                 tokio::select! {
                     biased;
                     message = self.socket.recv() => {
-                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| Ok(to_frames(&m)));
+                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| arrived(&m));
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.ended = Some(reason_text(&reason)),
@@ -234,7 +236,7 @@ fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {
 }
 
 impl CloudSender for ZmtpSender {
-    fn send(&self, peer: &Peer, frames: Frames) -> Result<(), SendFailure> {
+    fn send(&self, peer: &Peer, frames: Frames, _options: SendOptions) -> Result<(), SendFailure> {
         self.try_send(peer.connection, frames)
     }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_networks::{Incoming, RequestError, Session};
+use peernet_networks::{Incoming, NetworkKind, RequestError, Session};
 use peernet_sample::{Description, Sample};
 use tokio::task::JoinSet;
 
@@ -31,7 +31,16 @@ async fn work(session: Session, task: usize) -> Result<(), RequestError> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_request_of_a_crowd_gets_its_own_answer() {
-    let Cloud { host, mut listener } = Cloud::start().await;
+    crowd(NetworkKind::ZmqTcp).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn every_datagram_request_of_a_crowd_gets_its_own_answer() {
+    crowd(NetworkKind::ZmqUdp).await;
+}
+
+async fn crowd(network: NetworkKind) {
+    let Cloud { host, mut listener } = Cloud::over(network).await;
     let address = listener.address().clone();
     let (done, mut all_done) = tokio::sync::oneshot::channel();
     let cloud = tokio::spawn(async move {

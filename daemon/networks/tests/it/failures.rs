@@ -2,15 +2,22 @@
 
 use std::sync::Arc;
 
-use peernet_networks::{Address, CloseReason, RequestError, SessionSettings};
+use peernet_networks::{Address, CloseReason, NetworkKind, RequestError, SessionSettings};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
-use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, sample, settings, within};
+use crate::support::{
+    Cloud, PATIENCE, accepted, echo, hello, log, open, over_every_network, request, sample, settings, within,
+};
 
-#[tokio::test]
-async fn a_killed_cloud_loses_what_is_under_way_at_once() {
-    let mut cloud = Cloud::start().await;
+over_every_network!(
+    a_killed_cloud_loses_what_is_under_way_at_once,
+    a_restarted_cloud_takes_a_new_session_on_the_same_port,
+    a_vanished_edge_closes_its_sessions
+);
+
+async fn a_killed_cloud_loses_what_is_under_way_at_once(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
     let mut held = Vec::new();
@@ -33,9 +40,8 @@ async fn a_killed_cloud_loses_what_is_under_way_at_once() {
     }
 }
 
-#[tokio::test]
-async fn a_restarted_cloud_takes_a_new_session_on_the_same_port() {
-    let mut cloud = Cloud::start().await;
+async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (old, _) = cloud.session(settings()).await;
     let address = cloud.address();
     echo(&mut cloud, &old, "before").await;
@@ -49,15 +55,18 @@ async fn a_restarted_cloud_takes_a_new_session_on_the_same_port() {
 
 /// The port is free as soon as the old listener's task has noticed that it is gone.
 async fn restart(address: &Address) -> Cloud {
-    while std::net::TcpListener::bind(address.to_string().trim_start_matches("tcp://")).is_err() {
+    let is_taken = || match address.scheme() {
+        "udp" => std::net::UdpSocket::bind(address.authority()).is_err(),
+        _ => std::net::TcpListener::bind(address.authority()).is_err(),
+    };
+    while is_taken() {
         tokio::task::yield_now().await;
     }
     Cloud::start_at(&address.to_string(), settings()).await
 }
 
-#[tokio::test]
-async fn a_vanished_edge_closes_its_sessions() {
-    let mut cloud = Cloud::start().await;
+async fn a_vanished_edge_closes_its_sessions(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
     // The edge's runtime dies with all its sockets, without a goodbye.
     let edge = std::thread::spawn(move || {

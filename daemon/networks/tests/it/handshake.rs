@@ -4,11 +4,22 @@ use std::time::Duration;
 
 use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, SessionSettings};
 
-use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
+use crate::support::{
+    Cloud, accepted, any_port, clock, echo, hello, open, over_every_network, settings, within,
+};
 
-#[tokio::test]
-async fn an_accepted_session_tells_both_sides_who_the_other_is() {
-    let mut cloud = Cloud::start().await;
+over_every_network!(
+    an_accepted_session_tells_both_sides_who_the_other_is,
+    dropping_the_last_clone_closes_the_session,
+    a_refusal_arrives_with_its_reason,
+    nobody_there_is_said_at_once,
+    a_cloud_that_does_not_answer_times_out,
+    a_port_in_use_is_said_with_what_to_do,
+    sessions_beyond_the_limit_are_refused_until_one_goes
+);
+
+async fn an_accepted_session_tells_both_sides_who_the_other_is(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (address, expected) = (cloud.address(), hello());
     assert_ne!(address.port(), 0);
     let edge = tokio::spawn({
@@ -27,9 +38,8 @@ async fn an_accepted_session_tells_both_sides_who_the_other_is() {
     assert_eq!(cloud.next_closed().await, (id, true));
 }
 
-#[tokio::test]
-async fn dropping_the_last_clone_closes_the_session() {
-    let mut cloud = Cloud::start().await;
+async fn dropping_the_last_clone_closes_the_session(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, id) = cloud.session(settings()).await;
     let clone = session.clone();
     drop(session);
@@ -38,9 +48,8 @@ async fn dropping_the_last_clone_closes_the_session() {
     assert_eq!(cloud.next_closed().await, (id, true));
 }
 
-#[tokio::test]
-async fn a_refusal_arrives_with_its_reason() {
-    let mut cloud = Cloud::start().await;
+async fn a_refusal_arrives_with_its_reason(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no model \"echo\"; there are: sleep, quality-control");
@@ -59,23 +68,22 @@ async fn a_refusal_arrives_with_its_reason() {
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
 }
 
-#[tokio::test]
-async fn nobody_there_is_said_at_once() {
-    let cloud = Cloud::start().await;
+async fn nobody_there_is_said_at_once(network: NetworkKind) {
+    let cloud = Cloud::over(network).await;
     let address = cloud.address();
     cloud.listener.close().await;
     let error = open(&address, hello(), settings()).await.expect_err("nobody listens");
     let OpenError::Unreachable { reason, .. } = &error else { panic!("{error}") };
     assert!(reason.contains("refused"), "{reason}");
 
-    let nowhere = "tcp://no-such-host.invalid:5551".parse().expect("an address");
+    let nowhere = format!("{}://no-such-host.invalid:5551", network.schemes()[0]);
+    let nowhere = nowhere.parse().expect("an address");
     let error = open(&nowhere, hello(), settings()).await.expect_err("no such host");
     assert!(matches!(error, OpenError::Unreachable { .. }), "{error}");
 }
 
-#[tokio::test]
-async fn a_cloud_that_does_not_answer_times_out() {
-    let mut cloud = Cloud::start().await;
+async fn a_cloud_that_does_not_answer_times_out(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let impatient = SessionSettings { open_timeout_ms: 200, ..settings() };
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), impatient).await });
@@ -86,23 +94,22 @@ async fn a_cloud_that_does_not_answer_times_out() {
     assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
 }
 
-#[tokio::test]
-async fn a_port_in_use_is_said_with_what_to_do() {
-    let cloud = Cloud::start().await;
+async fn a_port_in_use_is_said_with_what_to_do(network: NetworkKind) {
+    let cloud = Cloud::over(network).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the port is taken");
     assert_eq!(error, BindError::InUse(cloud.address()));
     assert!(error.to_string().contains("another program uses port"), "{error}");
 
-    let elsewhere = "tcp://192.0.2.1:0".parse().expect("an address");
+    let elsewhere = format!("{}://192.0.2.1:0", network.schemes()[0]);
+    let elsewhere = elsewhere.parse().expect("an address");
     let error = Listener::bind(&elsewhere, settings(), cloud.host, clock()).await;
     assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(elsewhere));
 }
 
-#[tokio::test]
-async fn sessions_beyond_the_limit_are_refused_until_one_goes() {
+async fn sessions_beyond_the_limit_are_refused_until_one_goes(network: NetworkKind) {
     let limited = SessionSettings { max_sessions: 1, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", limited).await;
+    let mut cloud = Cloud::start_at(&any_port(network), limited).await;
     let (first, _) = cloud.session(settings()).await;
     let address = cloud.address();
     let second = tokio::spawn(async move { open(&address, hello(), settings()).await });

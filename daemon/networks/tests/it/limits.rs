@@ -39,9 +39,8 @@ async fn bind(limits: ListenerLimits) -> ZmtpListener {
 async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     within(async {
         loop {
-            match listener.receive().await.expect("the port is open") {
-                Arrival::Message(peer, frames) => return (peer, frames),
-                Arrival::Gone(..) | Arrival::Garbage(..) => {}
+            if let Arrival::Message(peer, frames) = listener.receive().await.expect("the port is open") {
+                return (peer, frames);
             }
         }
     })

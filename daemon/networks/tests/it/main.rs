@@ -12,5 +12,7 @@ mod shutdown;
 mod statistics;
 mod support;
 mod telling;
+mod udp;
+mod udp_relay;
 mod versions;
 mod wire;

@@ -4,14 +4,27 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{Failure, RequestError, SessionSettings};
+use peernet_networks::{Failure, NetworkKind, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
-use crate::support::{Cloud, PATIENCE, echo, log, request, sample, settings, text, within};
+use crate::support::{
+    Cloud, PATIENCE, any_port, echo, log, over_every_network, request, sample, settings, text, within,
+};
 
-#[tokio::test]
-async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes() {
-    let mut cloud = Cloud::start().await;
+over_every_network!(
+    a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes,
+    the_tree_comes_back_with_both_hosts_and_both_transits,
+    answers_out_of_order_find_their_requests,
+    failures_come_back_with_their_reason_and_what_was_measured,
+    a_late_answer_is_dropped_and_counted,
+    a_request_that_is_given_up_frees_its_place,
+    requests_beyond_the_tighter_limit_wait_and_say_so,
+    a_sample_or_an_answer_too_large_fails_alone,
+    samples_with_too_many_parts_or_too_much_to_say_fail_alone
+);
+
+async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
     while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
@@ -26,9 +39,8 @@ async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes() {
     }
 }
 
-#[tokio::test]
-async fn the_tree_comes_back_with_both_hosts_and_both_transits() {
-    let mut cloud = Cloud::start().await;
+async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, id) = cloud.session(settings()).await;
     let opened = session.statistics();
     let two = Sample {
@@ -90,9 +102,8 @@ async fn the_tree_comes_back_with_both_hosts_and_both_transits() {
     assert_eq!((sent.messages, received.messages), (2, 2));
 }
 
-#[tokio::test]
-async fn answers_out_of_order_find_their_requests() {
-    let mut cloud = Cloud::start().await;
+async fn answers_out_of_order_find_their_requests(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
     let mut incoming = Vec::new();
@@ -112,9 +123,8 @@ async fn answers_out_of_order_find_their_requests() {
     worker.join().expect("no panic");
 }
 
-#[tokio::test]
-async fn failures_come_back_with_their_reason_and_what_was_measured() {
-    let mut cloud = Cloud::start().await;
+async fn failures_come_back_with_their_reason_and_what_was_measured(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
 
     // A timeout beyond what the clock can hold is none.
@@ -140,9 +150,8 @@ async fn failures_come_back_with_their_reason_and_what_was_measured() {
     echo(&mut cloud, &session, "all is well").await;
 }
 
-#[tokio::test]
-async fn a_late_answer_is_dropped_and_counted() {
-    let mut cloud = Cloud::start().await;
+async fn a_late_answer_is_dropped_and_counted(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
@@ -160,9 +169,8 @@ async fn a_late_answer_is_dropped_and_counted() {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-#[tokio::test]
-async fn a_request_that_is_given_up_frees_its_place() {
-    let mut cloud = Cloud::start().await;
+async fn a_request_that_is_given_up_frees_its_place(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
     let pending = request(&session, "dropped", PATIENCE);
@@ -174,10 +182,9 @@ async fn a_request_that_is_given_up_frees_its_place() {
     assert_eq!(session.statistics().late_messages, 1);
 }
 
-#[tokio::test]
-async fn requests_beyond_the_tighter_limit_wait_and_say_so() {
+async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: NetworkKind) {
     let two = SessionSettings { max_in_flight: 1, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
+    let mut cloud = Cloud::start_at(&any_port(network), two).await;
     let (session, _) = cloud.session(settings()).await;
     let (first, second) = (request(&session, "a", PATIENCE), request(&session, "b", PATIENCE));
     for _ in 0..2 {
@@ -198,10 +205,9 @@ async fn requests_beyond_the_tighter_limit_wait_and_say_so() {
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
 
-#[tokio::test]
-async fn a_sample_or_an_answer_too_large_fails_alone() {
+async fn a_sample_or_an_answer_too_large_fails_alone(network: NetworkKind) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small.clone()).await;
+    let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let large = Sample::of(Description::bytes(), vec![0; 100_001].into());
     let exchange = within(session.request(log(), &large, PATIENCE)).await;
@@ -210,7 +216,7 @@ async fn a_sample_or_an_answer_too_large_fails_alone() {
     assert_eq!(exchange.up, None);
     echo(&mut cloud, &session, "small").await;
 
-    let mut cloud = Cloud::start().await;
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(small).await;
     let pending = request(&session, "zoom in", PATIENCE);
     let incoming = cloud.next_request().await;
@@ -221,9 +227,8 @@ async fn a_sample_or_an_answer_too_large_fails_alone() {
     echo(&mut cloud, &session, "small").await;
 }
 
-#[tokio::test]
-async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone() {
-    let mut cloud = Cloud::start().await;
+async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };
     let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };

@@ -5,10 +5,12 @@ use std::thread;
 use std::time::Duration;
 
 use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, WallTime};
-use peernet_networks::{CloseReason, RequestError, SessionSettings};
+use peernet_networks::{CloseReason, NetworkKind, RequestError, SessionSettings};
 use tokio::sync::oneshot;
 
-use crate::support::{Cloud, PATIENCE, clock, request, settings, text, within};
+use crate::support::{Cloud, PATIENCE, any_port, clock, over_every_network, request, settings, text, within};
+
+over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
 /// The thread that a [`Gate`] holds up.
 const HELD: &str = "held";
@@ -66,9 +68,8 @@ async fn closing_waits_for_the_answer_that_is_just_being_sent() {
     held.join().expect("no panic");
 }
 
-#[tokio::test]
-async fn closing_waits_for_answers_and_says_goodbye() {
-    let mut cloud = Cloud::start().await;
+async fn closing_waits_for_answers_and_says_goodbye(network: NetworkKind) {
+    let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "almost done", PATIENCE);
     let incoming = cloud.next_request().await;
@@ -86,10 +87,9 @@ async fn closing_waits_for_answers_and_says_goodbye() {
     within(close).await.expect("no panic");
 }
 
-#[tokio::test]
-async fn closing_does_not_wait_for_ever() {
+async fn closing_does_not_wait_for_ever(network: NetworkKind) {
     let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", hasty).await;
+    let mut cloud = Cloud::start_at(&any_port(network), hasty).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "never done", PATIENCE);
     let _unanswered = cloud.next_request().await;

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
-    Address, Exchange, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PeerClock,
+    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PeerClock,
     SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
 };
 use peernet_sample::{Description, Sample};
@@ -15,6 +15,29 @@ use peernet_stream::Hardware;
 
 /// Far more than anything here needs; a test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Makes tests of a function that takes a [`NetworkKind`]: one for each network.
+macro_rules! over_every_network {
+    ($($name:ident),*) => {$(
+        mod $name {
+            #[tokio::test]
+            async fn zmq_tcp() {
+                super::$name(peernet_networks::NetworkKind::ZmqTcp).await;
+            }
+
+            #[tokio::test]
+            async fn zmq_udp() {
+                super::$name(peernet_networks::NetworkKind::ZmqUdp).await;
+            }
+        }
+    )*};
+}
+pub(crate) use over_every_network;
+
+/// A free port of this machine.
+pub(crate) fn any_port(network: NetworkKind) -> String {
+    format!("{}://127.0.0.1:0", network.schemes()[0])
+}
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
     tokio::time::timeout(PATIENCE, what).await.expect("the test hangs")
@@ -72,7 +95,12 @@ pub(crate) struct Cloud {
 
 impl Cloud {
     pub(crate) async fn start() -> Self {
-        Self::start_at("tcp://127.0.0.1:0", settings()).await
+        Self::over(NetworkKind::ZmqTcp).await
+    }
+
+    /// A cloud at a port of a network.
+    pub(crate) async fn over(network: NetworkKind) -> Self {
+        Self::start_at(&any_port(network), settings()).await
     }
 
     pub(crate) async fn start_at(address: &str, settings: SessionSettings) -> Self {

@@ -13,7 +13,7 @@ use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::{Notify, OwnedSemaphorePermit};
 
 use super::limits::ListenerLimits;
-use super::memory::{MemoryBudget, Reservation};
+use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, ConnectionId, Frames, SendFailure};
 
 /// Most slices that one write gathers.

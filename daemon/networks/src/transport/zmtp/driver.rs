@@ -19,8 +19,8 @@ use super::deadlines::{Deadlines, Due};
 use super::framer::{Allowance, Framer, Piece, Stage, Violation};
 use super::limits::ListenerLimits;
 use super::listener::Delivery;
-use super::memory::{MemoryBudget, Reservation};
 use super::rejections::Rejection;
+use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Arrival, Frames, Peer};
 
 /// Bytes that one read takes at most while no long frame is expected; they are copied into frames of their own, so

@@ -8,8 +8,8 @@ use bytes::buf::Limit;
 use bytes::{BufMut, Bytes};
 
 use super::limits::{FRAME_OVERHEAD_BYTES, MAX_HANDSHAKE_BYTES, MAX_UNADMITTED_BYTES};
-use super::memory::{MemoryBudget, Reservation};
 use super::rejections::Rejection;
+use crate::transport::memory::{MemoryBudget, Reservation};
 
 /// Bytes of the greeting that a ZMTP connection begins with (RFC 23).
 const GREETING_BYTES: usize = 64;

@@ -16,9 +16,9 @@ use tokio_util::task::TaskTracker;
 use super::connection::{Phase, ZmtpConnection};
 use super::driver::{Budgets, Driver, End};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
-use super::memory::{MemoryBudget, Reservation};
 use super::rejections::{Rejection, RejectionCounts};
 use super::table::{ConnectionTable, Inserted};
+use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
 
 /// Messages of all connections that may wait to be received; each is covered by a reservation until then.

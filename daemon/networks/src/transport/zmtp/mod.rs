@@ -18,7 +18,6 @@ mod driver;
 mod framer;
 mod limits;
 mod listener;
-mod memory;
 mod rejections;
 mod table;
 

@@ -5,29 +5,28 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bytes that several holders may take together.
 #[derive(Debug)]
-pub(super) struct MemoryBudget {
+pub(crate) struct MemoryBudget {
     limit: u64,
     held: AtomicU64,
 }
 
 /// Bytes reserved in a budget; given back when dropped.
 #[derive(Debug)]
-pub(super) struct Reservation {
+pub(crate) struct Reservation {
     budget: Arc<MemoryBudget>,
     bytes: u64,
 }
 
 /// A reservation would have exceeded its budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Exhausted;
+pub(crate) struct Exhausted;
 
 impl MemoryBudget {
-    pub(super) fn new(limit: u64) -> Arc<Self> {
+    pub(crate) fn new(limit: u64) -> Arc<Self> {
         Arc::new(Self { limit, held: AtomicU64::new(0) })
     }
 
-    #[cfg(test)]
-    pub(super) fn held(&self) -> u64 {
+    pub(crate) fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
     }
 
@@ -38,7 +37,7 @@ impl MemoryBudget {
 }
 
 impl Reservation {
-    pub(super) fn empty(budget: &Arc<MemoryBudget>) -> Self {
+    pub(crate) fn empty(budget: &Arc<MemoryBudget>) -> Self {
         Self { budget: Arc::clone(budget), bytes: 0 }
     }
 
@@ -46,7 +45,7 @@ impl Reservation {
     ///
     /// # Errors
     /// When `budget` has no room; the reservation is unchanged then.
-    pub(super) fn set(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), Exhausted> {
+    pub(crate) fn set(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), Exhausted> {
         if !Arc::ptr_eq(&self.budget, budget) {
             let mut moved = Self::empty(budget);
             moved.set(budget, bytes)?;
@@ -65,12 +64,12 @@ impl Reservation {
     }
 
     #[cfg(test)]
-    pub(super) fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         self.bytes
     }
 
     /// Hands over all that is reserved; nothing is left here.
-    pub(super) fn take(&mut self) -> Self {
+    pub(crate) fn take(&mut self) -> Self {
         Self { budget: Arc::clone(&self.budget), bytes: std::mem::take(&mut self.bytes) }
     }
 }

@@ -1,0 +1,214 @@
+//! Closed-loop round trips over loopback: a session over `zmq-udp` against bare UDP with the same datagrams, in turns.
+//!
+//! `cargo bench -p peernet-networks --bench datagrams -- [--sizes BYTES,…] [--rounds N] [--datagram BYTES]`. Up goes the
+//! payload, back comes an answer of 64 bytes. The bare contender sends and receives each datagram with a system call of
+//! its own and puts nothing together.
+
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::error::Error;
+use std::net::{SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_logger::{HostId, Recorder};
+use peernet_networks::{
+    Address, Incoming, Listener, PeerClock, SESSION_VERSIONS, Session, SessionAccepted, SessionHello,
+    SessionSettings,
+};
+use peernet_sample::{Description, Sample};
+use peernet_stream::Hardware;
+use socket2::SockRef;
+
+type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+/// Bytes of an answer.
+const ANSWER: usize = 64;
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")))
+}
+
+fn main() -> Anyhow<()> {
+    let (mut sizes, mut rounds, mut datagram) = (vec![1_000, 150_000, 1_200_000], 20, 1_200_usize);
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        let mut value = || arguments.next().ok_or_else(|| format!("{argument} needs a value"));
+        match argument.as_str() {
+            "--sizes" => sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?,
+            "--rounds" => rounds = value()?.parse()?,
+            "--datagram" => datagram = value()?.parse()?,
+            // What cargo itself passes.
+            "--bench" => {}
+            other => return Err(format!("unknown argument {other}").into()),
+        }
+    }
+    let settings = SessionSettings { datagram_bytes: datagram as u64, ..SessionSettings::default() };
+    let bare = Bare::start(datagram)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let address = runtime.block_on(serve(settings.clone()))?;
+    let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
+    println!("datagrams of {datagram} bytes, answers of {ANSWER} bytes, two threads");
+    println!(
+        "{:>9} | {:>9} {:>9} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
+        "bytes", "UDP p50", "p99", "p50", "p99", "UDP/s", "/s", "ratio"
+    );
+    for size in sizes {
+        let payload = Bytes::from(vec![7; size]);
+        let trips = (20_000_000 / (size + 20_000)).clamp(20, 500);
+        let (mut theirs, mut ours) = (Vec::new(), Vec::new());
+        for round in 0..=rounds {
+            let a = bare.round(size, trips)?;
+            let task = trip(session.clone(), payload.clone(), trips);
+            let b = runtime.block_on(async { tokio::spawn(task).await })??;
+            // The first round warms both up.
+            if round > 0 {
+                theirs.extend(a);
+                ours.extend(b);
+            }
+        }
+        report(size, &mut theirs, &mut ours);
+    }
+    println!("\ntimes in µs; {:?}", session.statistics());
+    runtime.block_on(session.close());
+    Ok(())
+}
+
+fn report(size: usize, theirs: &mut [Span], ours: &mut [Span]) {
+    let at = |spans: &mut [Span], q: f64| {
+        spans.sort_unstable();
+        spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
+    };
+    let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
+    let (their_rate, our_rate) = (rate(theirs), rate(ours));
+    println!(
+        "{size:>9} | {:>9.1} {:>9.1} | {:>9.1} {:>9.1} | {their_rate:>8.0} {our_rate:>8.0} {:>6.2}",
+        at(theirs, 0.5),
+        at(theirs, 0.99),
+        at(ours, 0.5),
+        at(ours, 0.99),
+        our_rate / their_rate,
+    );
+}
+
+/// Bare UDP: the first four bytes of each datagram say how many belong together.
+struct Bare {
+    socket: UdpSocket,
+    datagram: usize,
+}
+
+impl Bare {
+    fn start(datagram: usize) -> Anyhow<Self> {
+        let server = Self::socket()?;
+        let address: SocketAddr = server.local_addr()?;
+        std::thread::spawn(move || -> Anyhow<()> {
+            let mut buffer = vec![0; 65_536];
+            let mut received = 0;
+            loop {
+                let (length, from) = server.recv_from(&mut buffer)?;
+                let count = buffer[..length].first_chunk().map_or(1, |first| u32::from_le_bytes(*first));
+                received += 1;
+                if received >= count {
+                    received = 0;
+                    server.send_to(&[7; ANSWER], from)?;
+                }
+            }
+        });
+        let socket = Self::socket()?;
+        socket.connect(address)?;
+        socket.set_read_timeout(Some(Duration::from_secs(5)))?;
+        Ok(Self { socket, datagram })
+    }
+
+    fn socket() -> Anyhow<UdpSocket> {
+        let socket = UdpSocket::bind("127.0.0.1:0")?;
+        SockRef::from(&socket).set_recv_buffer_size(4 << 20)?;
+        SockRef::from(&socket).set_send_buffer_size(4 << 20)?;
+        Ok(socket)
+    }
+
+    fn round(&self, size: usize, trips: usize) -> Anyhow<Vec<Span>> {
+        let clock = clock();
+        let mut buffer = vec![7; self.datagram];
+        let count = size.div_ceil(self.datagram).max(1);
+        buffer[..4].copy_from_slice(&(count as u32).to_le_bytes());
+        let mut answer = [0; ANSWER];
+        (0..trips)
+            .map(|_| {
+                let start = clock.mono();
+                for n in 0..count {
+                    let length = (size - n * self.datagram).clamp(4, self.datagram);
+                    self.socket.send(&buffer[..length])?;
+                }
+                self.socket.recv(&mut answer)?;
+                Ok(clock.mono() - start)
+            })
+            .collect()
+    }
+}
+
+async fn serve(settings: SessionSettings) -> Anyhow<Address> {
+    let (host, any) = (HostId::random(), "udp://127.0.0.1:0".parse()?);
+    let mut listener = Listener::bind(&any, settings, host, clock()).await?;
+    let address = listener.address().clone();
+    tokio::spawn(async move {
+        while let Some(incoming) = listener.next().await {
+            match incoming {
+                Incoming::Open(open) => {
+                    let accepted = SessionAccepted {
+                        host,
+                        name: open.hello.name.clone(),
+                        clock: open.hello.clock.clone(),
+                        version: String::new(),
+                        model: open.hello.pipeline.clone(),
+                        device: "cpu".into(),
+                        facts: Vec::new(),
+                        host_clock: PeerClock::default(),
+                        probes: None,
+                        instance: 1,
+                        conditions: Vec::new(),
+                        hardware: Hardware::default(),
+                    };
+                    open.accept(accepted);
+                }
+                Incoming::Request(request) => {
+                    let answer = request.sample.parts[0].bytes.slice(..ANSWER);
+                    request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
+                }
+                Incoming::Closed { .. } => {}
+            }
+        }
+    });
+    Ok(address)
+}
+
+async fn open(address: Address, settings: SessionSettings) -> Anyhow<Session> {
+    let hello = SessionHello {
+        versions: SESSION_VERSIONS,
+        host: HostId::random(),
+        name: "edge".parse()?,
+        clock: clock().identity().clone(),
+        pipeline: "bench".parse()?,
+        model: None,
+        device: None,
+    };
+    Ok(Session::open(&address, hello, settings, clock()).await?)
+}
+
+async fn trip(session: Session, payload: Bytes, trips: usize) -> Anyhow<Vec<Span>> {
+    let (clock, host) = (clock(), HostId::random());
+    let mut spans = Vec::new();
+    for _ in 0..trips {
+        let sample = Sample::of(Description::bytes(), payload.clone());
+        let start = clock.mono();
+        let log = Recorder::begin(clock.clone(), host);
+        let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
+        // A lost one is no round trip; the figures at the end count it.
+        if exchange.result.is_ok() {
+            spans.push(clock.mono() - start);
+        }
+    }
+    Ok(spans)
+}

@@ -1,0 +1,159 @@
+//! Splitting a message of several frames into fragments of equal length.
+
+use bytes::{Buf, Bytes};
+use peernet_clock::MonoTime;
+
+use crate::transport::Frames;
+
+/// Most frames that a message may be said to have.
+const MAX_FRAMES: usize = 1_024;
+
+/// A message that cannot be sent in fragments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum UnsendableMessage {
+    #[error("a message of more than 4 GiB cannot be sent in datagrams")]
+    TooLong,
+    #[error("a message of more than {MAX_FRAMES} frames cannot be sent in datagrams")]
+    TooManyFrames,
+}
+
+/// Bytes that do not make a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the lengths of a message's frames do not add up")]
+pub(crate) struct InvalidMessage;
+
+/// How many fragments a message has.
+pub(crate) fn fragment_count(total: u32, stride: u16) -> u32 {
+    total.div_ceil(u32::from(stride.max(1)))
+}
+
+/// A message on its way out. Its bytes are the number of frames (16 bits), their lengths (32 bits each), and the
+/// frames.
+#[derive(Debug)]
+pub(crate) struct OutgoingMessage {
+    pub(crate) sequence: u64,
+    /// As it is written: 0 for none.
+    pub(crate) tag: u64,
+    pub(crate) total: u32,
+    pub(crate) checksum: u32,
+    pub(crate) deadline: Option<MonoTime>,
+    /// What has not been taken yet.
+    rest: Vec<Bytes>,
+    /// The first of `rest` that is not used up.
+    first: usize,
+    /// Bytes that were taken.
+    pub(crate) offset: u32,
+}
+
+impl OutgoingMessage {
+    /// Prepares a message.
+    ///
+    /// # Errors
+    /// When it has too many frames or bytes.
+    pub(crate) fn new(
+        frames: Frames,
+        sequence: u64,
+        tag: u64,
+        deadline: Option<MonoTime>,
+    ) -> Result<Self, UnsendableMessage> {
+        let count = u16::try_from(frames.len()).ok().filter(|count| usize::from(*count) <= MAX_FRAMES);
+        let mut table = count.ok_or(UnsendableMessage::TooManyFrames)?.to_be_bytes().to_vec();
+        for frame in &frames {
+            let length = u32::try_from(frame.len()).map_err(|_| UnsendableMessage::TooLong)?;
+            table.extend(length.to_be_bytes());
+        }
+        let mut rest = Vec::with_capacity(frames.len() + 1);
+        rest.push(Bytes::from(table));
+        rest.extend(frames);
+        let bytes: u64 = rest.iter().map(|part| part.len() as u64).sum();
+        let total = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
+        let mut checksum = crc32fast::Hasher::new();
+        rest.iter().for_each(|part| checksum.update(part));
+        Ok(Self { sequence, tag, total, checksum: checksum.finalize(), deadline, rest, first: 0, offset: 0 })
+    }
+
+    /// Whether all was taken.
+    pub(crate) const fn is_done(&self) -> bool {
+        self.offset >= self.total
+    }
+
+    /// Bytes that were not taken yet.
+    pub(crate) const fn remaining(&self) -> u32 {
+        self.total - self.offset
+    }
+
+    /// Takes the next bytes, at most so many, and appends them. Returns their offset and number.
+    pub(crate) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> (u32, u16) {
+        let (offset, mut wanted) = (self.offset, usize::from(most));
+        while wanted > 0
+            && let Some(part) = self.rest.get_mut(self.first)
+        {
+            let count = part.len().min(wanted);
+            out.extend_from_slice(&part[..count]);
+            part.advance(count);
+            wanted -= count;
+            if part.is_empty() {
+                // Sent frames need not be kept until the whole message is out.
+                *part = Bytes::new();
+                self.first += 1;
+            }
+        }
+        let taken = most - wanted as u16;
+        self.offset += u32::from(taken);
+        (offset, taken)
+    }
+}
+
+/// The frames of a whole message.
+///
+/// # Errors
+/// When it is none.
+pub(crate) fn split_frames(mut message: Bytes) -> Result<Frames, InvalidMessage> {
+    let count = usize::from(message.try_get_u16().map_err(|_| InvalidMessage)?);
+    if count > MAX_FRAMES || message.len() < 4 * count {
+        return Err(InvalidMessage);
+    }
+    let mut lengths = message.split_to(4 * count);
+    let mut frames = Vec::with_capacity(count);
+    while let Ok(length) = lengths.try_get_u32() {
+        let length = usize::try_from(length).map_err(|_| InvalidMessage)?;
+        if message.len() < length {
+            return Err(InvalidMessage);
+        }
+        frames.push(message.split_to(length));
+    }
+    if message.is_empty() { Ok(frames) } else { Err(InvalidMessage) }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn message_of_any_frames_is_split_and_joined(
+            sizes in proptest::collection::vec(0_usize..3_000, 0..8),
+            stride in 1_u16..2_000,
+        ) {
+            let frames: Frames = sizes.iter().map(|size| Bytes::from(vec![*size as u8; *size])).collect();
+            let mut message = OutgoingMessage::new(frames.clone(), 0, 0, None).expect("small");
+            let (mut joined, mut fragments) = (Vec::new(), 0);
+            while !message.is_done() {
+                let (offset, taken) = message.take(stride, &mut joined);
+                prop_assert_eq!(offset as usize + usize::from(taken), joined.len());
+                prop_assert!(taken == stride || message.is_done());
+                fragments += 1;
+            }
+            prop_assert_eq!(fragments, fragment_count(message.total, stride));
+            prop_assert_eq!(crc32fast::hash(&joined), message.checksum);
+            prop_assert_eq!(split_frames(joined.into()), Ok(frames));
+        }
+
+        #[test]
+        fn any_bytes_are_split_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
+            let _ = split_frames(bytes.into());
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Any datagrams at a cloud's port: what the fuzz target in `fuzz/` and a test run.
+
+use std::net::SocketAddr;
+
+use peernet_clock::{MonoTime, Span};
+
+use super::connection::ConnectionLimits;
+use super::endpoint::{Endpoint, EndpointLimits};
+use super::packet::{Fragment, Packet, Role, Terms};
+use super::reassembly::ReassemblyLimits;
+use super::sending::QueueLimits;
+use crate::transport::{Arrival, ConnectionId};
+
+const PREFIX: &[u8] = b"\x01x";
+const TERMS: Terms = Terms { window: 1 << 16, datagram: 600 };
+const MAX_UNFINISHED: u64 = 100_000;
+
+/// A port with one open connection.
+struct Port {
+    endpoint: Endpoint,
+    connection: u64,
+    now: MonoTime,
+    known: SocketAddr,
+    stranger: SocketAddr,
+}
+
+/// A script: each step is a byte for what happens, one for how many bytes of the script it takes, and these. Steps bring
+/// any bytes, fragments and packets of an open connection with any fields, and time.
+///
+/// # Panics
+/// When a promise is broken: an unverified address is sent more than came from it, or messages take more memory than
+/// they may.
+pub fn any_datagrams(script: &[u8]) {
+    let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
+    let mut rest = script;
+    while let [what, length, after @ ..] = rest {
+        let (bytes, later) = after.split_at(usize::from(*length).min(after.len()));
+        rest = later;
+        port.step(*what, bytes);
+    }
+}
+
+impl Port {
+    fn open() -> Option<Self> {
+        let limits = EndpointLimits {
+            connection: ConnectionLimits {
+                heartbeat_interval: Span::from_seconds(1),
+                heartbeat_timeout: Span::from_seconds(5),
+                queue: QueueLimits { messages: 4, bytes: 10_000 },
+                bits_per_second: None,
+            },
+            reassembly: ReassemblyLimits {
+                max_message_bytes: 50_000,
+                max_unfinished_messages: 4,
+                timeout: Span::from_millis(100),
+                idle_timeout: Span::from_seconds(5),
+            },
+            max_unfinished_bytes: MAX_UNFINISHED,
+            max_connections: 8,
+            hello_timeout: Span::from_seconds(5),
+            terms: TERMS,
+        };
+        let known = SocketAddr::from(([192, 0, 2, 1], 1));
+        let mut port = Self {
+            endpoint: Endpoint::new([7; 32], PREFIX, limits),
+            connection: 0,
+            now: MonoTime::default(),
+            known,
+            stranger: SocketAddr::from(([198, 51, 100, 1], 2)),
+        };
+        let answer = port.say(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
+        let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
+            return None;
+        };
+        let answer = port.say(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
+        let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(2..)?) else {
+            return None;
+        };
+        port.connection = connection;
+        port.endpoint.admit(ConnectionId(connection));
+        Some(port)
+    }
+
+    fn say(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
+        let mut body = Vec::new();
+        packet.write(Role::Edge, &mut body);
+        self.bring(from, &body)
+    }
+
+    /// Brings a body and returns all that is sent to where it came from.
+    fn bring(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
+        self.endpoint.hear(from, None, body, self.now);
+        let (mut back, mut out) = (Vec::new(), Vec::new());
+        // What a connection has to say is bounded; what it sends stops at its window.
+        while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
+            if route.to == from {
+                back.extend_from_slice(&out);
+            }
+            out.clear();
+        }
+        while let Some(delivery) = self.endpoint.next_arrival() {
+            assert!(!matches!(delivery.arrival, Arrival::Moved(_, to) if to == self.stranger));
+        }
+        assert!(self.endpoint.held_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
+        back
+    }
+
+    fn step(&mut self, what: u8, bytes: &[u8]) {
+        let from = if what & 0x80 == 0 { self.known } else { self.stranger };
+        let number = |at: usize| u64::from(bytes.get(at).copied().unwrap_or_default());
+        let connection = self.connection;
+        let fragment = Fragment {
+            sequence: number(0),
+            tag: number(1),
+            offset: number(2) as u32 * number(4) as u32,
+            total: number(3) as u32 * 16,
+            checksum: number(5) as u32,
+            stride: number(4) as u16,
+            lifetime_ms: number(6) as u16,
+            bytes: bytes.get(7..).unwrap_or_default(),
+        };
+        let (sequence, far) = (number(0), number(1) << (number(2) % 64));
+        let packet = match what & 0x0f {
+            0 => {
+                self.check(from, bytes);
+                return;
+            }
+            1 => {
+                self.now = self.now + Span::from_millis(far as i64 & 0xffff);
+                self.endpoint.tick(self.now);
+                return;
+            }
+            2 => {
+                let sent =
+                    self.endpoint.send(ConnectionId(connection), vec![bytes.to_vec().into()], Some(sequence));
+                // It may be full, or the connection may have ended.
+                drop(sent);
+                return;
+            }
+            3 => Packet::Progress { connection, sequence: far, end: sequence as u32 },
+            4 => Packet::Lost { connection, sequence, received: far as u32, total: far as u32 },
+            5 => Packet::LostKnown { connection, sequence, tag: far, total: far as u32 },
+            6 => Packet::Ping { connection, time: far, next: far, settled: sequence },
+            7 => Packet::Pong { connection, time: far, next: sequence, settled: far },
+            8 => Packet::Bye { connection, next: far },
+            9 => Packet::PathConfirmed { connection, token: far },
+            10 => Packet::Hello { version: 1, nonce: far, reply_port: 0 },
+            11 => Packet::Data { connection: far, fragment },
+            12 => Packet::Data { connection, fragment: Fragment { sequence: far, ..fragment } },
+            _ => Packet::Data { connection, fragment },
+        };
+        let mut body = Vec::new();
+        packet.write(Role::Edge, &mut body);
+        self.check(from, &body);
+    }
+
+    /// Brings a body, and checks that a stranger gets no more back.
+    fn check(&mut self, from: SocketAddr, body: &[u8]) {
+        let back = self.bring(from, body);
+        if from == self.stranger {
+            assert!(back.len() <= PREFIX.len() + body.len(), "{} bytes for {}", back.len(), body.len());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn any_datagrams_break_no_promise(script in proptest::collection::vec(any::<u8>(), 0..600)) {
+            super::any_datagrams(&script);
+        }
+    }
+
+    #[test]
+    fn corpus_breaks_no_promise() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/corpus/datagrams");
+        let mut count = 0;
+        for entry in std::fs::read_dir(folder).expect("the corpus") {
+            super::any_datagrams(&std::fs::read(entry.expect("an entry").path()).expect("readable"));
+            count += 1;
+        }
+        assert!(count >= 4, "the corpus has {count}");
+    }
+}

@@ -1,0 +1,167 @@
+//! Opening a virtual connection, without I/O.
+//!
+//! An edge says hello; the cloud answers with a cookie and keeps nothing. Who repeats the cookie receives what is sent
+//! to its address, and gets a connection. So nobody can have a cloud send more to an address than was sent from it, or
+//! fill its memory from invented addresses (RFC 9147, section 5.1, does the same).
+
+use std::net::{IpAddr, SocketAddr};
+
+use hmac::{Hmac, KeyInit, Mac};
+use peernet_clock::{MonoTime, Span};
+use sha2::Sha256;
+
+use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
+
+/// The largest datagram that every path is trusted to carry: with its headers below IPv6's 1,280 bytes.
+pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
+
+/// How long a cookie is accepted, at least; at most twice as long.
+const COOKIE_LIFE: Span = Span::from_seconds(10);
+
+/// The pause after the first packet without an answer; it doubles up to eight times as much.
+const RETRY_PAUSE: Span = Span::from_millis(100);
+
+/// Requests with large datagrams that go unanswered before a small one is tried.
+const LARGE_TRIES: u32 = 3;
+
+/// The secret with which a cloud makes cookies and numbers.
+pub(crate) struct CookieKey([u8; 32]);
+
+impl std::fmt::Debug for CookieKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("CookieKey")
+    }
+}
+
+impl CookieKey {
+    pub(crate) const fn new(secret: [u8; 32]) -> Self {
+        Self(secret)
+    }
+
+    /// The cookie of an address and a nonce.
+    pub(crate) fn cookie(&self, address: SocketAddr, nonce: u64, now: MonoTime) -> Cookie {
+        self.cookie_at(address, nonce, period(now))
+    }
+
+    /// Whether this is the cookie of an address and a nonce, made lately.
+    pub(crate) fn is_cookie(&self, cookie: &Cookie, address: SocketAddr, nonce: u64, now: MonoTime) -> bool {
+        [period(now), period(now) - 1].iter().any(|at| self.cookie_at(address, nonce, *at) == *cookie)
+    }
+
+    /// An unpredictable number for a connection.
+    pub(crate) fn connection(&self, count: u64) -> u64 {
+        first_u64(&self.code(b"connection", &[&count.to_be_bytes()]))
+    }
+
+    fn cookie_at(&self, address: SocketAddr, nonce: u64, period: i64) -> Cookie {
+        let ip = match address.ip() {
+            IpAddr::V4(ip) => ip.to_ipv6_mapped(),
+            IpAddr::V6(ip) => ip,
+        };
+        let (port, nonce, period) = (address.port().to_be_bytes(), nonce.to_be_bytes(), period.to_be_bytes());
+        let code = self.code(b"cookie", &[&ip.octets(), &port, &nonce, &period]);
+        let mut cookie = Cookie::default();
+        cookie.copy_from_slice(&code[..16]);
+        cookie
+    }
+
+    fn code(&self, purpose: &[u8], parts: &[&[u8]]) -> [u8; 32] {
+        #[expect(clippy::expect_used, reason = "HMAC takes keys of any length")]
+        let mut code = Hmac::<Sha256>::new_from_slice(&self.0).expect("any length is a key");
+        code.update(purpose);
+        parts.iter().for_each(|part| code.update(part));
+        code.finalize().into_bytes().into()
+    }
+}
+
+/// The first 64 bits of a cookie or a code.
+pub(crate) fn first_u64(bytes: &[u8]) -> u64 {
+    bytes.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
+}
+
+fn period(now: MonoTime) -> i64 {
+    now.nanos().div_euclid(COOKIE_LIFE.nanos())
+}
+
+/// What an answer to a handshake means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Dialled {
+    /// The connection exists; the other end takes this.
+    Opened { connection: u64, terms: Terms },
+    /// The cloud takes no more connections.
+    Refused,
+}
+
+/// An edge that opens a connection.
+#[derive(Debug)]
+pub(crate) struct Dialling {
+    nonce: u64,
+    /// Where the cloud answers to; 0 is where the packets come from.
+    reply_port: u16,
+    terms: Terms,
+    prefix_bytes: usize,
+    cookie: Option<Cookie>,
+    /// Packets of this kind without an answer.
+    tries: u32,
+    next: MonoTime,
+}
+
+impl Dialling {
+    /// `prefix_bytes` are those of each datagram before the packet.
+    pub(crate) fn new(nonce: u64, reply_port: u16, terms: Terms, prefix_bytes: usize, now: MonoTime) -> Self {
+        Self { nonce, reply_port, terms, prefix_bytes, cookie: None, tries: 0, next: now }
+    }
+
+    /// A packet arrived from where the cloud is.
+    pub(crate) fn hear(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<Dialled> {
+        match *packet {
+            Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
+                (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
+                None
+            }
+            Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
+                let datagram = terms.datagram.min(self.terms.datagram);
+                Some(Dialled::Opened { connection, terms: Terms { datagram, ..terms } })
+            }
+            Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => Some(Dialled::Refused),
+            _ => None,
+        }
+    }
+
+    /// Appends a packet if one is due. Returns whether it did.
+    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> bool {
+        if now < self.next {
+            return false;
+        }
+        if self.tries >= LARGE_TRIES && self.terms.datagram > SAFE_DATAGRAM_BYTES {
+            tracing::warn!(
+                bytes = self.terms.datagram,
+                "the path carries no datagrams of the configured size; going on with {SAFE_DATAGRAM_BYTES} bytes"
+            );
+            (self.terms.datagram, self.tries) = (SAFE_DATAGRAM_BYTES, 0);
+        }
+        let (nonce, reply_port) = (self.nonce, self.reply_port);
+        match self.cookie {
+            None => Packet::Hello { version: VERSION, nonce, reply_port }.write(Role::Edge, out),
+            Some(cookie) => {
+                let start = out.len();
+                Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
+                // As long as the longest that will be sent: what does not fit on the path is noticed here.
+                let longest = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
+                out.resize(out.len().max(longest), 0);
+            }
+        }
+        self.next = now + Span::from_nanos(RETRY_PAUSE.nanos() << self.tries.min(3));
+        self.tries += 1;
+        // A cookie that is too old is never answered.
+        if self.tries > 8 {
+            (self.cookie, self.tries) = (None, 0);
+        }
+        true
+    }
+
+    /// When the next packet is due.
+    pub(crate) const fn next_timer(&self) -> MonoTime {
+        self.next
+    }
+}

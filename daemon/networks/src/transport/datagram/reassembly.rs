@@ -1,0 +1,353 @@
+//! Putting messages together from the fragments of one connection, in bounded memory.
+//!
+//! Fragments may be missing, doubled, late or forged. Every message number is settled once: its message is handed out
+//! or counted as lost. Numbers below [`Reassembly::floor`] are settled; the states of at most [`MAX_SPAN`] numbers above
+//! are kept, and when a number beyond arrives, the lowest are given up.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+
+use super::fragment::fragment_count;
+use super::packet::Fragment;
+use crate::transport::memory::{MemoryBudget, Reservation};
+
+/// Message numbers whose state is kept at once.
+pub(crate) const MAX_SPAN: u64 = 1_024;
+
+/// What messages may cost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ReassemblyLimits {
+    /// Largest message. Bytes.
+    pub(crate) max_message_bytes: u32,
+    /// Messages of which a part has arrived.
+    pub(crate) max_unfinished_messages: usize,
+    /// How long fragments are waited for once all of the message is known to have left.
+    pub(crate) timeout: Span,
+    /// How long a message may get nothing new when that is not known.
+    pub(crate) idle_timeout: Span,
+}
+
+/// What became of a fragment.
+#[derive(Debug)]
+pub(crate) enum Received {
+    /// It completes this message, which takes the reserved memory.
+    Message {
+        /// The message.
+        bytes: Bytes,
+        /// What it takes.
+        reserved: Reservation,
+    },
+    /// It is kept, or its message was given up because of it.
+    Stored,
+    /// It was there already, or its message is settled.
+    Duplicate,
+    /// It contradicts the fragments that came before.
+    Inconsistent,
+}
+
+/// A message that will not be handed out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LostMessage {
+    pub(crate) sequence: u64,
+    /// The sender's own number for it; `None` when no fragment has arrived.
+    pub(crate) tag: Option<u64>,
+    /// Fragments that have arrived.
+    pub(crate) received: u32,
+    /// Fragments that it has; 0 when no fragment has arrived.
+    pub(crate) total: u32,
+}
+
+/// The messages of one direction of a connection.
+#[derive(Debug)]
+pub(crate) struct Reassembly {
+    limits: ReassemblyLimits,
+    budget: Arc<MemoryBudget>,
+    floor: u64,
+    /// Messages below are known to have left as a whole: their sender sends one after the other.
+    sent: u64,
+    /// The states of the numbers from the floor on; the first one is not settled.
+    slots: VecDeque<Slot>,
+    unfinished: usize,
+    lost: Vec<LostMessage>,
+}
+
+#[derive(Debug)]
+enum Slot {
+    Missing { since: MonoTime },
+    Unfinished(Box<Unfinished>),
+    Settled,
+}
+
+#[derive(Debug)]
+struct Unfinished {
+    tag: u64,
+    checksum: u32,
+    stride: u16,
+    bytes: Vec<u8>,
+    /// One bit for each fragment.
+    present: Vec<u64>,
+    received: u32,
+    count: u32,
+    deadline: Option<MonoTime>,
+    progress: MonoTime,
+    /// When it was known that all of it had left.
+    sent: Option<MonoTime>,
+    reserved: Reservation,
+}
+
+impl Reassembly {
+    pub(crate) fn new(limits: ReassemblyLimits, budget: Arc<MemoryBudget>) -> Self {
+        Self { limits, budget, floor: 0, sent: 0, slots: VecDeque::new(), unfinished: 0, lost: Vec::new() }
+    }
+
+    /// Replaces the limits and the budget; what is there already stays.
+    pub(crate) fn set_limits(&mut self, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) {
+        self.limits = limits;
+        self.budget = budget;
+    }
+
+    /// Messages with a lower number are settled.
+    pub(crate) const fn floor(&self) -> u64 {
+        self.floor
+    }
+
+    /// Whether nothing is awaited.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// The messages that were lost since the last call.
+    pub(crate) fn take_lost(&mut self) -> Vec<LostMessage> {
+        std::mem::take(&mut self.lost)
+    }
+
+    /// A fragment arrived.
+    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+        if fragment.sequence < self.floor {
+            return Received::Duplicate;
+        }
+        self.expect(fragment.sequence, now);
+        self.extend(fragment.sequence.saturating_add(1), now);
+        let at = (fragment.sequence - self.floor) as usize;
+        let received = match self.slots.get_mut(at) {
+            None | Some(Slot::Settled) => Received::Duplicate,
+            Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, now),
+            Some(Slot::Missing { .. }) => self.begin(at, fragment, now),
+        };
+        if let Received::Stored = received {
+            return self.finish(at);
+        }
+        if let Received::Message { .. } = received {
+            self.settle_slot(at);
+        }
+        received
+    }
+
+    /// Begins a message of which nothing was there.
+    fn begin(&mut self, at: usize, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+        let count = fragment_count(fragment.total, fragment.stride);
+        let lost =
+            LostMessage { sequence: fragment.sequence, tag: Some(fragment.tag), received: 1, total: count };
+        let mut reserved = Reservation::empty(&self.budget);
+        let is_refused = fragment.total > self.limits.max_message_bytes
+            || reserved.set(&self.budget, u64::from(fragment.total) + u64::from(count) / 8).is_err();
+        if is_refused {
+            self.lost.push(lost);
+            self.settle_slot(at);
+            return Received::Duplicate;
+        }
+        if count == 1 {
+            // The usual small message is copied once.
+            if crc32fast::hash(fragment.bytes) != fragment.checksum {
+                self.lost.push(lost);
+                self.settle_slot(at);
+                return Received::Inconsistent;
+            }
+            let bytes = Bytes::copy_from_slice(fragment.bytes);
+            return Received::Message { bytes, reserved };
+        }
+        if self.unfinished >= self.limits.max_unfinished_messages {
+            self.give_up_oldest();
+        }
+        let lifetime = Span::from_millis(fragment.lifetime_ms.into());
+        let mut unfinished = Unfinished {
+            tag: fragment.tag,
+            checksum: fragment.checksum,
+            stride: fragment.stride,
+            bytes: vec![0; fragment.total as usize],
+            present: vec![0; count.div_ceil(64) as usize],
+            received: 0,
+            count,
+            deadline: (fragment.lifetime_ms > 0).then(|| now + lifetime),
+            progress: now,
+            sent: (fragment.sequence < self.sent).then_some(now),
+            reserved,
+        };
+        unfinished.add(fragment, now);
+        // Giving up the oldest may have moved the floor.
+        let at = (fragment.sequence - self.floor) as usize;
+        if let Some(slot) = self.slots.get_mut(at) {
+            *slot = Slot::Unfinished(Box::new(unfinished));
+            self.unfinished += 1;
+        }
+        Received::Stored
+    }
+
+    /// Hands out the message of a slot, if it is whole.
+    fn finish(&mut self, at: usize) -> Received {
+        let Some(slot) = self.slots.get_mut(at) else { return Received::Stored };
+        if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
+            return Received::Stored;
+        }
+        let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled) else {
+            return Received::Stored;
+        };
+        self.unfinished -= 1;
+        let sequence = self.floor + at as u64;
+        self.advance();
+        let Unfinished { tag, checksum, bytes, received, count, reserved, .. } = *unfinished;
+        if crc32fast::hash(&bytes) != checksum {
+            self.lost.push(LostMessage { sequence, tag: Some(tag), received, total: count });
+            return Received::Inconsistent;
+        }
+        Received::Message { bytes: bytes.into(), reserved }
+    }
+
+    /// The other end has sent all messages below this number.
+    pub(crate) fn expect(&mut self, next: u64, now: MonoTime) {
+        self.extend(next, now);
+        let first = self.sent.max(self.floor);
+        if next <= first {
+            return;
+        }
+        let newly = (first - self.floor) as usize..(next - self.floor) as usize;
+        for slot in self.slots.range_mut(newly) {
+            if let Slot::Unfinished(unfinished) = slot {
+                unfinished.sent.get_or_insert(now);
+            }
+        }
+        self.sent = next;
+    }
+
+    /// Keeps the states of all messages below this number.
+    fn extend(&mut self, next: u64, now: MonoTime) {
+        if next > self.floor.saturating_add(MAX_SPAN) {
+            let floor = next - MAX_SPAN;
+            while self.floor < floor
+                && let Some(slot) = self.slots.pop_front()
+            {
+                // Numbers of which nothing came are passed over: who leaves out many at once gets no answer for each.
+                if let Slot::Unfinished(unfinished) = slot {
+                    self.unfinished -= 1;
+                    self.lost.push(unfinished.lost(self.floor));
+                }
+                self.floor += 1;
+            }
+            self.floor = self.floor.max(floor);
+            self.advance();
+        }
+        let known = next.saturating_sub(self.floor) as usize;
+        while self.slots.len() < known {
+            self.slots.push_back(Slot::Missing { since: now });
+        }
+    }
+
+    /// Gives up what has waited too long.
+    pub(crate) fn tick(&mut self, now: MonoTime) {
+        let ReassemblyLimits { timeout, idle_timeout, .. } = self.limits;
+        self.give_up(|slot| match slot {
+            Slot::Missing { since } => now - *since >= timeout,
+            Slot::Unfinished(unfinished) => {
+                let Unfinished { deadline, progress, sent, .. } = **unfinished;
+                deadline.is_some_and(|deadline| deadline <= now)
+                    || sent.is_some_and(|sent| now - sent.max(progress) >= timeout)
+                    || now - progress >= idle_timeout
+            }
+            Slot::Settled => false,
+        });
+    }
+
+    /// Gives up all that is awaited.
+    pub(crate) fn give_up_all(&mut self) {
+        self.give_up(|_| true);
+    }
+
+    fn give_up(&mut self, is_over: impl Fn(&Slot) -> bool) {
+        for (at, slot) in self.slots.iter_mut().enumerate() {
+            let sequence = self.floor + at as u64;
+            if !is_over(slot) {
+                continue;
+            }
+            match std::mem::replace(slot, Slot::Settled) {
+                Slot::Missing { .. } => {
+                    self.lost.push(LostMessage { sequence, tag: None, received: 0, total: 0 });
+                }
+                Slot::Unfinished(unfinished) => {
+                    self.unfinished -= 1;
+                    self.lost.push(unfinished.lost(sequence));
+                }
+                Slot::Settled => {}
+            }
+        }
+        self.advance();
+    }
+
+    fn give_up_oldest(&mut self) {
+        let oldest = self.slots.iter().position(|slot| matches!(slot, Slot::Unfinished(_)));
+        if let Some(at) = oldest
+            && let Slot::Unfinished(unfinished) = std::mem::replace(&mut self.slots[at], Slot::Settled)
+        {
+            self.unfinished -= 1;
+            self.lost.push(unfinished.lost(self.floor + at as u64));
+            self.advance();
+        }
+    }
+
+    fn settle_slot(&mut self, at: usize) {
+        if let Some(slot) = self.slots.get_mut(at) {
+            *slot = Slot::Settled;
+        }
+        self.advance();
+    }
+
+    /// Moves the floor up to the first number that is not settled.
+    fn advance(&mut self) {
+        while let Some(Slot::Settled) = self.slots.front() {
+            self.slots.pop_front();
+            self.floor += 1;
+        }
+    }
+}
+
+impl Unfinished {
+    fn add(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+        let is_same = (fragment.tag, fragment.checksum, fragment.stride)
+            == (self.tag, self.checksum, self.stride)
+            && fragment.total as usize == self.bytes.len();
+        if !is_same {
+            return Received::Inconsistent;
+        }
+        // The fields agree with each other: equal strides and aligned offsets leave no room for overlaps.
+        let index = fragment.offset / u32::from(self.stride);
+        let (word, bit) = ((index / 64) as usize, 1 << (index % 64));
+        if self.present[word] & bit != 0 {
+            return Received::Duplicate;
+        }
+        self.present[word] |= bit;
+        self.received += 1;
+        self.progress = now;
+        let start = fragment.offset as usize;
+        self.bytes[start..start + fragment.bytes.len()].copy_from_slice(fragment.bytes);
+        Received::Stored
+    }
+
+    fn lost(&self, sequence: u64) -> LostMessage {
+        LostMessage { sequence, tag: Some(self.tag), received: self.received, total: self.count }
+    }
+}
+
+#[cfg(test)]
+mod tests;

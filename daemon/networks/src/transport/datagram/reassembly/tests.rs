@@ -1,0 +1,225 @@
+//! Fragments that are lost, doubled, reordered and forged.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::transport::datagram::fragment::OutgoingMessage;
+
+const LIMITS: ReassemblyLimits = ReassemblyLimits {
+    max_message_bytes: 100_000,
+    max_unfinished_messages: 8,
+    timeout: Span::from_millis(100),
+    idle_timeout: Span::from_seconds(5),
+};
+
+fn at(millis: i64) -> MonoTime {
+    MonoTime::default() + Span::from_millis(millis)
+}
+
+/// A message's bytes, cut into fragments of so many.
+fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
+    let total = bytes.len() as u32;
+    let checksum = crc32fast::hash(bytes);
+    let of = |(index, bytes)| Fragment {
+        sequence,
+        tag: sequence + 1,
+        offset: index as u32 * u32::from(stride),
+        total,
+        checksum,
+        stride,
+        lifetime_ms: 0,
+        bytes,
+    };
+    bytes.chunks(stride.into()).enumerate().map(of).collect()
+}
+
+fn new(budget: u64) -> Reassembly {
+    Reassembly::new(LIMITS, MemoryBudget::new(budget))
+}
+
+#[test]
+fn missing_fragment_loses_message_with_counts() {
+    let mut reassembly = new(1 << 20);
+    let bytes = vec![7; 950];
+    for (n, fragment) in fragments(0, &bytes, 100).iter().enumerate() {
+        if n != 3 {
+            assert!(matches!(reassembly.receive(fragment, at(0)), Received::Stored));
+        }
+    }
+    reassembly.tick(at(1_000));
+    assert_eq!(reassembly.take_lost(), [], "the rest may not have left yet");
+    reassembly.expect(1, at(1_000));
+    reassembly.tick(at(1_099));
+    assert_eq!(reassembly.take_lost(), []);
+    reassembly.tick(at(1_100));
+    assert_eq!(reassembly.take_lost(), [LostMessage { sequence: 0, tag: Some(1), received: 9, total: 10 }]);
+    assert_eq!((reassembly.floor(), reassembly.budget.held()), (1, 0));
+    let late = reassembly.receive(&fragments(0, &bytes, 100)[3], at(1_101));
+    assert!(matches!(late, Received::Duplicate), "{late:?}");
+}
+
+#[test]
+fn message_that_stops_is_lost_in_the_end() {
+    let mut reassembly = new(1 << 20);
+    let bytes = [7; 200];
+    reassembly.receive(&fragments(0, &bytes, 100)[0], at(0));
+    reassembly.tick(at(4_999));
+    assert_eq!(reassembly.take_lost(), []);
+    reassembly.tick(at(5_000));
+    assert_eq!(reassembly.take_lost().len(), 1);
+}
+
+#[test]
+fn deadline_ends_message_before_timeout() {
+    let mut reassembly = new(1 << 20);
+    let bytes = [7; 200];
+    let mut fragment = fragments(0, &bytes, 100)[0];
+    fragment.lifetime_ms = 30;
+    reassembly.receive(&fragment, at(0));
+    reassembly.tick(at(29));
+    assert_eq!(reassembly.take_lost(), []);
+    reassembly.tick(at(30));
+    assert_eq!(reassembly.take_lost().len(), 1);
+}
+
+#[test]
+fn message_that_never_came_is_lost_with_no_fragments() {
+    let mut reassembly = new(1 << 20);
+    reassembly.expect(2, at(0));
+    let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
+    assert!(matches!(later, Received::Message { .. }), "{later:?}");
+    reassembly.tick(at(100));
+    let lost = |sequence| LostMessage { sequence, tag: None, received: 0, total: 0 };
+    assert_eq!(reassembly.take_lost(), [lost(0), lost(1)]);
+    assert!(reassembly.is_settled());
+}
+
+#[test]
+fn contradicting_fragments_change_nothing() {
+    let mut reassembly = new(1 << 20);
+    let bytes: Vec<u8> = (0..=255).collect();
+    let all = fragments(0, &bytes, 100);
+    reassembly.receive(&all[0], at(0));
+    for forged in [
+        Fragment { checksum: 1, ..all[1] },
+        Fragment { tag: 9, ..all[1] },
+        Fragment { total: 300, ..all[1] },
+        Fragment { stride: 50, bytes: &bytes[..50], ..all[1] },
+    ] {
+        assert!(matches!(reassembly.receive(&forged, at(0)), Received::Inconsistent));
+    }
+    assert!(matches!(reassembly.receive(&all[0], at(0)), Received::Duplicate));
+    reassembly.receive(&all[2], at(0));
+    let Received::Message { bytes: whole, .. } = reassembly.receive(&all[1], at(0)) else {
+        panic!("it is whole")
+    };
+    assert_eq!(&whole[..], &bytes[..]);
+}
+
+#[test]
+fn damaged_bytes_are_no_message() {
+    let mut reassembly = new(1 << 20);
+    let bytes = [7; 250];
+    let mut all = fragments(0, &bytes, 100);
+    all[1].bytes = &[8; 100];
+    for fragment in &all[..2] {
+        reassembly.receive(fragment, at(0));
+    }
+    assert!(matches!(reassembly.receive(&all[2], at(0)), Received::Inconsistent));
+    let damaged = Fragment { bytes: &[9; 30], ..fragments(1, &[7; 30], 100)[0] };
+    assert!(matches!(reassembly.receive(&damaged, at(0)), Received::Inconsistent));
+    assert_eq!(reassembly.take_lost().len(), 2);
+    assert_eq!(reassembly.budget.held(), 0);
+}
+
+#[test]
+fn memory_and_messages_are_bounded() {
+    let mut reassembly = new(50_000);
+    let bytes = vec![7; 20_000];
+    for sequence in 0..100 {
+        reassembly.receive(&fragments(sequence, &bytes, 1_000)[0], at(0));
+        assert!(reassembly.budget.held() <= 50_000);
+    }
+    assert_eq!(reassembly.take_lost().len(), 98, "two find room");
+    let small = [7; 20];
+    for sequence in 100..200 {
+        reassembly.receive(&fragments(sequence, &small, 10)[0], at(0));
+        assert!(reassembly.unfinished <= LIMITS.max_unfinished_messages);
+    }
+    let huge =
+        Fragment { sequence: 200, total: LIMITS.max_message_bytes + 1, ..fragments(0, &bytes, 1_000)[0] };
+    reassembly.receive(&huge, at(0));
+    assert!(reassembly.take_lost().iter().any(|lost| lost.sequence == 200));
+}
+
+#[test]
+fn far_number_costs_nothing() {
+    let mut reassembly = new(1 << 20);
+    let bytes = [7; 20];
+    reassembly.receive(&fragments(3, &bytes, 10)[0], at(0));
+    reassembly.receive(&fragments(u64::MAX - 2, &bytes, 10)[0], at(0));
+    reassembly.expect(u64::MAX, at(0));
+    assert_eq!(reassembly.take_lost().len(), 1, "only what had begun to arrive is told");
+    assert!(reassembly.slots.len() as u64 <= MAX_SPAN);
+    reassembly.give_up_all();
+    assert_eq!(reassembly.floor(), u64::MAX);
+    assert_eq!(reassembly.budget.held(), 0);
+}
+
+/// One fragment of the plan: of which message, which one, and when.
+fn plan() -> impl Strategy<Value = Vec<(u8, prop::sample::Index, u8)>> {
+    proptest::collection::vec((0_u8..6, any::<prop::sample::Index>(), 0_u8..20), 0..400)
+}
+
+proptest! {
+    #[test]
+    fn every_message_is_settled_once(plan in plan(), sizes in proptest::collection::vec(1_usize..2_000, 6)) {
+        let mut reassembly = new(8_000);
+        let messages: Vec<Vec<u8>> =
+            sizes.iter().enumerate().map(|(n, size)| (0..*size).map(|i| (i * 7 + n) as u8).collect()).collect();
+        let (mut now, mut delivered, mut lost) = (0, Vec::new(), Vec::new());
+        for (message, fragment, pause) in plan {
+            now += i64::from(pause);
+            let all = fragments(message.into(), &messages[usize::from(message)], 100);
+            let received = reassembly.receive(fragment.get(&all), at(now));
+            if let Received::Message { bytes, .. } = received {
+                prop_assert_eq!(&bytes[..], &messages[usize::from(message)][..]);
+                delivered.push(u64::from(message));
+            }
+            reassembly.tick(at(now));
+            lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
+            prop_assert!(reassembly.budget.held() <= 8_000);
+        }
+        reassembly.expect(6, at(now));
+        reassembly.tick(at(now + 1_000));
+        lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
+        let mut settled = [delivered, lost].concat();
+        settled.sort_unstable();
+        prop_assert_eq!(settled, (0..6).collect::<Vec<u64>>());
+        prop_assert_eq!(reassembly.budget.held(), 0);
+    }
+
+    #[test]
+    fn fragments_in_any_order_make_the_message(
+        frame in proptest::collection::vec(any::<u8>(), 0..3_000),
+        stride in 1_u16..500,
+        order in any::<u64>(),
+    ) {
+        let mut message = OutgoingMessage::new(vec![frame.into()], 0, 0, None).expect("small");
+        let mut bytes = Vec::new();
+        message.take(u16::MAX, &mut bytes);
+        let mut all = fragments(0, &bytes, stride);
+        // A number with no factor in common with the count visits all of them.
+        let count = all.len() as u64;
+        all.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
+        let mut reassembly = new(1 << 20);
+        let mut whole = None;
+        for fragment in &all {
+            prop_assert!(whole.is_none());
+            if let Received::Message { bytes, .. } = reassembly.receive(fragment, at(0)) {
+                whole = Some(bytes);
+            }
+        }
+        prop_assert_eq!(whole.as_deref(), Some(&bytes[..]));
+    }
+}

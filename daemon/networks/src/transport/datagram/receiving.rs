@@ -1,0 +1,173 @@
+//! The receiving half of a virtual connection: what arrives, and what the other end is told of it.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+
+use super::packet::{Fragment, Packet};
+use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, Received};
+use super::sending::read_tag;
+use super::window::PROGRESS_BYTES;
+use crate::transport::MessageLoss;
+use crate::transport::memory::{MemoryBudget, Reservation};
+
+/// Lost messages of which the other end does not know.
+const MAX_REPORTS: usize = MAX_SPAN as usize;
+
+/// Lost messages that it is told of at once.
+const REPORTS_AT_ONCE: usize = 32;
+
+/// How often it is told of each.
+const REPORT_TRIES: u32 = 12;
+
+/// The pause after the first time; it doubles up to eight times as much.
+const REPORT_PAUSE: Span = Span::from_millis(50);
+
+/// The receiving half.
+#[derive(Debug)]
+pub(crate) struct Receiving {
+    connection: u64,
+    reassembly: Reassembly,
+    /// The furthest that has arrived: sequence, and end in its message.
+    furthest: (u64, u32),
+    /// Bytes that arrived since the other end was told of it.
+    untold: u32,
+    reports: Vec<Report>,
+}
+
+/// A lost message that the other end does not know of, as far as is known here.
+#[derive(Debug)]
+struct Report {
+    lost: LostMessage,
+    tries: u32,
+    next: MonoTime,
+}
+
+/// What a fragment brought.
+#[derive(Debug)]
+pub(crate) enum Arrived {
+    /// A whole message and the memory that it takes.
+    Message(Bytes, Reservation),
+    /// Nothing to hand out.
+    Nothing,
+    /// It makes no sense.
+    Garbage(&'static str),
+}
+
+impl Receiving {
+    pub(crate) fn new(connection: u64, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) -> Self {
+        Self {
+            connection,
+            reassembly: Reassembly::new(limits, budget),
+            furthest: (0, 0),
+            untold: 0,
+            reports: Vec::new(),
+        }
+    }
+
+    pub(crate) fn set_limits(&mut self, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) {
+        self.reassembly.set_limits(limits, budget);
+    }
+
+    /// A fragment arrived.
+    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Arrived {
+        let end = fragment.offset + fragment.bytes.len() as u32;
+        self.furthest = self.furthest.max((fragment.sequence, end));
+        self.untold = self.untold.saturating_add(fragment.bytes.len() as u32);
+        match self.reassembly.receive(fragment, now) {
+            Received::Message { bytes, reserved } => Arrived::Message(bytes, reserved),
+            Received::Stored | Received::Duplicate => Arrived::Nothing,
+            Received::Inconsistent => Arrived::Garbage("a fragment that contradicts its message"),
+        }
+    }
+
+    /// What to tell the other end of how far it has come, if it is time to.
+    pub(crate) fn progress(&mut self) -> Option<Packet<'static>> {
+        if self.untold < PROGRESS_BYTES {
+            return None;
+        }
+        self.untold = 0;
+        let (sequence, end) = self.furthest;
+        Some(Packet::Progress { connection: self.connection, sequence, end })
+    }
+
+    /// The other end has sent all messages below this number.
+    pub(crate) fn expect(&mut self, next: u64, now: MonoTime) {
+        self.reassembly.expect(next, now);
+    }
+
+    /// Messages with a lower number are settled, and the other end knows of those that are lost.
+    pub(crate) fn settled(&self) -> u64 {
+        let unknown = self.reports.iter().map(|report| report.lost.sequence);
+        unknown.chain([self.reassembly.floor()]).min().unwrap_or_default()
+    }
+
+    /// Whether nothing is awaited and the other end knows what was lost.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.reassembly.is_settled() && self.reports.is_empty()
+    }
+
+    /// Gives up all that is awaited.
+    pub(crate) fn give_up_all(&mut self) {
+        self.reassembly.give_up_all();
+    }
+
+    /// Takes the losses since the last call: those that can be told here at once. The other end is told of all.
+    pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
+        let lost = self.reassembly.take_lost();
+        let mut known = Vec::new();
+        for lost in lost {
+            if let Some(tag) = lost.tag {
+                known.push(MessageLoss { tag: read_tag(tag), received: lost.received, total: lost.total });
+            }
+            if self.reports.len() < MAX_REPORTS {
+                self.reports.push(Report { lost, tries: 0, next: now });
+            } else if lost.tag.is_none() {
+                known.push(MessageLoss { tag: None, received: 0, total: 0 });
+            }
+        }
+        known
+    }
+
+    /// The other end knows of a loss, and says what the message was. Returns what to tell here.
+    pub(crate) fn known(&mut self, sequence: u64, tag: u64, total: u32) -> Option<MessageLoss> {
+        let at = self.reports.iter().position(|report| report.lost.sequence == sequence)?;
+        let report = self.reports.swap_remove(at);
+        report.lost.tag.is_none().then(|| MessageLoss { tag: read_tag(tag), received: 0, total })
+    }
+
+    /// Gives up what has waited too long.
+    pub(crate) fn tick(&mut self, now: MonoTime) {
+        self.reassembly.tick(now);
+    }
+
+    /// What to tell the other end of losses now, and the losses that it will not be told of any more.
+    pub(crate) fn reports(&mut self, now: MonoTime) -> (Vec<Packet<'static>>, Vec<MessageLoss>) {
+        let (mut packets, mut silent) = (Vec::new(), Vec::new());
+        let connection = self.connection;
+        self.reports.retain_mut(|report| {
+            if report.next > now || packets.len() >= REPORTS_AT_ONCE {
+                return true;
+            }
+            let LostMessage { sequence, tag, received, total } = report.lost;
+            if report.tries >= REPORT_TRIES {
+                if tag.is_none() {
+                    silent.push(MessageLoss { tag: None, received, total });
+                }
+                return false;
+            }
+            packets.push(Packet::Lost { connection, sequence, received, total });
+            report.next = now + Span::from_nanos(REPORT_PAUSE.nanos() << report.tries.min(3));
+            report.tries += 1;
+            true
+        });
+        (packets, silent)
+    }
+
+    /// When something is to be given up or told.
+    pub(crate) fn next_timer(&self, now: MonoTime, tick: Span) -> Option<MonoTime> {
+        let waiting = (!self.reassembly.is_settled()).then(|| now + tick);
+        self.reports.iter().map(|report| report.next).chain(waiting).min()
+    }
+}

@@ -1,0 +1,388 @@
+//! An edge and a cloud over a simulated network that loses, doubles and reorders.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+use proptest::prelude::*;
+
+use super::connection::{Connection, ConnectionLimits, Event};
+use super::endpoint::{Endpoint, EndpointLimits};
+use super::handshake::{Dialled, Dialling};
+use super::packet::{Packet, Role, Terms};
+use super::reassembly::ReassemblyLimits;
+use super::sending::QueueLimits;
+use crate::transport::memory::MemoryBudget;
+use crate::transport::{Arrival, ConnectionId};
+
+const PREFIX: &[u8] = b"\x01x";
+const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
+
+pub(super) fn limits() -> EndpointLimits {
+    EndpointLimits {
+        connection: ConnectionLimits {
+            heartbeat_interval: Span::from_seconds(1),
+            heartbeat_timeout: Span::from_seconds(5),
+            queue: QueueLimits { messages: 100, bytes: 10_000_000 },
+            bits_per_second: None,
+        },
+        reassembly: ReassemblyLimits {
+            max_message_bytes: 5_000_000,
+            max_unfinished_messages: 80,
+            timeout: Span::from_millis(100),
+            idle_timeout: Span::from_seconds(5),
+        },
+        max_unfinished_bytes: 10_000_000,
+        max_connections: 64,
+        hello_timeout: Span::from_seconds(5),
+        terms: TERMS,
+    }
+}
+
+/// What the network does to each datagram. Percent.
+#[derive(Clone, Copy, Debug)]
+struct Weather {
+    loss: u64,
+    doubled: u64,
+    reordered: u64,
+}
+
+const CALM: Weather = Weather { loss: 0, doubled: 0, reordered: 0 };
+
+struct World {
+    now: MonoTime,
+    weather: Weather,
+    random: u64,
+    edge_address: SocketAddr,
+    cloud: Endpoint,
+    dialling: Dialling,
+    edge: Option<Connection>,
+    /// Datagrams under way, by when they arrive: whether to the cloud, and their bytes.
+    wire: BTreeMap<(MonoTime, u64), (bool, SocketAddr, Vec<u8>)>,
+    count: u64,
+    arrivals: Vec<Arrival>,
+    events: Vec<Event>,
+}
+
+impl World {
+    fn new(weather: Weather, seed: u64) -> Self {
+        let now = MonoTime::default();
+        Self {
+            now,
+            weather,
+            random: seed | 1,
+            edge_address: "192.0.2.1:1000".parse().expect("an address"),
+            cloud: Endpoint::new([7; 32], PREFIX, limits()),
+            dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
+            edge: None,
+            wire: BTreeMap::new(),
+            count: 0,
+            arrivals: Vec::new(),
+            events: Vec::new(),
+        }
+    }
+
+    /// Whether something happens that has so many percent.
+    fn chance(&mut self, percent: u64) -> bool {
+        // Xorshift, as good as any for weather.
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        self.random % 100 < percent
+    }
+
+    fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8]) {
+        let copies =
+            if self.chance(self.weather.loss) { 0 } else { 1 + u64::from(self.chance(self.weather.doubled)) };
+        for _ in 0..copies {
+            let late = if self.chance(self.weather.reordered) { 15 } else { 5 };
+            self.count += 1;
+            let key = (self.now + Span::from_millis(late), self.count);
+            self.wire.insert(key, (to_cloud, address, datagram.to_vec()));
+        }
+    }
+
+    /// Moves time on by a millisecond.
+    fn step(&mut self) {
+        self.now = self.now + Span::from_millis(1);
+        let now = self.now;
+        let later = self.wire.split_off(&(now, u64::MAX));
+        let due = std::mem::replace(&mut self.wire, later);
+        for (to_cloud, address, datagram) in due.into_values() {
+            let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
+            if to_cloud {
+                self.cloud.hear(address, None, body, now);
+                continue;
+            }
+            let packet = Packet::read(Role::Edge, body).expect("a packet");
+            match &mut self.edge {
+                Some(edge) if packet.connection().is_some() => edge.hear(packet, now),
+                Some(_) => {}
+                None => {
+                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.hear(&packet, now) {
+                        let limits = limits();
+                        self.edge = Some(Connection::new(
+                            (Role::Edge, connection, PREFIX),
+                            terms,
+                            limits.connection,
+                            (limits.reassembly, MemoryBudget::new(10_000_000)),
+                            now,
+                        ));
+                    }
+                }
+            }
+        }
+        let mut out = PREFIX.to_vec();
+        if self.edge.is_none() && self.dialling.fill(&mut out, now) {
+            self.carry(true, self.edge_address, &out);
+        }
+        if let Some(edge) = &mut self.edge {
+            edge.tick(now);
+        }
+        self.cloud.tick(now);
+        loop {
+            out.clear();
+            let Some(batch) = self.edge.as_mut().and_then(|edge| edge.fill(&mut out, 10, now)) else { break };
+            let address = self.edge_address;
+            for datagram in out.clone().chunks(batch.segment) {
+                assert!(datagram.len() <= TERMS.datagram.into());
+                self.carry(true, address, datagram);
+            }
+        }
+        loop {
+            out.clear();
+            let Some((route, batch)) = self.cloud.fill(&mut out, 10, now) else { break };
+            for datagram in out.clone().chunks(batch.segment) {
+                if route.to == self.edge_address {
+                    self.carry(false, route.to, datagram);
+                }
+            }
+        }
+        if let Some(edge) = &mut self.edge {
+            self.events.extend(std::iter::from_fn(|| edge.next_event()));
+        }
+        let cloud = &mut self.cloud;
+        self.arrivals.extend(std::iter::from_fn(|| cloud.next_arrival()).map(|delivery| delivery.arrival));
+    }
+
+    fn steps(&mut self, millis: u64) {
+        (0..millis).for_each(|_| self.step());
+    }
+
+    /// Opens a connection and makes it one with a session.
+    fn open(&mut self) -> ConnectionId {
+        self.send(None, b"hello");
+        for _ in 0..20_000 {
+            self.step();
+            if let Some(Arrival::Message(peer, frames)) = self.arrivals.pop() {
+                assert_eq!(frames, [&b"hello"[..]]);
+                self.cloud.admit(peer.connection);
+                return peer.connection;
+            }
+        }
+        panic!("no hello arrives");
+    }
+
+    fn send(&mut self, tag: Option<u64>, bytes: &[u8]) {
+        for _ in 0..20_000 {
+            if let Some(edge) = &mut self.edge {
+                edge.send(vec![Bytes::copy_from_slice(bytes)], tag, None).expect("there is room");
+                return;
+            }
+            self.step();
+        }
+        panic!("no connection opens");
+    }
+}
+
+fn payload(tag: u64) -> Vec<u8> {
+    let size = [0, 1, 900, 1_100, 5_000, 60_000][tag as usize % 6] + tag as usize;
+    (0..size).map(|i| (i as u64 * 7 + tag) as u8).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+    #[test]
+    fn every_message_arrives_or_is_lost_at_both_ends(
+        loss in 0_u64..30,
+        doubled in 0_u64..20,
+        reordered in 0_u64..40,
+        seed: u64,
+    ) {
+        const MESSAGES: u64 = 30;
+        let mut world = World::new(Weather { loss, doubled, reordered }, seed);
+        let id = world.open();
+        for tag in 0..MESSAGES {
+            world.send(Some(tag), &payload(tag));
+            world.steps(3);
+        }
+        world.steps(8_000);
+        let mut arrived = BTreeSet::new();
+        for arrival in &world.arrivals {
+            match arrival {
+                Arrival::Message(_, frames) => {
+                    let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("as it was sent");
+                    prop_assert!(arrived.insert(tag), "{} twice", tag);
+                }
+                Arrival::Incomplete(_, loss) => prop_assert!(loss.received <= loss.total),
+                other => prop_assert!(false, "{:?}", other),
+            }
+        }
+        let mut lost = BTreeSet::new();
+        for event in &world.events {
+            match event {
+                Event::Lost(loss) => {
+                    prop_assert!(loss.received < loss.total && lost.insert(loss.tag.expect("it has one")));
+                }
+                other => prop_assert!(false, "{:?}", other),
+            }
+        }
+        prop_assert!(arrived.is_disjoint(&lost));
+        prop_assert_eq!(arrived.len() + lost.len(), MESSAGES as usize);
+        prop_assert!(loss > 0 || lost.is_empty());
+        prop_assert_eq!(world.cloud.held_bytes(), 0);
+
+        // The other way, and the goodbye.
+        world.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
+        world.steps(4_000);
+        let answers = world.events.iter().filter(|event| matches!(
+            event, Event::Message(..) | Event::Incomplete(..)
+        )).count();
+        prop_assert_eq!(answers, 1);
+        let now = world.now;
+        world.edge.as_mut().expect("open").close(now);
+        world.steps(8_000);
+        prop_assert_eq!(world.cloud.len(), 0);
+        let gone = world.arrivals.iter().filter(|arrival| matches!(arrival, Arrival::Gone(..))).count();
+        prop_assert_eq!(gone, 1);
+    }
+
+    #[test]
+    fn messages_without_tag_always_arrive_once(loss in 0_u64..25, seed: u64) {
+        let mut world = World::new(Weather { loss, doubled: 5, reordered: 10 }, seed);
+        world.open();
+        for n in 0..10 {
+            world.send(None, &[n]);
+            world.steps(2);
+        }
+        world.steps(15_000);
+        let arrived: BTreeSet<u8> = world.arrivals.iter().filter_map(|arrival| match arrival {
+            Arrival::Message(_, frames) => Some(frames[0][0]),
+            _ => None,
+        }).collect();
+        prop_assert_eq!(arrived.len(), 10);
+        prop_assert_eq!(world.arrivals.iter().filter(|a| matches!(a, Arrival::Message(..))).count(), 10);
+    }
+}
+
+#[test]
+fn silence_ends_connection_at_both_ends() {
+    let mut world = World::new(CALM, 1);
+    let id = world.open();
+    world.steps(7_000);
+    assert!(world.arrivals.is_empty() && world.events.is_empty(), "heartbeats keep it open");
+    world.weather.loss = 100;
+    world.steps(6_000);
+    assert!(matches!(world.arrivals[..], [Arrival::Gone(gone, _)] if gone == id));
+    assert!(matches!(world.events[..], [Event::Gone(_)]));
+}
+
+#[test]
+fn restarted_cloud_says_so() {
+    let mut world = World::new(CALM, 1);
+    world.open();
+    world.cloud = Endpoint::new([8; 32], PREFIX, limits());
+    world.send(Some(1), b"anybody there?");
+    world.steps(20);
+    let [Event::Gone(reason)] = &world.events[..] else { panic!("{:?}", world.events) };
+    assert!(reason.contains("does not know the connection"), "{reason}");
+}
+
+#[test]
+fn peer_that_moves_is_followed_after_it_was_asked() {
+    let mut world = World::new(CALM, 1);
+    let id = world.open();
+    world.edge_address = "192.0.2.77:7".parse().expect("an address");
+    world.send(Some(1), b"from elsewhere");
+    world.steps(30);
+    let moved = world.arrivals.iter().any(
+        |arrival| matches!(arrival, Arrival::Moved(moved, to) if *moved == id && *to == world.edge_address),
+    );
+    assert!(moved, "{:?}", world.arrivals);
+    world.cloud.send(id, vec!["answer".into()], Some(1)).expect("there is room");
+    world.steps(30);
+    assert!(matches!(&world.events[..], [Event::Message(frames, _)] if frames[0] == "answer"));
+}
+
+#[test]
+fn invented_addresses_get_less_than_they_send_and_no_memory() {
+    let mut cloud = Endpoint::new([7; 32], PREFIX, limits());
+    let now = MonoTime::default();
+    let cookie = [9; 16];
+    for n in 0..10_000_u64 {
+        let source = SocketAddr::from(([198, 51, (n / 256) as u8, n as u8], 9));
+        let packets = [
+            Packet::Hello { version: 1, nonce: n, reply_port: 0 },
+            Packet::Open { nonce: n, cookie, reply_port: 0, terms: TERMS },
+            Packet::Ping { connection: n, time: 0, next: n, settled: 0 },
+        ];
+        for packet in packets {
+            let mut body = Vec::new();
+            packet.write(Role::Edge, &mut body);
+            cloud.hear(source, None, &body, now);
+            let mut out = Vec::new();
+            while cloud.fill(&mut out, 10, now).is_some() {}
+            assert!(out.len() <= PREFIX.len() + body.len(), "{packet:?}");
+        }
+    }
+    assert_eq!(cloud.len(), 0);
+}
+
+#[test]
+fn connections_without_session_are_bounded_and_end() {
+    let mut cloud = Endpoint::new([7; 32], PREFIX, limits());
+    let mut now = MonoTime::default();
+    for n in 0..200_u64 {
+        let source = SocketAddr::from(([198, 51, 100, n as u8], 9));
+        let mut dialling = Dialling::new(n, 0, TERMS, PREFIX.len(), now);
+        for _ in 0..2 {
+            let mut out = Vec::new();
+            now = now + Span::from_millis(1);
+            assert!(dialling.fill(&mut out, now));
+            cloud.hear(source, None, &out, now);
+            let mut answer = Vec::new();
+            while let Some((route, batch)) = cloud.fill(&mut answer, 10, now) {
+                let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
+                if route.to == source
+                    && let Ok(packet) = Packet::read(Role::Edge, body)
+                {
+                    dialling.hear(&packet, now);
+                }
+            }
+        }
+        assert!(cloud.len() <= 64);
+    }
+    assert!(cloud.len() >= 16);
+    now = now + Span::from_seconds(6);
+    cloud.tick(now);
+    let mut out = Vec::new();
+    while cloud.fill(&mut out, 10, now).is_some() {}
+    assert_eq!(cloud.len(), 0);
+}
+
+#[test]
+fn large_datagrams_that_do_not_pass_are_given_up() {
+    let mut now = MonoTime::default();
+    let large = Terms { datagram: 8_000, ..TERMS };
+    let mut dialling = Dialling::new(1, 0, large, PREFIX.len(), now);
+    dialling.hear(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
+    let mut lengths = Vec::new();
+    for _ in 0..4 {
+        let mut out = PREFIX.to_vec();
+        now = dialling.next_timer().max(now);
+        assert!(dialling.fill(&mut out, now));
+        lengths.push(out.len());
+    }
+    assert_eq!(lengths, [8_000, 8_000, 8_000, 1_200]);
+}

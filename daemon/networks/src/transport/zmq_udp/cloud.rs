@@ -1,0 +1,158 @@
+//! The cloud's end of all connections of a UDP port.
+
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::BoxFuture;
+use peernet_clock::{MonoTime, Span};
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use super::driver::{Machine, Port};
+use super::radio::PREFIX;
+use super::socket::UdpPort;
+use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
+use crate::descriptors::DescriptorShare;
+use crate::transport::datagram::endpoint::{Delivery, Endpoint, EndpointLimits, Route};
+use crate::transport::datagram::sending::Batch;
+use crate::transport::{
+    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    SendOptions,
+};
+use crate::{Address, SessionSettings};
+
+/// Listens on a port.
+pub(crate) async fn bind(
+    address: &Address,
+    settings: &SessionSettings,
+    ports: NonZeroUsize,
+) -> Result<Bound, BindFailure> {
+    let found = tokio::net::lookup_host(address.authority()).await;
+    let found = found.map_err(|error| BindFailure::Other(error.to_string()))?.next();
+    let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
+    let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| failure(&error))?;
+    let bound = socket.address();
+    let limits = EndpointLimits {
+        connection: connection_limits(settings),
+        reassembly: reassembly_limits(settings),
+        max_unfinished_bytes: settings.max_unfinished_bytes,
+        max_connections: DescriptorShare::DataPort.connections_of_each(ports),
+        hello_timeout: Span::from(settings.hello_timeout()),
+        terms: own_terms(settings, &socket),
+    };
+    let mut secret = [0; 32];
+    secret[..16].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
+    secret[16..].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
+    let machine = CloudEnd { endpoint: Endpoint::new(secret, PREFIX, limits), is_closing: false };
+    let (port, arrivals) = Port::serve(socket, machine, Instant::now());
+    let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
+    let address = address.at_ip(bound.ip(), bound.port());
+    Ok(Bound { address, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
+}
+
+fn failure(error: &io::Error) -> BindFailure {
+    match error.kind() {
+        io::ErrorKind::AddrInUse => BindFailure::InUse,
+        io::ErrorKind::PermissionDenied => BindFailure::Denied,
+        io::ErrorKind::AddrNotAvailable => BindFailure::NotLocal,
+        _ => BindFailure::Other(error.to_string()),
+    }
+}
+
+/// The state machine of a cloud's socket.
+#[derive(Debug)]
+struct CloudEnd {
+    endpoint: Endpoint,
+    is_closing: bool,
+}
+
+impl Machine for CloudEnd {
+    type Delivery = Delivery;
+
+    fn hear(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
+        self.endpoint.hear(source, local, body, now);
+    }
+
+    // Anybody may make the system say so; who is gone is noticed by silence.
+    fn refused(&mut self) {}
+
+    fn tick(&mut self, now: MonoTime) {
+        self.endpoint.tick(now);
+    }
+
+    fn next_timer(&self, now: MonoTime) -> Option<MonoTime> {
+        self.endpoint.next_timer(now)
+    }
+
+    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
+        self.endpoint.fill(out, most, now)
+    }
+
+    fn next_delivery(&mut self) -> Option<Delivery> {
+        self.endpoint.next_arrival()
+    }
+
+    fn close(&mut self, now: MonoTime) {
+        self.is_closing = true;
+        self.endpoint.close(now);
+    }
+
+    fn abandon(&mut self) {
+        self.endpoint.abandon();
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_closing && self.endpoint.is_empty()
+    }
+}
+
+#[derive(Debug)]
+struct UdpCloudSender(Arc<Port<CloudEnd>>);
+
+impl CloudSender for UdpCloudSender {
+    fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
+        self.0.with(|end, _| end.endpoint.send(peer.connection, frames, options.tag))
+    }
+
+    fn greet(&self, connection: ConnectionId) {
+        self.0.with(|end, _| end.endpoint.greet(connection));
+    }
+
+    fn admit(&self, connection: ConnectionId) {
+        self.0.with(|end, _| end.endpoint.admit(connection));
+    }
+
+    fn demote(&self, connection: ConnectionId) {
+        self.0.with(|end, now| end.endpoint.demote(connection, now));
+    }
+}
+
+#[derive(Debug)]
+struct UdpCloudReceiver {
+    port: Arc<Port<CloudEnd>>,
+    arrivals: mpsc::Receiver<Delivery>,
+}
+
+impl Drop for UdpCloudReceiver {
+    fn drop(&mut self) {
+        self.port.abort.cancel();
+    }
+}
+
+impl CloudReceiver for UdpCloudReceiver {
+    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
+        Box::pin(async { self.arrivals.recv().await.map(|delivery| delivery.arrival) })
+    }
+
+    fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
+        Box::pin(async move {
+            // What still arrives is of no use; the task must not wait until it is received.
+            self.arrivals.close();
+            while self.arrivals.try_recv().is_ok() {}
+            self.port.close(linger).await;
+        })
+    }
+}

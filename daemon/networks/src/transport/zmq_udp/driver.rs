@@ -1,0 +1,248 @@
+//! The task of a socket: moves datagrams between it and the state machine of its connections.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use peernet_clock::{MonoTime, Span};
+use tokio::sync::{Notify, mpsc};
+use tokio::time::{Instant, sleep_until, timeout};
+use tokio_util::sync::CancellationToken;
+
+use super::radio;
+use super::socket::{ReceiveBuffers, UdpPort};
+use crate::transport::datagram::endpoint::Route;
+use crate::transport::datagram::sending::Batch;
+
+/// What arrived and waits to be received.
+const MAX_WAITING: usize = 1_024;
+
+/// Batches that are read before something is sent again.
+const READS: usize = 8;
+
+/// The shortest and the longest sleep of the task.
+const SOON: Span = Span::from_millis(1);
+const FAR: Span = Span::from_seconds(3_600);
+
+/// The state machine of a socket.
+pub(super) trait Machine: Send + fmt::Debug + 'static {
+    /// What is handed to the layer above.
+    type Delivery: Send + 'static;
+
+    fn hear(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
+    /// The system says that nobody listens where something was sent to.
+    fn refused(&mut self);
+    fn tick(&mut self, now: MonoTime);
+    fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
+    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)>;
+    fn next_delivery(&mut self) -> Option<Self::Delivery>;
+    /// Begins to say goodbye.
+    fn close(&mut self, now: MonoTime);
+    /// Says goodbye once.
+    fn abandon(&mut self);
+    /// Whether nothing is left to do.
+    fn is_over(&self) -> bool;
+}
+
+/// What senders and the task have in common.
+#[derive(Debug)]
+pub(super) struct Port<M> {
+    pub(super) socket: UdpPort,
+    state: Mutex<State<M>>,
+    /// Tells the task that there is something to do.
+    wake: Notify,
+    /// Cancelled by whoever wants the task to end at once.
+    pub(super) abort: CancellationToken,
+    /// Cancelled by the task when it ends.
+    pub(super) ended: CancellationToken,
+    start: Instant,
+}
+
+#[derive(Debug)]
+struct State<M> {
+    machine: M,
+    out: Vec<u8>,
+    /// What is in `out` because the socket did not take it.
+    blocked: Option<(Route, Batch)>,
+    /// Until when the task sleeps if nothing wakes it.
+    asleep_until: MonoTime,
+}
+
+impl<M: Machine> Port<M> {
+    /// Begins to serve a socket. Time is counted from `start`.
+    pub(super) fn serve(
+        socket: UdpPort,
+        machine: M,
+        start: Instant,
+    ) -> (Arc<Self>, mpsc::Receiver<M::Delivery>) {
+        let port = Arc::new(Self {
+            socket,
+            state: Mutex::new(State {
+                machine,
+                out: Vec::new(),
+                blocked: None,
+                asleep_until: MonoTime::default(),
+            }),
+            wake: Notify::new(),
+            abort: CancellationToken::new(),
+            ended: CancellationToken::new(),
+            start,
+        });
+        let (sender, receiver) = mpsc::channel(MAX_WAITING);
+        tokio::spawn(Arc::clone(&port).run(sender));
+        (port, receiver)
+    }
+
+    /// The time of the machine.
+    pub(super) fn time(&self, at: Instant) -> MonoTime {
+        time_since(self.start, at)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<M>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does something with the machine and sends what can leave.
+    pub(super) fn with<T>(&self, act: impl FnOnce(&mut M, MonoTime) -> T) -> T {
+        let mut state = self.lock();
+        let now = self.time(Instant::now());
+        let result = act(&mut state.machine, now);
+        self.flush(&mut state);
+        // The task sends the rest, and tells of the end. Waking it for nothing would cost more than the message.
+        let next = state.machine.next_timer(now);
+        if state.blocked.is_some() || next.is_none_or(|next| next < state.asleep_until) {
+            self.wake.notify_one();
+        }
+        result
+    }
+
+    /// Says goodbye to all, no longer than `linger`.
+    pub(super) async fn close(&self, linger: Duration) {
+        self.with(|machine, now| machine.close(now));
+        self.wake.notify_one();
+        if timeout(linger, self.ended.cancelled()).await.is_err() {
+            self.abort.cancel();
+            self.ended.cancelled().await;
+        }
+    }
+
+    /// Sends until nothing can leave or the socket takes no more.
+    fn flush(&self, state: &mut State<M>) {
+        let State { machine, out, blocked, .. } = state;
+        loop {
+            let (route, batch) = match blocked.take() {
+                Some(waiting) => waiting,
+                None => {
+                    out.clear();
+                    let now = self.time(Instant::now());
+                    let Some(filled) = machine.fill(out, self.socket.max_segments(), now) else { return };
+                    filled
+                }
+            };
+            match self.socket.try_send(route, out, batch) {
+                Ok(()) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    *blocked = Some((route, batch));
+                    return;
+                }
+                Err(error) => {
+                    if error.kind() == io::ErrorKind::ConnectionRefused {
+                        machine.refused();
+                    }
+                    // Datagrams may be lost anyway; a path that never carries them ends by silence.
+                    tracing::debug!(%error, to = %route.to, "datagrams were not sent");
+                }
+            }
+        }
+    }
+
+    async fn run(self: Arc<Self>, arrivals: mpsc::Sender<M::Delivery>) {
+        let mut buffers = ReceiveBuffers::new();
+        let mut waiting = VecDeque::new();
+        loop {
+            let (next, is_blocked, is_over) = {
+                let mut state = self.lock();
+                let now = self.time(Instant::now());
+                state.machine.tick(now);
+                self.flush(&mut state);
+                while let Some(delivery) = state.machine.next_delivery() {
+                    waiting.push_back(delivery);
+                }
+                let now = self.time(Instant::now());
+                // No earlier than the timers of the runtime can tell apart, and no later than an hour.
+                let next = state.machine.next_timer(now).unwrap_or(now + FAR).clamp(now + SOON, now + FAR);
+                state.asleep_until = next;
+                (
+                    self.start + (next - MonoTime::default()).to_duration(),
+                    state.blocked.is_some(),
+                    state.machine.is_over(),
+                )
+            };
+            while !waiting.is_empty()
+                && let Ok(permit) = arrivals.try_reserve()
+                && let Some(delivery) = waiting.pop_front()
+            {
+                permit.send(delivery);
+            }
+            if is_over && waiting.is_empty() {
+                break;
+            }
+            tokio::select! {
+                () = self.abort.cancelled() => break,
+                // What is not taken stays in the kernel, which drops what has no room there.
+                result = self.socket.readable(), if waiting.is_empty() && !is_over => {
+                    if let Err(error) = result {
+                        tracing::debug!(%error, "a socket told of an error");
+                        if error.kind() == io::ErrorKind::ConnectionRefused {
+                            self.lock().machine.refused();
+                        }
+                    }
+                    self.read(&mut buffers);
+                }
+                _ = self.socket.writable(), if is_blocked => {}
+                permit = arrivals.reserve(), if !waiting.is_empty() => match permit {
+                    Ok(permit) => if let Some(delivery) = waiting.pop_front() {
+                        permit.send(delivery);
+                    },
+                    // Nobody receives any more.
+                    Err(_) => waiting.clear(),
+                },
+                () = self.wake.notified() => {}
+                () = sleep_until(next) => {}
+            }
+        }
+        let mut state = self.lock();
+        state.machine.abandon();
+        state.blocked = None;
+        self.flush(&mut state);
+        drop(state);
+        self.ended.cancel();
+    }
+
+    fn read(&self, buffers: &mut ReceiveBuffers) {
+        let mut state = self.lock();
+        for _ in 0..READS {
+            let now = self.time(Instant::now());
+            let machine = &mut state.machine;
+            let received = self.socket.try_receive(buffers, |source, local, datagram| {
+                // Of another group, or of another program.
+                let body = radio::body(datagram).unwrap_or_default();
+                machine.hear(source, local, body, now);
+            });
+            match received {
+                Ok(()) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => machine.refused(),
+                Err(error) => tracing::debug!(%error, "a socket told of an error"),
+            }
+        }
+    }
+}
+
+/// The time of a machine whose time began at `start`.
+pub(super) fn time_since(start: Instant, at: Instant) -> MonoTime {
+    MonoTime::default() + Span::from(at.saturating_duration_since(start))
+}

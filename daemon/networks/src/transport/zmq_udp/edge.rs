@@ -1,0 +1,234 @@
+//! The edge's end of a connection over UDP.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::BoxFuture;
+use peernet_clock::MonoTime;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until};
+
+use super::driver::{Machine, Port, time_since};
+use super::radio::{self, PREFIX};
+use super::socket::{ReceiveBuffers, UdpPort};
+use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
+use crate::transport::datagram::connection::{Connection, Event};
+use crate::transport::datagram::endpoint::Route;
+use crate::transport::datagram::handshake::{Dialled as Answer, Dialling};
+use crate::transport::datagram::packet::{Packet, Role, Terms};
+use crate::transport::datagram::sending::Batch;
+use crate::transport::memory::{MemoryBudget, Reservation};
+use crate::transport::{
+    DialFailure, Dialled, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
+    SendOptions,
+};
+use crate::{Address, SessionSettings};
+
+/// Largest unfinished messages of the cloud that are held at once.
+const UNFINISHED_MESSAGES: u64 = 4;
+
+/// Opens a virtual connection to a cloud's port.
+pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Result<Dialled, DialFailure> {
+    let found = tokio::net::lookup_host(address.authority()).await;
+    let found = found.map_err(|error| unreachable(&error))?.next();
+    let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
+    let any = match peer.ip() {
+        IpAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+        IpAddr::V6(_) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
+    };
+    let socket = UdpPort::bind(SocketAddr::new(any, 0), socket_bytes(settings));
+    let socket = socket.map_err(|error| unreachable(&error))?;
+    socket.report_errors().map_err(|error| unreachable(&error))?;
+    let start = Instant::now();
+    let (id, terms) = open(&socket, peer, own_terms(settings, &socket), start).await?;
+    let largest = u64::from(reassembly_limits(settings).max_message_bytes);
+    let budget = MemoryBudget::new(largest.saturating_mul(UNFINISHED_MESSAGES));
+    let now = time_since(start, Instant::now());
+    let connection = Connection::new(
+        (Role::Edge, id, PREFIX),
+        terms,
+        connection_limits(settings),
+        (reassembly_limits(settings), budget),
+        now,
+    );
+    let (port, arrivals) =
+        Port::serve(socket, EdgeEnd { peer, id, connection, garbage: VecDeque::new() }, start);
+    let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
+    Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }) })
+}
+
+fn unreachable(error: &io::Error) -> DialFailure {
+    DialFailure::Unreachable(error.to_string().to_lowercase())
+}
+
+/// Shakes hands until the cloud has opened a connection.
+async fn open(
+    socket: &UdpPort,
+    peer: SocketAddr,
+    terms: Terms,
+    start: Instant,
+) -> Result<(u64, Terms), DialFailure> {
+    let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
+    let mut dialling = Dialling::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
+    let mut buffers = ReceiveBuffers::new();
+    let (route, mut out) = (Route { to: peer, from: None }, Vec::new());
+    loop {
+        let now = time_since(start, Instant::now());
+        out.clear();
+        out.extend_from_slice(PREFIX);
+        if dialling.fill(&mut out, now) {
+            let batch = Batch { segment: out.len(), count: 1 };
+            match socket.try_send(route, &out, batch) {
+                // It is sent again if it does not arrive.
+                Ok(()) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Err(unreachable(&error)),
+            }
+        }
+        let next = start + Duration::from_nanos(u64::try_from(dialling.next_timer().nanos()).unwrap_or(0));
+        tokio::select! {
+            result = socket.readable() => result.map_err(|error| unreachable(&error))?,
+            () = sleep_until(next) => continue,
+        }
+        let mut answer = None;
+        let received = socket.try_receive(&mut buffers, |source, _, datagram| {
+            if source.ip() != peer.ip() {
+                return;
+            }
+            if let Some(Ok(packet)) = radio::body(datagram).map(|body| Packet::read(Role::Edge, body)) {
+                answer = answer.or(dialling.hear(&packet, time_since(start, Instant::now())));
+            }
+        });
+        match received {
+            Ok(()) => {}
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(unreachable(&error)),
+        }
+        match answer {
+            Some(Answer::Opened { connection, terms }) => return Ok((connection, terms)),
+            Some(Answer::Refused) => {
+                return Err(DialFailure::Unreachable("it has too many connections already".into()));
+            }
+            None => {}
+        }
+    }
+}
+
+/// The state machine of an edge's socket.
+#[derive(Debug)]
+struct EdgeEnd {
+    peer: SocketAddr,
+    id: u64,
+    connection: Connection,
+    garbage: VecDeque<String>,
+}
+
+/// Most of what makes no sense that waits to be told.
+const MAX_GARBAGE: usize = 64;
+
+impl Machine for EdgeEnd {
+    type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
+
+    fn hear(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
+        // A RADIO socket sends from a port of its own.
+        if source.ip() != self.peer.ip() {
+            return;
+        }
+        match Packet::read(Role::Edge, body) {
+            Ok(packet) if packet.connection() == Some(self.id) => self.connection.hear(packet, now),
+            // An answer to the handshake that was sent twice, or what was meant for an earlier socket at this port.
+            Ok(_) => {}
+            Err(error) if self.garbage.len() < MAX_GARBAGE => self.garbage.push_back(error.to_string()),
+            Err(_) => {}
+        }
+    }
+
+    fn refused(&mut self) {
+        self.connection.end("nobody listens at the peer's port any more");
+    }
+
+    fn tick(&mut self, now: MonoTime) {
+        self.connection.tick(now);
+    }
+
+    fn next_timer(&self, now: MonoTime) -> Option<MonoTime> {
+        (!self.connection.is_closed()).then(|| self.connection.next_timer(now))
+    }
+
+    fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
+        let batch = self.connection.fill(out, most, now)?;
+        Some((Route { to: self.peer, from: None }, batch))
+    }
+
+    fn next_delivery(&mut self) -> Option<Self::Delivery> {
+        if let Some(problem) = self.garbage.pop_front() {
+            return Some((Ok(EdgeArrival::Garbage(problem)), None));
+        }
+        Some(match self.connection.next_event()? {
+            Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), Some(reserved)),
+            Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), None),
+            Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), None),
+            Event::Garbage(problem) => (Ok(EdgeArrival::Garbage(problem)), None),
+            Event::Gone(reason) => (Err(Disconnected(reason)), None),
+        })
+    }
+
+    fn close(&mut self, now: MonoTime) {
+        self.connection.close(now);
+    }
+
+    fn abandon(&mut self) {
+        if !self.connection.is_closed() {
+            self.connection.abandon();
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.connection.is_closed()
+    }
+}
+
+#[derive(Debug)]
+struct UdpEdgeSender(Arc<Port<EdgeEnd>>);
+
+impl EdgeSender for UdpEdgeSender {
+    fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
+        let deadline = options.deadline.map(|deadline| self.0.time(deadline));
+        self.0.with(|end, _| end.connection.send(frames, options.tag, deadline))
+    }
+}
+
+#[derive(Debug)]
+struct UdpEdgeReceiver {
+    port: Arc<Port<EdgeEnd>>,
+    arrivals: mpsc::Receiver<<EdgeEnd as Machine>::Delivery>,
+}
+
+impl Drop for UdpEdgeReceiver {
+    fn drop(&mut self) {
+        self.port.abort.cancel();
+    }
+}
+
+impl EdgeReceiver for UdpEdgeReceiver {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
+        Box::pin(async {
+            match self.arrivals.recv().await {
+                Some((arrival, _reserved)) => arrival,
+                None => Err(Disconnected("the connection was closed here".into())),
+            }
+        })
+    }
+
+    fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
+        Box::pin(async move {
+            // What still arrives is of no use; the task must not wait until it is received.
+            self.arrivals.close();
+            while self.arrivals.try_recv().is_ok() {}
+            self.port.close(linger).await;
+        })
+    }
+}

@@ -1,0 +1,64 @@
+//! `zmq-udp`: datagrams in the framing of libzmq's RADIO and DISH sockets, over UDP.
+//!
+//! The protocol between the two ends is [`datagram`](super::datagram); here are the framing ([`radio`]), the socket
+//! ([`socket`]) and the task that serves it ([`driver`]). Both ends have one socket. A peer made of libzmq's sockets
+//! has two, and says in its hello at which port its DISH listens.
+
+mod cloud;
+mod driver;
+mod edge;
+mod radio;
+mod socket;
+
+pub(crate) use cloud::bind;
+pub(crate) use edge::dial;
+
+use peernet_clock::Span;
+
+use self::radio::MAX_DATAGRAM_BYTES;
+use self::socket::UdpPort;
+use super::datagram::MIN_DATAGRAM_BYTES;
+use super::datagram::connection::ConnectionLimits;
+use super::datagram::packet::Terms;
+use super::datagram::reassembly::ReassemblyLimits;
+use super::datagram::sending::QueueLimits;
+use crate::SessionSettings;
+use crate::message::MAX_FRAMES;
+
+/// Bytes of the lengths of a message's frames.
+const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;
+
+fn largest_message(settings: &SessionSettings) -> u32 {
+    u32::try_from(settings.max_message_bytes).unwrap_or(u32::MAX).saturating_add(FRAME_TABLE_BYTES)
+}
+
+fn reassembly_limits(settings: &SessionSettings) -> ReassemblyLimits {
+    ReassemblyLimits {
+        max_message_bytes: largest_message(settings),
+        max_unfinished_messages: settings.max_in_flight as usize + 16,
+        timeout: Span::from(settings.reassembly_timeout()),
+        idle_timeout: Span::from(settings.heartbeat_timeout()),
+    }
+}
+
+fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
+    ConnectionLimits {
+        heartbeat_interval: Span::from(settings.heartbeat_interval()),
+        heartbeat_timeout: Span::from(settings.heartbeat_timeout()),
+        // Places for every request in flight, and for the few messages that open and close a session.
+        queue: QueueLimits {
+            messages: settings.max_in_flight as usize + 16,
+            bytes: u64::from(largest_message(settings)),
+        },
+        bits_per_second: (settings.max_send_bits_per_second > 0).then_some(settings.max_send_bits_per_second),
+    }
+}
+
+fn own_terms(settings: &SessionSettings, socket: &UdpPort) -> Terms {
+    let datagram = u16::try_from(settings.datagram_bytes).unwrap_or(MAX_DATAGRAM_BYTES);
+    Terms { window: socket.window(), datagram: datagram.clamp(MIN_DATAGRAM_BYTES, MAX_DATAGRAM_BYTES) }
+}
+
+fn socket_bytes(settings: &SessionSettings) -> usize {
+    usize::try_from(settings.socket_buffer_bytes).unwrap_or(usize::MAX)
+}

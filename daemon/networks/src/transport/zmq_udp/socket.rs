@@ -1,0 +1,176 @@
+//! A UDP socket that sends and receives many datagrams with one system call.
+
+use std::io::{self, IoSliceMut};
+use std::net::{IpAddr, SocketAddr};
+
+use quinn_udp::{RecvMeta, Transmit, UdpSocketState};
+use socket2::{Domain, SockRef, Socket, Type};
+use tokio::io::Interest;
+use tokio::net::UdpSocket;
+
+use crate::transport::datagram::endpoint::Route;
+use crate::transport::datagram::sending::Batch;
+
+/// Buffers that one system call fills.
+const BUFFERS: usize = 8;
+
+/// Bytes of each: the kernel joins datagrams of one sender up to 64 KiB.
+const BUFFER_BYTES: usize = 64 * 1024;
+
+/// A socket.
+pub(super) struct UdpPort {
+    socket: UdpSocket,
+    state: UdpSocketState,
+    address: SocketAddr,
+    /// Bytes of the kernel's receive buffer, its own overhead included.
+    receive_buffer: usize,
+}
+
+/// Memory for what is received.
+pub(super) struct ReceiveBuffers(Vec<u8>);
+
+impl ReceiveBuffers {
+    pub(super) fn new() -> Self {
+        Self(vec![0; BUFFERS * BUFFER_BYTES])
+    }
+}
+
+impl std::fmt::Debug for UdpPort {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("UdpPort").field("address", &self.address).finish()
+    }
+}
+
+impl UdpPort {
+    /// A socket at an address of this machine, with buffers of so many bytes if the system allows.
+    ///
+    /// # Errors
+    /// When the port is taken or the address is not this machine's.
+    pub(super) fn bind(address: SocketAddr, buffer_bytes: usize) -> io::Result<Self> {
+        let socket = Socket::new(Domain::for_address(address), Type::DGRAM, None)?;
+        socket.bind(&address.into())?;
+        socket.set_nonblocking(true)?;
+        let socket = UdpSocket::from_std(socket.into())?;
+        let state = UdpSocketState::new((&socket).into())?;
+        let options = SockRef::from(&socket);
+        options.set_recv_buffer_size(buffer_bytes)?;
+        options.set_send_buffer_size(buffer_bytes)?;
+        // Linux sets twice what is asked for, as its own overhead counts (socket(7)).
+        let receive_buffer = options.recv_buffer_size()?;
+        let address = socket.local_addr()?;
+        for (got, key) in
+            [(receive_buffer, "net.core.rmem_max"), (options.send_buffer_size()?, "net.core.wmem_max")]
+        {
+            if got / 2 < buffer_bytes {
+                tracing::warn!(
+                    %address,
+                    wanted_bytes = buffer_bytes,
+                    got_bytes = got / 2,
+                    "the system caps the buffers of UDP sockets: fast senders may lose messages; run `sysctl -w \
+                     {key}={buffer_bytes}` or set socket_buffer_bytes lower"
+                );
+            }
+        }
+        Ok(Self { socket, state, address, receive_buffer })
+    }
+
+    /// Asks the system to say when nobody listens where something was sent to.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(super) fn report_errors(&self) -> io::Result<()> {
+        self.state.enable_transport_errors((&self.socket).into())
+    }
+
+    /// Where it is bound, with the real port.
+    pub(super) const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Bytes that may be on their way to it: a quarter of the kernel's buffer, in which small datagrams take up to
+    /// four times their size.
+    pub(super) fn window(&self) -> u32 {
+        u32::try_from(self.receive_buffer / 4).unwrap_or(u32::MAX)
+    }
+
+    /// Datagrams of equal length that one system call sends.
+    pub(super) fn max_segments(&self) -> usize {
+        self.state.max_gso_segments()
+    }
+
+    /// Sends datagrams that follow each other in `contents`, without waiting.
+    ///
+    /// # Errors
+    /// `WouldBlock` when the socket takes nothing more now.
+    pub(super) fn try_send(&self, route: Route, contents: &[u8], batch: Batch) -> io::Result<()> {
+        let transmit = Transmit {
+            destination: route.to,
+            ecn: None,
+            contents,
+            segment_size: (batch.count > 1).then_some(batch.segment),
+            src_ip: route.from,
+        };
+        self.socket.try_io(Interest::WRITABLE, || self.state.try_send((&self.socket).into(), &transmit))
+    }
+
+    /// Receives what is there, without waiting: calls `each` for every datagram, with where it came from and the
+    /// address of this machine that it came to.
+    ///
+    /// # Errors
+    /// `WouldBlock` when nothing is there; else what an earlier datagram met on its way.
+    pub(super) fn try_receive(
+        &self,
+        buffers: &mut ReceiveBuffers,
+        mut each: impl FnMut(SocketAddr, Option<IpAddr>, &[u8]),
+    ) -> io::Result<()> {
+        let mut meta = [RecvMeta::default(); BUFFERS];
+        let count = self.socket.try_io(Interest::READABLE, || {
+            let mut chunks = buffers.0.chunks_exact_mut(BUFFER_BYTES);
+            let mut slices: [IoSliceMut<'_>; BUFFERS] =
+                std::array::from_fn(|_| IoSliceMut::new(chunks.next().unwrap_or_default()));
+            self.state.recv((&self.socket).into(), &mut slices, &mut meta)
+        })?;
+        for (meta, buffer) in meta.iter().zip(buffers.0.chunks_exact(BUFFER_BYTES)).take(count) {
+            if meta.len == 0 {
+                each(meta.addr, meta.dst_ip, &[]);
+            }
+            // Several of one sender come as one, all but the last of equal length.
+            for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
+                each(meta.addr, meta.dst_ip, datagram);
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until something may be there.
+    ///
+    /// # Errors
+    /// When the system says that nobody listens where something was sent to.
+    pub(super) async fn readable(&self) -> io::Result<()> {
+        let ready = self.socket.ready(Interest::READABLE | Interest::ERROR).await?;
+        if !ready.is_error() {
+            return Ok(());
+        }
+        let mut refusal = None;
+        // All of them: the socket counts as in error until none is left.
+        let drained: io::Result<()> = self.socket.try_io(Interest::ERROR, || {
+            while let Some(told) = self.state.recv_transport_error((&self.socket).into())? {
+                let error = io::Error::from_raw_os_error(told.raw_errno);
+                // Routes come back; a port that is closed does not by itself.
+                refusal =
+                    refusal.take().or((error.kind() == io::ErrorKind::ConnectionRefused).then_some(error));
+            }
+            Err(io::ErrorKind::WouldBlock.into())
+        });
+        match (refusal, drained) {
+            (Some(error), _) => Err(error),
+            (None, Err(error)) if error.kind() != io::ErrorKind::WouldBlock => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Waits until something can be sent.
+    pub(super) async fn writable(&self) -> io::Result<()> {
+        self.socket.writable().await
+    }
+}

@@ -1,0 +1,204 @@
+//! What is particular to `zmq-udp`: lost, doubled and reordered datagrams, strangers, large messages.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_networks::{CloseReason, Incoming, NetworkKind, RequestError, Session, SessionSettings};
+use peernet_sample::{Description, Sample};
+use tokio::net::UdpSocket;
+use tokio::task::JoinSet;
+
+use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, settings, within};
+use crate::udp_relay::{UdpRelay, Weather};
+
+fn payload(size: usize, seed: usize) -> Bytes {
+    (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
+}
+
+fn sample_of(bytes: Bytes) -> Sample {
+    Sample::of(Description::bytes(), bytes)
+}
+
+/// Answers every request with its own sample, until it is dropped.
+fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
+    tokio::spawn(async move {
+        while let Some(incoming) = cloud.listener.next().await {
+            match incoming {
+                Incoming::Open(open) => assert!(open.accept(accepted(cloud.host))),
+                Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
+                Incoming::Closed { .. } => {}
+            }
+        }
+    })
+}
+
+/// Sends samples of so many bytes, `parallel` at a time. Returns how many were answered and how many were lost; all else
+/// fails.
+async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
+    let places = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
+    let mut tasks = JoinSet::new();
+    for (n, size) in sizes.into_iter().enumerate() {
+        let (session, places) = (session.clone(), places.clone());
+        tasks.spawn(async move {
+            let _place = places.acquire().await.expect("open");
+            let sent = sample_of(payload(size, n));
+            let exchange = session.request(log(), &sent, PATIENCE).await;
+            match exchange.result {
+                Ok(answer) => {
+                    assert_eq!(answer, sent);
+                    true
+                }
+                Err(RequestError::Lost(reason)) => {
+                    assert!(reason.contains("on the way") && reason.contains("arrived"), "{reason}");
+                    false
+                }
+                Err(other) => panic!("{other}"),
+            }
+        });
+    }
+    let outcomes = tokio::time::timeout(4 * PATIENCE, tasks.join_all()).await.expect("the test hangs");
+    let answered = outcomes.iter().filter(|answered| **answered).count();
+    (answered, outcomes.len() - answered)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn payloads_of_all_sizes_come_back_whole() {
+    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let address = cloud.address();
+    let _echo = echo_all(cloud);
+    for datagram_bytes in [1_200, 8_192] {
+        let settings = SessionSettings { datagram_bytes, ..settings() };
+        let session = open(&address, hello(), settings).await.expect("accepted");
+        let sizes = vec![0, 1, 1_000, 60_000, 1_200_000, 20_000_000];
+        let (answered, lost) = exchange_all(&session, sizes, 1).await;
+        // Nothing is dropped on loopback while the socket's buffer holds what is on its way.
+        assert_eq!((answered, lost), (6, 0), "{datagram_bytes}");
+        within(session.close()).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn answered_and_lost_are_all_that_was_sent() {
+    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let weather = Weather { loss: 2, doubled: 2, delayed: 5 };
+    let relay = UdpRelay::before(&cloud.address(), weather, 2_026).await;
+    let _echo = echo_all(cloud);
+    let session = open(&relay.address, hello(), settings()).await.expect("accepted");
+    let sizes = (0..300).map(|n| [0, 1, 1_000, 20_000][n % 4]).collect();
+    let (answered, lost) = exchange_all(&session, sizes, 8).await;
+    assert_eq!(answered + lost, 300);
+    assert!(answered > 150 && lost > 10, "{answered} answered, {lost} lost");
+    let statistics = session.statistics();
+    assert_eq!((statistics.lost_messages, statistics.late_messages), (lost as u64, 0));
+    within(session.close()).await;
+    assert_eq!(within(session.closed()).await, CloseReason::Local);
+}
+
+#[tokio::test]
+async fn cut_path_ends_session_and_next_one_works() {
+    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
+    let edge = tokio::spawn({
+        let (address, quick) = (relay.address.clone(), quick.clone());
+        async move { open(&address, hello(), quick).await }
+    });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    echo(&mut cloud, &session, "the path works").await;
+    let pending = request(&session, "the path is cut", PATIENCE);
+    let _unanswered = cloud.next_request().await;
+    relay.cut();
+    let exchange = within(pending).await.expect("no panic");
+    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
+    relay.mend();
+    let edge = tokio::spawn({
+        let address = relay.address.clone();
+        async move { open(&address, hello(), quick).await }
+    });
+    loop {
+        match cloud.next().await {
+            Incoming::Open(wish) => break assert!(wish.accept(accepted(cloud.host))),
+            Incoming::Closed { .. } => {}
+            Incoming::Request(request) => panic!("{request:?}"),
+        }
+    }
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    let pending = request(&session, "again", PATIENCE);
+    loop {
+        match cloud.next().await {
+            Incoming::Request(request) => break request.reply.send(request.log, Ok(request.sample)),
+            Incoming::Closed { .. } => {}
+            Incoming::Open(wish) => panic!("{wish:?}"),
+        }
+    }
+    assert!(within(pending).await.expect("no panic").result.is_ok());
+}
+
+#[tokio::test]
+async fn restarted_cloud_is_noticed_by_next_request() {
+    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let edge = tokio::spawn({
+        let address = relay.address.clone();
+        async move { open(&address, hello(), settings()).await }
+    });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    // The goodbye of the old one does not pass.
+    relay.cut();
+    let address = cloud.address();
+    drop(cloud);
+    within(relay.dropped()).await;
+    while std::net::UdpSocket::bind(address.authority()).is_err() {
+        tokio::task::yield_now().await;
+    }
+    let _cloud = Cloud::start_at(&address.to_string(), settings()).await;
+    relay.mend();
+    let exchange = within(request(&session, "who are you?", PATIENCE)).await.expect("no panic");
+    let Err(RequestError::Lost(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
+    assert!(reason.contains("restarted"), "{reason}");
+}
+
+#[tokio::test]
+async fn garbage_is_counted_and_harms_nothing() {
+    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let (session, _) = cloud.session(settings()).await;
+    let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
+    stranger.connect(cloud.address().authority()).await.expect("an address");
+    let mut sent = 0;
+    for bytes in [&b""[..], b"\x07peernet", b"\x07peernet\x05", b"\x03abcdef", &[0xff; 1_200]] {
+        for _ in 0..20 {
+            stranger.send(bytes).await.expect("sent");
+            sent += 1;
+        }
+    }
+    echo(&mut cloud, &session, "all is well").await;
+    assert_eq!(cloud.listener.statistics().malformed_messages, sent);
+}
+
+#[tokio::test]
+async fn small_socket_buffers_lose_messages_but_no_count() {
+    let small = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
+    let cloud = Cloud::start_at("udp://127.0.0.1:0", small.clone()).await;
+    let address = cloud.address();
+    let _echo = echo_all(cloud);
+    let session = open(&address, hello(), small).await.expect("accepted");
+    let (answered, lost) = exchange_all(&session, vec![300_000; 20], 4).await;
+    assert_eq!(answered + lost, 20);
+}
+
+#[tokio::test]
+async fn configured_rate_is_kept() {
+    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let address = cloud.address();
+    let _echo = echo_all(cloud);
+    let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
+    let session = open(&address, hello(), slow).await.expect("accepted");
+    let begin = tokio::time::Instant::now();
+    let exchange = within(session.request(log(), &sample_of(payload(300_000, 1)), PATIENCE)).await;
+    assert!(exchange.result.is_ok(), "{:?}", exchange.result);
+    let taken = begin.elapsed();
+    assert!(taken >= Duration::from_millis(290), "300 kB at 1 MB/s took {taken:?}");
+}

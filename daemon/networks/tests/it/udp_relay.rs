@@ -1,0 +1,124 @@
+//! A relay in front of a cloud's UDP port that drops, doubles and delays datagrams by a seed.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use peernet_networks::Address;
+use socket2::SockRef;
+use tokio::net::UdpSocket;
+use tokio::task::JoinHandle;
+
+/// What becomes of datagrams. Percent.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Weather {
+    pub(crate) loss: u64,
+    pub(crate) doubled: u64,
+    pub(crate) delayed: u64,
+}
+
+/// A relay for one edge; it ends when it is dropped.
+pub(crate) struct UdpRelay {
+    pub(crate) address: Address,
+    loss: Arc<AtomicU64>,
+    dropped: Arc<AtomicU64>,
+    task: JoinHandle<()>,
+}
+
+impl Drop for UdpRelay {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn socket() -> Arc<UdpSocket> {
+    let socket = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
+    SockRef::from(&socket).set_recv_buffer_size(4 << 20).expect("a buffer");
+    Arc::new(socket)
+}
+
+impl UdpRelay {
+    pub(crate) async fn before(cloud: &Address, weather: Weather, seed: u64) -> Self {
+        let (front, back) = (socket().await, socket().await);
+        let address = format!("udp://{}", front.local_addr().expect("bound"));
+        back.connect(cloud.authority()).await.expect("an address");
+        let loss = Arc::new(AtomicU64::new(weather.loss));
+        let dropped = Arc::new(AtomicU64::new(0));
+        let counts = (Arc::clone(&loss), Arc::clone(&dropped));
+        let task = tokio::spawn(carry(front, back, weather, counts, seed | 1));
+        Self { address: address.parse().expect("an address"), loss, dropped, task }
+    }
+
+    /// From now on nothing passes, as after a pulled cable.
+    pub(crate) fn cut(&self) {
+        self.loss.store(100, Ordering::Relaxed);
+    }
+
+    /// Waits until something did not pass.
+    pub(crate) async fn dropped(&self) {
+        while self.dropped.load(Ordering::Relaxed) == 0 {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    /// Everything passes again.
+    pub(crate) fn mend(&self) {
+        self.loss.store(0, Ordering::Relaxed);
+    }
+}
+
+async fn carry(
+    front: Arc<UdpSocket>,
+    back: Arc<UdpSocket>,
+    weather: Weather,
+    (loss, dropped): (Arc<AtomicU64>, Arc<AtomicU64>),
+    mut random: u64,
+) {
+    let mut edge: Option<SocketAddr> = None;
+    let (mut up, mut down) = (vec![0; 65_536], vec![0; 65_536]);
+    loop {
+        let (datagram, to) = tokio::select! {
+            Ok((length, from)) = front.recv_from(&mut up) => {
+                edge = Some(from);
+                (&up[..length], None)
+            }
+            Ok(length) = back.recv(&mut down) => {
+                let Some(edge) = edge else { continue };
+                (&down[..length], Some(edge))
+            }
+            // The port of a cloud that is gone answers with errors.
+            else => continue,
+        };
+        let mut chance = |percent: u64| {
+            random ^= random << 13;
+            random ^= random >> 7;
+            random ^= random << 17;
+            random % 100 < percent
+        };
+        if chance(loss.load(Ordering::Relaxed)) {
+            dropped.fetch_add(1, Ordering::Relaxed);
+            continue;
+        }
+        let copies = if chance(weather.doubled) { 2 } else { 1 };
+        let is_delayed = chance(weather.delayed);
+        for _ in 0..copies {
+            let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
+            let pass = async move {
+                // What the sockets do not take is lost, as on a real path.
+                let _ = match to {
+                    Some(edge) => front.send_to(&datagram, edge).await,
+                    None => back.send(&datagram).await,
+                };
+            };
+            if is_delayed {
+                tokio::spawn(async move {
+                    tokio::time::sleep(Duration::from_millis(10)).await;
+                    pass.await;
+                });
+            } else {
+                pass.await;
+            }
+        }
+    }
+}
