@@ -6,7 +6,6 @@ mod time;
 use std::collections::HashSet;
 use std::fmt;
 use std::io;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -93,6 +92,9 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.unless_ok("agent.state_dir", usable(&config.agent.state_dir, "state_dir"));
     report.unless_ok("agent.state_dir", existing_id(&config.agent.state_dir));
     report.unless_ok("agent.state_dir", existing_secret(&config.agent.state_dir));
+    if let Some(aggregator) = &config.agent.aggregator {
+        report.unless_ok("agent.aggregator", aggregator.check_event_stream());
+    }
     check_host(&mut report, &config.agent);
     spool::check_spool(&mut report, config);
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
@@ -167,9 +169,8 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
 }
 
 fn check_listen(report: &mut Report, address: &Address) {
-    let (host, port) = (address.host(), address.port());
     // A port in use is not wrong in itself: this may be the check of an agent that is running. Starting tells.
-    if let Err(error) = TcpListener::bind((host.as_str(), port))
+    if let Err(error) = address.network().try_bind(address)
         && error.kind() != io::ErrorKind::AddrInUse
     {
         let everywhere = format!("use {}://0.0.0.0:… for all addresses of this machine", address.scheme());

@@ -110,7 +110,10 @@ fn outside(value: u64, least: u64, most: u64) -> Option<String> {
 }
 
 fn wrong_address(address: &str) -> Option<String> {
-    address.parse::<Address>().err().map(|error| error.to_string())
+    match address.parse::<Address>() {
+        Ok(address) => address.check_event_stream().err().map(|error| error.to_string()),
+        Err(error) => Some(error.to_string()),
+    }
 }
 
 /// The file, or the nearest folder above it that exists, must be writable.

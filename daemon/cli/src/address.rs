@@ -59,6 +59,6 @@ mod tests {
         for zoned in ["fe80::1%lo", "[fe80::1%lo]:8", "tcp://fe80::1%eth0"] {
             assert_eq!(read(zoned), Err(AddressError::Zone), "{zoned}");
         }
-        assert!(read("udp://cloud").is_err() && read("a b").is_err() && read("").is_err());
+        assert!(read("pgm://cloud").is_err() && read("a b").is_err() && read("").is_err());
     }
 }

@@ -89,7 +89,6 @@ async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
     cloud.stop().await.expect("stops well");
 }
 
-/// With a single network there is nothing to disagree about; each further one is checked against all others.
 #[test]
 fn networks_that_disagree_with_their_addresses_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
@@ -120,4 +119,16 @@ fn networks_that_disagree_with_their_addresses_are_refused() {
             }
         }
     }
+}
+
+#[test]
+fn event_stream_over_another_network_is_refused() {
+    let state = tempfile::tempdir().expect("a folder");
+    let mut config = config("");
+    config.agent.state_dir = state.path().to_owned();
+    config.agent.aggregator = Some("udp://127.0.0.1:5550".parse().expect("an address"));
+    let found = peernet_agent::Agent::check(&config, &clock("system"));
+    let expected = "agent.aggregator: the event stream goes over zmq-tcp, but udp://127.0.0.1:5550 is an address of zmq-udp; \
+                    write tcp://host:port";
+    assert!(found.iter().any(|problem| problem.to_string() == expected), "{expected} in {found:#?}");
 }

@@ -106,6 +106,11 @@ pub struct NetworkMismatch {
     pub address: Address,
 }
 
+/// An address of a network that does not carry the event stream between agent and aggregator.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the event stream goes over {default}, but {0} is an address of {network}; write {form}", default = NetworkKind::default(), network = .0.network(), form = forms_of(&[NetworkKind::default()]))]
+pub struct NoEventStream(pub Address);
+
 impl Address {
     /// The address of an IP address and a port: `tcp://…`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
@@ -137,6 +142,14 @@ impl Address {
             Some(named) if named != self.network() => Err(NetworkMismatch { named, address: self.clone() }),
             _ => Ok(()),
         }
+    }
+
+    /// Checks that the event stream between agent and aggregator can go over this address's network.
+    ///
+    /// # Errors
+    /// When it cannot.
+    pub fn check_event_stream(&self) -> Result<(), NoEventStream> {
+        if self.network() == NetworkKind::default() { Ok(()) } else { Err(NoEventStream(self.clone())) }
     }
 
     /// The host, without brackets.

@@ -11,10 +11,11 @@ mod zmq_tcp;
 mod zmq_udp;
 pub mod zmtp;
 
-pub use address::{Address, InvalidAddress, NetworkMismatch};
+pub use address::{Address, InvalidAddress, NetworkMismatch, NoEventStream};
 pub use address_group::AddressGroup;
 
 use std::fmt;
+use std::io;
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::time::Duration;
@@ -51,6 +52,14 @@ macro_rules! networks {
             /// for an address without one.
             pub const fn schemes(self) -> &'static [&'static str] {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
+            }
+
+            /// Binds a socket at an address of this network and closes it again. Blocks.
+            ///
+            /// # Errors
+            /// What the system says of it; a port that is in use is told as such.
+            pub fn try_bind(self, address: &Address) -> io::Result<()> {
+                match self { $(Self::$variant => $module::try_bind(address)),* }
             }
 
             pub(crate) async fn dial(
@@ -283,10 +292,15 @@ pub enum BindFailure {
 mod tests {
     /// A module as a transport's is, which only has to compile.
     mod nowhere {
+        use std::io;
         use std::num::NonZeroUsize;
 
         use super::super::{Address, BindFailure, Bound, DialFailure, Dialled};
         use crate::SessionSettings;
+
+        pub(super) fn try_bind(_: &Address) -> io::Result<()> {
+            Ok(())
+        }
 
         pub(super) async fn dial(address: &Address, _: &SessionSettings) -> Result<Dialled, DialFailure> {
             Err(DialFailure::Unreachable(address.to_string()))
@@ -304,6 +318,7 @@ mod tests {
     /// Networks that are registered like the real ones.
     #[expect(unreachable_pub, reason = "the macro makes a public enum")]
     mod registered {
+        use std::io;
         use std::num::NonZeroUsize;
 
         use serde::{Deserialize, Serialize};
@@ -339,5 +354,6 @@ mod tests {
         assert!(matches!(dialled, Err(DialFailure::Unreachable(where_to)) if where_to == "tcp://a:1"));
         let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));
+        assert!(NetworkKind::Robot.try_bind(&address).is_ok());
     }
 }

@@ -4,6 +4,7 @@
 //! that sends writes to the connection itself, and only what the kernel does not take at once is left to the
 //! connection's own task.
 
+use std::io;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
@@ -208,6 +209,11 @@ impl EdgeReceiver for Dealer {
             }
         })
     }
+}
+
+/// Binds a socket and closes it again.
+pub(crate) fn try_bind(address: &Address) -> io::Result<()> {
+    std::net::TcpListener::bind((address.host().as_str(), address.port())).map(drop)
 }
 
 /// Listens on a port.

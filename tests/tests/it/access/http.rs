@@ -1,6 +1,6 @@
 //! The web port, asked over plain sockets.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 
 use peernet_tests::{PATIENCE, Process, Site, until};
@@ -91,26 +91,6 @@ fn headers_beyond_64_kib_are_refused() {
     let many = "X: y\r\n".repeat(500);
     let many = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{many}Connection: close\r\n\r\n");
     assert!(answer(&site, &many).starts_with("HTTP/1.1 431 "), "{}", answer(&site, &many));
-}
-
-#[test]
-fn one_address_cannot_take_all_connections() {
-    let site = Site::new();
-    let (aggregator, _) = site.aggregator();
-    let mut crowd: Vec<TcpStream> = (0..300).map(|_| connection(&site, [127, 0, 0, 2])).collect();
-    // The last of them is closed, the first is not.
-    let ended = crowd.last_mut().expect("some").read(&mut [0]);
-    assert!(ended.is_ok_and(|length| length == 0));
-    let first = &crowd[0];
-    first.set_nonblocking(true).expect("sets");
-    assert_eq!(first.peek(&mut [0]).expect_err("open").kind(), ErrorKind::WouldBlock);
-    let mut other = connection(&site, [127, 0, 0, 3]);
-    other.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("sends");
-    let mut text = String::new();
-    other.read_to_string(&mut text).expect("answers");
-    assert!(text.ends_with("alive\n"), "{text}");
-    let log = aggregator.stop().log;
-    assert_eq!(log.matches("its address has as many open as one may have").count(), 1, "{log}");
 }
 
 #[test]

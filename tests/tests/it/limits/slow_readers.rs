@@ -55,5 +55,8 @@ fn slow_readers_of_many_addresses_leave_the_dashboard_to_others() {
         assert!(heard.starts_with("HTTP/1.1 200"), "{heard}");
         drop(slow);
     }
-    assert_eq!(aggregator.stop().code(), 0);
+    let ended = aggregator.stop();
+    assert_eq!(ended.code(), 0);
+    // Once, then as counts.
+    assert_eq!(ended.log.matches("closed a connection").count(), 1, "{}", ended.log);
 }

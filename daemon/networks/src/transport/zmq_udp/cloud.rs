@@ -24,6 +24,11 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
+/// Binds a socket and closes it again.
+pub(crate) fn try_bind(address: &Address) -> io::Result<()> {
+    std::net::UdpSocket::bind((address.host().as_str(), address.port())).map(drop)
+}
+
 /// Listens on a port.
 pub(crate) async fn bind(
     address: &Address,

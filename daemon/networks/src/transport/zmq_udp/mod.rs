@@ -10,7 +10,7 @@ mod edge;
 mod radio;
 mod socket;
 
-pub(crate) use cloud::bind;
+pub(crate) use cloud::{bind, try_bind};
 pub(crate) use edge::dial;
 
 use peernet_clock::Span;
