@@ -1,7 +1,7 @@
 """An unknown host that sends what no host should, on every port of PEERNet, for a bounded time at a bounded rate.
 
-    attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT --seconds N [--bytes-per-second N]
-                     [--life SECONDS]
+    attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT [--udp-data PORT] --seconds N
+                     [--bytes-per-second N] [--life SECONDS]
     attack.py discard ADDRESS --events PORT …      reads the same traffic and does nothing with it
 
 `attack` prints one line of JSON at its end: bytes sent, connections made, refused and closed by the other side.
@@ -30,6 +30,10 @@ CLAIMED = 1 << 62
 CHUNK = 16 * 1024
 # Connections that are held open at once, of each kind on each port.
 HELD = 60
+# RADIO/DISH over UDP: the group, then PEERNet's packets (daemon/networks/src/transport/datagram/packet.rs).
+RADIO = b"\x07peernet"
+HELLO, COOKIE, OPEN, OPENED, DATA = 1, 0x82, 3, 0x84, 5
+STRIDE = 1_100
 
 
 @dataclass
@@ -124,6 +128,67 @@ class Attack:
                 self.counts.bytes_sent += 44
         transport.close()
 
+    async def udp_data(self, port: int) -> None:
+        """Virtual connections on a port of zmq-udp: of each kind one, again and again, each with some datagrams."""
+        stories = (udp_garbage, udp_hello_only, udp_claimed_sizes, udp_unfinished_messages)
+        while self.goes_on():
+            for story in stories:
+                transport, peer = await asyncio.get_running_loop().create_datagram_endpoint(
+                    lambda: UdpPeer(self), remote_addr=(self.address, port)
+                )
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(story(peer), 2)
+                transport.close()
+
+
+class UdpPeer(asyncio.DatagramProtocol):
+    """One socket of the attack on a port of zmq-udp."""
+
+    def __init__(self, attack: Attack) -> None:
+        self.attack = attack
+        self.arrived: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def connection_made(self, transport: asyncio.DatagramTransport) -> None:
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, _address: tuple[str, int]) -> None:
+        self.arrived.put_nowait(data.removeprefix(RADIO))
+
+    def error_received(self, _error: OSError) -> None:
+        self.attack.counts.refused += 1
+
+    async def send(self, packet: bytes) -> None:
+        await self.attack.rate.take(len(packet))
+        self.transport.sendto(RADIO + packet)
+        self.attack.counts.datagrams += 1
+        self.attack.counts.bytes_sent += len(packet)
+
+    async def expect(self, kind: int) -> bytes:
+        while True:
+            packet = await self.arrived.get()
+            if packet[:1] == bytes([kind]):
+                return packet[1:]
+
+    async def hello(self, nonce: bytes) -> bytes:
+        """Says hello; returns the cookie."""
+        await self.send((bytes([HELLO, 1]) + nonce + bytes(2)).ljust(64, b"\0"))
+        return (await self.expect(COOKIE))[8:24]
+
+    async def open(self) -> bytes:
+        """Opens a connection; returns its number."""
+        nonce = os.urandom(8)
+        cookie = await self.hello(nonce)
+        terms = struct.pack(">HIH", 0, 1 << 30, 1_200)
+        await self.send((bytes([OPEN]) + nonce + cookie + terms).ljust(1_200, b"\0"))
+        number = (await self.expect(OPENED))[8:16]
+        self.attack.counts.connections += 1
+        return number
+
+    async def send_fragment(self, connection: bytes, sequence: int, offset: int, total: int) -> None:
+        header = struct.pack(">QQIIIHH", sequence, 1, offset, total, 0, STRIDE, 0)
+        size = min(STRIDE, total - offset)
+        await self.send(bytes([DATA]) + connection + header + bytes(size))
+
 
 class Connection:
     """One connection of the attack."""
@@ -194,6 +259,30 @@ async def claimed_body(connection: Connection) -> None:
     await garbage(connection)
 
 
+async def udp_garbage(peer: UdpPeer) -> None:
+    for _ in range(100):
+        await peer.send(os.urandom(1_000))
+
+
+async def udp_hello_only(peer: UdpPeer) -> None:
+    for _ in range(10):
+        await peer.hello(os.urandom(8))
+
+
+async def udp_claimed_sizes(peer: UdpPeer) -> None:
+    connection = await peer.open()
+    for sequence in range(100):
+        await peer.send_fragment(connection, sequence, 0, (1 << 32) - 1)
+
+
+async def udp_unfinished_messages(peer: UdpPeer) -> None:
+    connection = await peer.open()
+    for sequence in range(4):
+        # All but the first fragment.
+        for offset in range(STRIDE, 60_000, STRIDE):
+            await peer.send_fragment(connection, sequence, offset, 60_000)
+
+
 ZMTP = (silence, half_a_greeting, garbage, claimed_size, unfinished_frame)
 HTTP = (silence, garbage, unfinished_headers, claimed_body)
 
@@ -206,6 +295,8 @@ async def attack(arguments: argparse.Namespace) -> None:
         it.again_and_again(port, story, number / len(slots))
         for number, (port, story) in enumerate(slots)
     ]
+    if arguments.udp_data:
+        jobs.append(it.udp_data(arguments.udp_data))
     await asyncio.gather(*jobs, it.datagrams(arguments.probes))
     print(json.dumps(asdict(it.counts)))
 
@@ -231,6 +322,7 @@ def main() -> int:
     parser.add_argument("address")
     for port in ("events", "data", "http", "probes"):
         parser.add_argument(f"--{port}", type=int, required=True)
+    parser.add_argument("--udp-data", type=int, help="a port of zmq-udp")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--bytes-per-second", type=float, default=4_000_000)
     parser.add_argument("--life", type=float, default=0, help="seconds after which each connection is replaced")

@@ -19,6 +19,9 @@ const PEAK_BYTES: u64 = 512 << 20;
 fn unknown_host_stops_neither_storing_nor_dashboard() {
     let desk = Desk::with_third_host();
     install(&desk);
+    change(&desk, desk.cloud(), "\"tcp://0.0.0.0:5551\"", "[\"tcp://0.0.0.0:5551\", \"udp://0.0.0.0:5552\"]");
+    change(&desk, desk.cloud(), "[[model]]", "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]");
+    change(&desk, desk.edge(), "[[pipeline]]", &format!("{OVER_UDP}\n[[pipeline]]"));
     let (edge, cloud) = (desk.edge(), desk.cloud());
     let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
     let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
@@ -47,11 +50,37 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let events = &account["now"]["events"];
     assert_eq!(events["dropped"], 0, "{account}");
     assert_eq!(account["stored"]["missing"], 0, "{account}");
-    let counts = json(&desk, "/api/v1/runs").expect("the dashboard answers");
-    let counts = &counts["runs"][0]["counts"];
-    assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{counts}");
+    let runs = json(&desk, "/api/v1/runs").expect("the dashboard answers");
+    let counts = |pipeline: &str| {
+        let runs = runs["runs"].as_array().expect("a list");
+        let run = runs.iter().find(|run| run["pipeline"] == pipeline);
+        &run.unwrap_or_else(|| panic!("no run of {pipeline}: {runs:?}"))["counts"]
+    };
+    let over_tcp = counts("inspection");
+    assert_eq!((&over_tcp["lost"], &over_tcp["timeout"]), (&0.into(), &0.into()), "{over_tcp}");
+    // Datagrams may be lost beside the attack, but most are not.
+    let over_udp = counts("datagrams");
+    let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
+    let others = of("failed") + of("lost") + of("timeout");
+    assert!(of("ok") > 300 && of("ok") > 9 * others, "{over_udp}");
     assert_eq!(agent.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
+}
+
+/// A pipeline beside the README's, whose samples have several fragments each.
+const OVER_UDP: &str = r#"[[pipeline]]
+name = "datagrams"
+sensor = { kind = "synthetic", size_bytes = 100000 }
+placement = { kind = "remote", peer = "udp://10.0.0.2:5552", model = "echo" }
+load = { mode = "rate", hz = 10.0 }
+"#;
+
+/// Changes the configuration of a machine's agent.
+fn change(desk: &Desk, host: &Host, from: &str, to: &str) {
+    let file = desk.root_of(host).join("etc/peernet/agent.toml");
+    let text = std::fs::read_to_string(&file).expect("it is installed");
+    assert!(text.contains(from), "nothing to change: {text}");
+    std::fs::write(&file, text.replacen(from, to, 1)).expect("it can be written");
 }
 
 fn daemon(desk: &Desk, host: &Host, name: &str) -> String {
@@ -60,7 +89,7 @@ fn daemon(desk: &Desk, host: &Host, name: &str) -> String {
 
 fn attack(desk: &Desk) -> Process {
     let program = root().join("tests/bench/peers/attack.py");
-    let ports = "--events 5550 --data 5551 --http 8040 --probes 8620";
+    let ports = "--events 5550 --data 5551 --udp-data 5552 --http 8040 --probes 8620";
     let line = format!(
         "{} attack {} {ports} --seconds {SECONDS} --bytes-per-second {BYTES_PER_SECOND}",
         program.display(),

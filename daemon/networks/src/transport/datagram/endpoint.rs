@@ -9,6 +9,7 @@ use peernet_clock::{MonoTime, Span};
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::handshake::{CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
+use super::partial_message::PEAK_COST;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -112,12 +113,12 @@ fn reply_address(source: SocketAddr, reply_port: u16) -> SocketAddr {
 
 impl Endpoint {
     pub(crate) fn new(secret: [u8; 32], prefix: &'static [u8], limits: EndpointLimits) -> Self {
-        let largest = u64::from(limits.reassembly.max_message_bytes) * 9 / 8;
+        let largest = u64::from(limits.reassembly.max_message_bytes) * PEAK_COST;
         Self {
             key: CookieKey::new(secret),
             prefix,
             unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
-            // One largest message alone always fits.
+            // One largest message alone always fits, in whatever order its fragments come.
             admitted: MemoryBudget::new(limits.max_unfinished_bytes.max(largest)),
             limits,
             entries: HashMap::new(),

@@ -13,6 +13,7 @@ pub(crate) mod fragment;
 pub mod fuzzing;
 pub(crate) mod handshake;
 pub(crate) mod packet;
+mod partial_message;
 pub(crate) mod reassembly;
 pub(crate) mod receiving;
 pub(crate) mod sending;

@@ -12,7 +12,8 @@ use peernet_clock::{MonoTime, Span};
 
 use super::fragment::fragment_count;
 use super::packet::Fragment;
-use crate::transport::memory::{MemoryBudget, Reservation};
+use super::partial_message::{Added, PartialMessage};
+use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 
 /// Message numbers whose state is kept at once.
 pub(crate) const MAX_SPAN: u64 = 1_024;
@@ -86,16 +87,13 @@ struct Unfinished {
     tag: u64,
     checksum: u32,
     stride: u16,
-    bytes: Vec<u8>,
-    /// One bit for each fragment.
-    present: Vec<u64>,
+    message: PartialMessage,
     received: u32,
     count: u32,
     deadline: Option<MonoTime>,
     progress: MonoTime,
     /// When it was known that all of it had left.
     sent: Option<MonoTime>,
-    reserved: Reservation,
 }
 
 impl Reassembly {
@@ -133,71 +131,56 @@ impl Reassembly {
         self.extend(fragment.sequence.saturating_add(1), now);
         let at = (fragment.sequence - self.floor) as usize;
         let received = match self.slots.get_mut(at) {
-            None | Some(Slot::Settled) => Received::Duplicate,
-            Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, now),
-            Some(Slot::Missing { .. }) => self.begin(at, fragment, now),
+            None | Some(Slot::Settled) => Ok(Received::Duplicate),
+            Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, &self.budget, now),
+            Some(Slot::Missing { .. }) => self.begin(fragment, now),
         };
-        if let Received::Stored = received {
-            return self.finish(at);
+        match received {
+            Ok(Received::Stored) => self.finish(fragment.sequence),
+            Ok(received) => received,
+            Err(Exhausted) => {
+                self.give_up_slot(fragment.sequence);
+                Received::Stored
+            }
         }
-        if let Received::Message { .. } = received {
-            self.settle_slot(at);
-        }
-        received
     }
 
     /// Begins a message of which nothing was there.
-    fn begin(&mut self, at: usize, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<Received, Exhausted> {
         let count = fragment_count(fragment.total, fragment.stride);
-        let lost =
-            LostMessage { sequence: fragment.sequence, tag: Some(fragment.tag), received: 1, total: count };
-        let mut reserved = Reservation::empty(&self.budget);
-        let is_refused = fragment.total > self.limits.max_message_bytes
-            || reserved.set(&self.budget, u64::from(fragment.total) + u64::from(count) / 8).is_err();
-        if is_refused {
-            self.lost.push(lost);
-            self.settle_slot(at);
-            return Received::Duplicate;
-        }
-        if count == 1 {
-            // The usual small message is copied once.
-            if crc32fast::hash(fragment.bytes) != fragment.checksum {
-                self.lost.push(lost);
-                self.settle_slot(at);
-                return Received::Inconsistent;
-            }
-            let bytes = Bytes::copy_from_slice(fragment.bytes);
-            return Received::Message { bytes, reserved };
-        }
-        if self.unfinished >= self.limits.max_unfinished_messages {
-            self.give_up_oldest();
-        }
-        let lifetime = Span::from_millis(fragment.lifetime_ms.into());
         let mut unfinished = Unfinished {
             tag: fragment.tag,
             checksum: fragment.checksum,
             stride: fragment.stride,
-            bytes: vec![0; fragment.total as usize],
-            present: vec![0; count.div_ceil(64) as usize],
+            message: PartialMessage::new(fragment.total, &self.budget),
             received: 0,
             count,
-            deadline: (fragment.lifetime_ms > 0).then(|| now + lifetime),
+            deadline: (fragment.lifetime_ms > 0)
+                .then(|| now + Span::from_millis(fragment.lifetime_ms.into())),
             progress: now,
             sent: (fragment.sequence < self.sent).then_some(now),
-            reserved,
         };
-        unfinished.add(fragment, now);
+        let added = if fragment.total > self.limits.max_message_bytes {
+            unfinished.received = 1;
+            Err(Exhausted)
+        } else {
+            unfinished.add(fragment, &self.budget, now)
+        };
+        if count > 1 && self.unfinished >= self.limits.max_unfinished_messages {
+            self.give_up_oldest();
+        }
         // Giving up the oldest may have moved the floor.
         let at = (fragment.sequence - self.floor) as usize;
         if let Some(slot) = self.slots.get_mut(at) {
             *slot = Slot::Unfinished(Box::new(unfinished));
             self.unfinished += 1;
         }
-        Received::Stored
+        added
     }
 
-    /// Hands out the message of a slot, if it is whole.
-    fn finish(&mut self, at: usize) -> Received {
+    /// Hands out the message of a number, if it is whole.
+    fn finish(&mut self, sequence: u64) -> Received {
+        let at = (sequence - self.floor) as usize;
         let Some(slot) = self.slots.get_mut(at) else { return Received::Stored };
         if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
             return Received::Stored;
@@ -206,14 +189,14 @@ impl Reassembly {
             return Received::Stored;
         };
         self.unfinished -= 1;
-        let sequence = self.floor + at as u64;
         self.advance();
-        let Unfinished { tag, checksum, bytes, received, count, reserved, .. } = *unfinished;
-        if crc32fast::hash(&bytes) != checksum {
-            self.lost.push(LostMessage { sequence, tag: Some(tag), received, total: count });
+        let lost = unfinished.lost(sequence);
+        let (bytes, reserved) = unfinished.message.into_bytes();
+        if crc32fast::hash(&bytes) != unfinished.checksum {
+            self.lost.push(lost);
             return Received::Inconsistent;
         }
-        Received::Message { bytes: bytes.into(), reserved }
+        Received::Message { bytes, reserved }
     }
 
     /// The other end has sent all messages below this number.
@@ -306,11 +289,16 @@ impl Reassembly {
         }
     }
 
-    fn settle_slot(&mut self, at: usize) {
-        if let Some(slot) = self.slots.get_mut(at) {
-            *slot = Slot::Settled;
+    /// Gives up a message that is unfinished.
+    fn give_up_slot(&mut self, sequence: u64) {
+        let at = (sequence - self.floor) as usize;
+        if let Some(slot) = self.slots.get_mut(at)
+            && let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled)
+        {
+            self.unfinished -= 1;
+            self.lost.push(unfinished.lost(sequence));
+            self.advance();
         }
-        self.advance();
     }
 
     /// Moves the floor up to the first number that is not settled.
@@ -323,25 +311,30 @@ impl Reassembly {
 }
 
 impl Unfinished {
-    fn add(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+    /// Adds a fragment to its message.
+    ///
+    /// # Errors
+    /// When the budget has no room for it.
+    fn add(
+        &mut self,
+        fragment: &Fragment<'_>,
+        budget: &Arc<MemoryBudget>,
+        now: MonoTime,
+    ) -> Result<Received, Exhausted> {
         let is_same = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
-            && fragment.total as usize == self.bytes.len();
+            && fragment.total == self.message.total();
         if !is_same {
-            return Received::Inconsistent;
+            return Ok(Received::Inconsistent);
         }
         // The fields agree with each other: equal strides and aligned offsets leave no room for overlaps.
-        let index = fragment.offset / u32::from(self.stride);
-        let (word, bit) = ((index / 64) as usize, 1 << (index % 64));
-        if self.present[word] & bit != 0 {
-            return Received::Duplicate;
+        let added = self.message.add(fragment.offset, fragment.bytes, budget);
+        if added == Ok(Added::Duplicate) {
+            return Ok(Received::Duplicate);
         }
-        self.present[word] |= bit;
         self.received += 1;
         self.progress = now;
-        let start = fragment.offset as usize;
-        self.bytes[start..start + fragment.bytes.len()].copy_from_slice(fragment.bytes);
-        Received::Stored
+        added.map(|_| Received::Stored)
     }
 
     fn lost(&self, sequence: u64) -> LostMessage {

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::handshake::{Dialled, Dialling};
-use super::packet::{Packet, Role, Terms};
+use super::packet::{Fragment, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
 use crate::transport::memory::MemoryBudget;
@@ -340,28 +340,35 @@ fn invented_addresses_get_less_than_they_send_and_no_memory() {
     assert_eq!(cloud.len(), 0);
 }
 
+/// Opens a connection from an address without a network between; `None` when it is refused.
+fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut MonoTime) -> Option<u64> {
+    let mut dialling = Dialling::new(nonce, 0, TERMS, PREFIX.len(), *now);
+    let mut opened = None;
+    for _ in 0..2 {
+        let mut out = Vec::new();
+        *now = *now + Span::from_millis(1);
+        assert!(dialling.fill(&mut out, *now));
+        cloud.hear(source, None, &out, *now);
+        let mut answer = Vec::new();
+        while let Some((route, batch)) = cloud.fill(&mut answer, 10, *now) {
+            let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
+            if route.to == source
+                && let Ok(packet) = Packet::read(Role::Edge, body)
+                && let Some(Dialled::Opened { connection, .. }) = dialling.hear(&packet, *now)
+            {
+                opened = Some(connection);
+            }
+        }
+    }
+    opened
+}
+
 #[test]
 fn connections_without_session_are_bounded_and_end() {
     let mut cloud = Endpoint::new([7; 32], PREFIX, limits());
     let mut now = MonoTime::default();
     for n in 0..200_u64 {
-        let source = SocketAddr::from(([198, 51, 100, n as u8], 9));
-        let mut dialling = Dialling::new(n, 0, TERMS, PREFIX.len(), now);
-        for _ in 0..2 {
-            let mut out = Vec::new();
-            now = now + Span::from_millis(1);
-            assert!(dialling.fill(&mut out, now));
-            cloud.hear(source, None, &out, now);
-            let mut answer = Vec::new();
-            while let Some((route, batch)) = cloud.fill(&mut answer, 10, now) {
-                let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
-                if route.to == source
-                    && let Ok(packet) = Packet::read(Role::Edge, body)
-                {
-                    dialling.hear(&packet, now);
-                }
-            }
-        }
+        open_from(&mut cloud, SocketAddr::from(([198, 51, 100, n as u8], 9)), n, &mut now);
         assert!(cloud.len() <= 64);
     }
     assert!(cloud.len() >= 16);
@@ -370,6 +377,39 @@ fn connections_without_session_are_bounded_and_end() {
     let mut out = Vec::new();
     while cloud.fill(&mut out, 10, now).is_some() {}
     assert_eq!(cloud.len(), 0);
+}
+
+#[test]
+fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
+    let mut world = World::new(CALM, 1);
+    world.open();
+    let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
+    let mut now = world.now;
+    let connection = open_from(&mut world.cloud, stranger, 77, &mut now).expect("there is room");
+    world.cloud.admit(ConnectionId(connection));
+    world.now = now;
+    let claimed = limits().reassembly.max_message_bytes;
+    for sequence in 0..80 {
+        let fragment = Fragment {
+            sequence,
+            tag: 1,
+            offset: if sequence % 2 == 0 { 0 } else { 1_000_000 },
+            total: claimed,
+            checksum: 0,
+            stride: 1_000,
+            lifetime_ms: 0,
+            bytes: &[7; 1_000],
+        };
+        let mut body = Vec::new();
+        Packet::Data { connection, fragment }.write(Role::Edge, &mut body);
+        world.cloud.hear(stranger, None, &body, now);
+    }
+    assert!(world.cloud.held_bytes() <= 80 * 1_100, "{} bytes are held", world.cloud.held_bytes());
+    let bytes = vec![9; 3_000_000];
+    world.send(Some(1), &bytes);
+    world.steps(2_000);
+    let arrived = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == bytes);
+    assert!(world.arrivals.iter().any(arrived), "{:?}, {:?}", world.arrivals.len(), world.events);
 }
 
 #[test]

@@ -1,0 +1,164 @@
+//! The bytes of a message of which fragments have arrived, in memory that grows with them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+
+use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
+
+/// What a fragment behind a gap costs beside its bytes: its place in the map and what the allocator adds.
+const FRAGMENT_OVERHEAD: u64 = 96;
+
+/// The part of a message that has arrived.
+///
+/// The length that a sender claims reserves nothing: one datagram must not cost the memory of a whole message.
+#[derive(Debug)]
+pub(super) struct PartialMessage {
+    total: u32,
+    /// The bytes from the beginning up to the first gap.
+    start: Vec<u8>,
+    /// The fragments behind that gap, by offset.
+    behind: BTreeMap<u32, Box<[u8]>>,
+    /// What the fragments behind the gap cost. Bytes.
+    behind_cost: u64,
+    reserved: Reservation,
+}
+
+/// What a message takes at the most while its fragments arrive in any order, as a multiple of its length: the bytes before
+/// the gap are reserved up to twice, and those behind it wait beside them. For fragments of a datagram's usual length.
+pub(super) const PEAK_COST: u64 = 2;
+
+/// What a fragment brought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Added {
+    New,
+    /// It was there already.
+    Duplicate,
+}
+
+impl PartialMessage {
+    /// A message of so many bytes, of which none has arrived.
+    pub(super) fn new(total: u32, budget: &Arc<MemoryBudget>) -> Self {
+        Self {
+            total,
+            start: Vec::new(),
+            behind: BTreeMap::new(),
+            behind_cost: 0,
+            reserved: Reservation::empty(budget),
+        }
+    }
+
+    /// Bytes of the whole message.
+    pub(super) const fn total(&self) -> u32 {
+        self.total
+    }
+
+    /// Adds a fragment. Fragments of one message do not overlap and do not go beyond its end.
+    ///
+    /// # Errors
+    /// When the budget has no room; the message can only be given up then.
+    pub(super) fn add(
+        &mut self,
+        offset: u32,
+        bytes: &[u8],
+        budget: &Arc<MemoryBudget>,
+    ) -> Result<Added, Exhausted> {
+        let arrived = self.start.len();
+        if (offset as usize) < arrived || self.behind.contains_key(&offset) {
+            return Ok(Added::Duplicate);
+        }
+        if offset as usize > arrived {
+            let cost = self.behind_cost + bytes.len() as u64 + FRAGMENT_OVERHEAD;
+            self.reserved.set(budget, self.start.capacity() as u64 + cost)?;
+            self.behind_cost = cost;
+            self.behind.insert(offset, bytes.into());
+            return Ok(Added::New);
+        }
+        self.append(bytes, budget)?;
+        while let Some(entry) = self.behind.first_entry()
+            && *entry.key() as usize == self.start.len()
+        {
+            let bytes = entry.remove();
+            self.append(&bytes, budget)?;
+            self.behind_cost -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
+        }
+        Ok(Added::New)
+    }
+
+    fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), Exhausted> {
+        let needed = self.start.len() + bytes.len();
+        if needed > self.start.capacity() {
+            // Twice of what has arrived at most, so that a long message is moved seldom.
+            let capacity = needed.max(self.start.len() * 2).min(self.total as usize);
+            self.reserved.set(budget, capacity as u64 + self.behind_cost)?;
+            self.start.reserve_exact(capacity - self.start.len());
+        }
+        self.start.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// The bytes of a message that is whole, and the memory that they take.
+    pub(super) fn into_bytes(self) -> (Bytes, Reservation) {
+        (self.start.into(), self.reserved)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn claimed_length_reserves_nothing() {
+        let budget = MemoryBudget::new(1 << 20);
+        for offset in [0, 1_000, 3_999_999_000] {
+            let mut message = PartialMessage::new(4_000_000_000, &budget);
+            message.add(offset, &[7; 1_000], &budget).expect("there is room");
+            assert!(budget.held() <= 2_000, "{} bytes for a fragment at {offset}", budget.held());
+        }
+        assert_eq!(budget.held(), 0);
+    }
+
+    #[test]
+    fn fragment_without_room_is_refused() {
+        let budget = MemoryBudget::new(2_500);
+        let mut message = PartialMessage::new(10_000, &budget);
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::New));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::New));
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::Duplicate));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::Duplicate));
+        assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(Exhausted));
+        assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(Exhausted));
+    }
+
+    proptest! {
+        #[test]
+        fn memory_stays_below_twice_the_bytes_and_overhead(
+            length in 1_usize..20_000,
+            stride in 1_usize..1_500,
+            picks in proptest::collection::vec(any::<prop::sample::Index>(), 1..200),
+        ) {
+            let bytes: Vec<u8> = (0..length).map(|i| (i * 31) as u8).collect();
+            let fragments: Vec<(usize, &[u8])> = bytes.chunks(stride).enumerate().collect();
+            let budget = MemoryBudget::new(1 << 30);
+            let mut message = PartialMessage::new(length as u32, &budget);
+            let (mut arrived, mut count) = (0, 0);
+            let mut order: Vec<usize> = picks.iter().map(|pick| pick.index(fragments.len())).collect();
+            order.extend(0..fragments.len());
+            for index in order {
+                let (index, part) = fragments[index];
+                if message.add((index * stride) as u32, part, &budget).expect("there is room") == Added::New {
+                    arrived += part.len() as u64;
+                    count += 1;
+                }
+                prop_assert!(budget.held() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
+            }
+            let (whole, reserved) = message.into_bytes();
+            prop_assert_eq!(&whole[..], &bytes[..]);
+            drop(reserved);
+            prop_assert_eq!(budget.held(), 0);
+        }
+    }
+}
