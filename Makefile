@@ -13,7 +13,7 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check lint tests configs units deny browser api package deb interop bench soak clean
+.PHONY: help demo rehearsal setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
 help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -9
 
@@ -36,7 +36,7 @@ build:
 
 # --- tests ---------------------------------------------------------------------------------------------------
 
-test: tools setup lint tests configs units deny browser api package
+test: tools setup format linted-tests configs units deny browser api package
 	@echo "make test: all passed"
 
 check: lint tests
@@ -45,13 +45,19 @@ check: lint tests
 tools:
 	@deploy/install-tools.sh test
 
-lint:
+format:
 	$(CARGO) fmt --all --check
+
+lint: format
 	$(CARGO) clippy --workspace --all-targets --locked -- --deny warnings
 
 # Everything is built once, before anything runs: the end-to-end tests start the programs of the same build.
 tests: setup build
 	@tests/run.py
+
+# The lints in the time in which the tests wait.
+linted-tests: setup build
+	@tests/run.py --lint
 
 configs: setup build
 	@for file in configs/*.toml; do target/debug/peernetd check "$$file"; done

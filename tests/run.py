@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """Runs the tests of the whole workspace and lists the slowest.
 
-    run.py [FILTER]…
+    run.py [--lint] [FILTER]…
 
 All packages are built by one command, because cargo builds the dependencies anew for another choice of packages. Then the test
 programs of the crates run side by side, after them the end-to-end tests, which need the machine for themselves, and last the
 examples in the documentation. End-to-end tests mostly wait, so that one more than there are cores run at once; those that flood
-a host use all that they get and run after the others. FILTER: names of tests, as for `cargo test`.
+a host use all that they get and run after the others. `--lint` runs the lints beside them, as an idle task that gets the time in
+which they wait. FILTER: names of tests, as for `cargo test`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import time
 import tomllib
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,9 +108,32 @@ def run(program: Program, threads: int, filters: list[str], *, shows: bool = Fal
     return Run(program, process.returncode, time.monotonic() - begin, "".join(lines))
 
 
+@contextmanager
+def linting() -> Iterator[subprocess.Popen[str]]:
+    """The lints as an idle task; what they wrote is read when they have ended."""
+    command = ["chrt", "--idle", "0", CARGO, "clippy", "--workspace", "--all-targets", "--locked", "--", "--deny", "warnings"]
+    with tempfile.TemporaryFile("w+") as log:
+        with subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=subprocess.STDOUT, text=True) as process:
+            yield process
+        if process.returncode:
+            log.seek(0)
+            print(log.read())
+
+
 def main() -> int:
-    filters, cores = sys.argv[1:], os.cpu_count() or 1
+    filters, cores = [word for word in sys.argv[1:] if word != "--lint"], os.cpu_count() or 1
     programs = build()
+    if "--lint" not in sys.argv[1:]:
+        return run_all(programs, cores, filters)
+    with linting() as lints:
+        failed = run_all(programs, cores, filters)
+    if lints.returncode:
+        print("failed: the lints", file=sys.stderr)
+    return failed or lints.returncode
+
+
+def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
+    """Runs all tests; the exit status."""
     crates = [program for program in programs if program.package != END_TO_END]
     runs = []
     with ThreadPoolExecutor(cores) as pool:

@@ -1,0 +1,161 @@
+//! The floor under transports of datagrams: a ping-pong over bare UDP with datagrams of a fixed length, blocking, with
+//! one system call for each and nothing put together. A message of which a datagram is lost is given up.
+//!
+//! `bare-udp serve ADDRESS DATAGRAM-BYTES`, and beside it `bare-udp drive ADDRESS DATAGRAM-BYTES UP-BYTES DOWN-BYTES SECONDS`, which
+//! prints one JSON object.
+
+use std::net::{SocketAddr, UdpSocket};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
+use serde_json::{Value, json};
+use socket2::SockRef;
+
+/// Round trips before the first that counts, unless they take longer than a second.
+const WARM_UP: u32 = 200;
+
+/// The system's buffers of each socket: all datagrams of a message fit.
+const SOCKET_BUFFER_BYTES: usize = 4 << 20;
+
+/// How long the rest of a message is waited for.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// The head of each datagram: the number of the message, and the bytes of it and of its answer, 32 bits each.
+const HEAD_BYTES: usize = 12;
+
+fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["serve", address, datagram] => serve(address, datagram.parse()?),
+        ["drive", address, datagram, up, down, seconds] => {
+            let figures =
+                drive(address, datagram.parse()?, (up.parse()?, down.parse()?), seconds.parse()?)?;
+            #[expect(clippy::print_stdout, reason = "the result that was asked for")]
+            {
+                println!("{figures}");
+            }
+            Ok(())
+        }
+        _ => bail!(
+            "usage: bare-udp serve ADDRESS DATAGRAM-BYTES | bare-udp drive ADDRESS DATAGRAM-BYTES UP-BYTES \
+             DOWN-BYTES SECONDS"
+        ),
+    }
+}
+
+/// A socket and the length of its datagrams.
+struct Port {
+    socket: UdpSocket,
+    datagram: usize,
+    buffer: Vec<u8>,
+}
+
+/// The head of a datagram.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Head {
+    number: u32,
+    bytes: u32,
+    answer: u32,
+}
+
+impl Port {
+    fn bind(address: &str, datagram: usize) -> anyhow::Result<Self> {
+        if datagram <= HEAD_BYTES {
+            bail!("datagrams of {datagram} bytes have no room for a head of {HEAD_BYTES}");
+        }
+        let socket = UdpSocket::bind(address).with_context(|| format!("cannot bind {address}"))?;
+        SockRef::from(&socket).set_recv_buffer_size(SOCKET_BUFFER_BYTES)?;
+        SockRef::from(&socket).set_send_buffer_size(SOCKET_BUFFER_BYTES)?;
+        Ok(Self { socket, datagram, buffer: vec![0x5a; datagram] })
+    }
+
+    /// How many datagrams a message of so many bytes has.
+    fn count(&self, bytes: u32) -> usize {
+        (bytes as usize).div_ceil(self.datagram - HEAD_BYTES).max(1)
+    }
+
+    fn send(&mut self, head: Head, to: SocketAddr) -> anyhow::Result<()> {
+        for (field, bytes) in [head.number, head.bytes, head.answer].into_iter().zip(self.buffer.chunks_mut(4)) {
+            bytes.copy_from_slice(&field.to_le_bytes());
+        }
+        let mut left = head.bytes as usize;
+        for _ in 0..self.count(head.bytes) {
+            let length = left.min(self.datagram - HEAD_BYTES);
+            left -= length;
+            self.socket.send_to(&self.buffer[..HEAD_BYTES + length], to)?;
+        }
+        Ok(())
+    }
+
+    /// The next datagram; `None` when none comes in time.
+    fn receive(&mut self) -> anyhow::Result<Option<(Head, SocketAddr)>> {
+        let (length, from) = match self.socket.recv_from(&mut self.buffer) {
+            Ok(received) => received,
+            Err(error) if matches!(error.kind(), std::io::ErrorKind::WouldBlock) => return Ok(None),
+            Err(error) => return Err(error.into()),
+        };
+        let field = |at: usize| self.buffer[..length].get(at..at + 4)?.first_chunk().map(|b| u32::from_le_bytes(*b));
+        let (Some(number), Some(bytes), Some(answer)) = (field(0), field(4), field(8)) else {
+            bail!("a datagram of {length} bytes came from {from}");
+        };
+        Ok(Some((Head { number, bytes, answer }, from)))
+    }
+}
+
+/// Answers every message of which all datagrams have come.
+fn serve(address: &str, datagram: usize) -> anyhow::Result<()> {
+    let mut port = Port::bind(address, datagram)?;
+    let (mut current, mut received) = (None, 0);
+    loop {
+        let Some((head, from)) = port.receive()? else { continue };
+        if current != Some(head) {
+            (current, received) = (Some(head), 0);
+        }
+        received += 1;
+        if received == port.count(head.bytes) {
+            port.send(Head { bytes: head.answer, ..head }, from)?;
+        }
+    }
+}
+
+fn drive(address: &str, datagram: usize, (up, down): (u32, u32), seconds: u64) -> anyhow::Result<Value> {
+    let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
+    let to: SocketAddr = address.parse().with_context(|| format!("{address} is no address"))?;
+    let mut port = Port::bind("0.0.0.0:0", datagram)?;
+    port.socket.set_read_timeout(Some(PATIENCE))?;
+    let limit = Span::from_seconds(i64::try_from(seconds)?);
+    let (mut round_trips, mut lost, mut number) = (Vec::new(), 0_u32, 0_u32);
+    let start = clock.mono();
+    let mut begin = None;
+    loop {
+        let sent = clock.mono();
+        if begin.is_none() && (number == WARM_UP || sent - start > Span::from_seconds(1)) {
+            (begin, lost) = (Some(sent), 0);
+            round_trips.clear();
+        }
+        if begin.is_some_and(|begin| sent - begin >= limit) {
+            break;
+        }
+        number += 1;
+        port.send(Head { number, bytes: up, answer: down }, to)?;
+        let mut left = port.count(down);
+        while left > 0 {
+            match port.receive()? {
+                Some((head, _)) => left -= usize::from(head.number == number),
+                None => break,
+            }
+        }
+        if left == 0 { round_trips.push(clock.mono() - sent) } else { lost += 1 }
+    }
+    let elapsed = clock.mono() - begin.unwrap_or(start);
+    round_trips.sort_unstable();
+    let at = |percent: usize| round_trips.get(round_trips.len() * percent / 100).map(|span| span.seconds());
+    let (Some(p50), Some(p99)) = (at(50), at(99)) else { bail!("no message was answered, {lost} were lost") };
+    Ok(json!({
+        "iterations": round_trips.len(),
+        "seconds": elapsed.seconds(),
+        "lost": lost,
+        "stages": { "total": { "count": round_trips.len(), "p50": p50, "p99": p99 } },
+    }))
+}
