@@ -5,20 +5,23 @@ from __future__ import annotations
 import json
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import store
 from namespaces import Host
 from plant import Plant, plant
-from programs import BARE_TCP, Failure, Program, output, peer
+from programs import BARE_TCP, BARE_UDP, Failure, Program, output_and_cpu, peer
 
 DATA_PORT = 5551
-TCP_PORT = 5560
+BARE_PORT = 5560
+# What zmq-udp sends by default.
+DATAGRAM_BYTES = 1_200
 # Caches fill, connections open up; the other two programs have the same number built in.
 WARM_UP = 200
-# Letters of /proc/net/tcp.
-ESTABLISHED, LISTENING = "01", "0A"
+# Letters of /proc/net/tcp and /proc/net/udp.
+ESTABLISHED, LISTENING, BOUND = "01", "0A", "07"
 
 Stages = dict[str, dict[str, float]]
 
@@ -41,6 +44,11 @@ class Slice:
 
     rate: float
     stages: Stages
+    # Messages sent and answered.
+    sent: int
+    answered: int
+    # Of both ends, from their start to their end.
+    cpu_seconds: float
     missing: int = 0
 
 
@@ -51,22 +59,34 @@ class Arena:
     edge: Host
     cloud: Host
     seconds: int
+    # Iterations before the first that counts.
+    warm_up: int = WARM_UP
 
 
-def peernet(arena: Arena, shape: Shape) -> Slice:
-    """Edge agent, cloud agent, and the aggregator beside the edge: every iteration is stored while the loop runs."""
+def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
+    """Edge agent, cloud agent, and the aggregator beside the edge: every iteration is stored while the loop runs.
+
+    `peer` is the cloud's address; TCP unless it is given.
+    """
     with plant() as it:
         it.aggregator(arena.edge)
         reporting = f'aggregator = "tcp://{arena.edge.address}:5550"'
-        it.daemon("cloud", _cloud(it, arena, shape, reporting), arena.cloud)
-        edge = it.daemon("edge", _edge(it, arena, shape, reporting, f"duration_s = {arena.seconds}.0"), arena.edge)
+        cloud = it.daemon("cloud", _cloud(it, arena, shape, reporting, peer), arena.cloud)
+        edge = it.daemon("edge", _edge(it, arena, shape, reporting, f"duration_s = {arena.seconds}.0", peer), arena.edge)
         edge.wait_until("the run is stored", lambda: it.is_stored("loop"), arena.seconds + 60)
+        cpu_seconds = edge.cpu_seconds() + cloud.cpu_seconds()
         it.stop()
         run = store.run_of(it.database, "loop")
-        if run is None or run.unsuccessful or not run.ok:
+        may_lose = peer is not None and peer.startswith("udp://")
+        if run is None or not run.ok or (run.unsuccessful and not may_lose):
             raise Failure(f"the loop of {shape} did not go well: {run}; the edge said:\n{edge.text()}")
         return Slice(
-            store.iterations_per_second(it.database, run), store.stages(it.database, run), store.missing(it.database)
+            store.iterations_per_second(it.database, run),
+            store.stages(it.database, run),
+            run.ok + run.unsuccessful,
+            run.ok,
+            cpu_seconds,
+            store.missing(it.database),
         )
 
 
@@ -76,13 +96,13 @@ def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
         it.daemon("cloud", _cloud(it, arena, shape, ""), arena.cloud)
         edge = it.daemon("edge", _edge(it, arena, shape, "", f"iterations = {iterations}"), arena.edge)
         # The daemon may be connected already: its being ready is not far from that.
-        edge.wait_until("the edge is connected", lambda: _sees(edge, DATA_PORT, ESTABLISHED))
+        edge.wait_until("the edge is connected", lambda: sees(edge, DATA_PORT, ESTABLISHED))
         begin = time.perf_counter()
-        while _sees(edge, DATA_PORT, ESTABLISHED):
+        while sees(edge, DATA_PORT, ESTABLISHED):
             if time.perf_counter() - begin > 10 * arena.seconds + 60:
                 raise Failure(f"{iterations} iterations of {shape} did not come to their end")
             time.sleep(0.002)
-        return (iterations + WARM_UP) / (time.perf_counter() - begin)
+        return (iterations + arena.warm_up) / (time.perf_counter() - begin)
 
 
 def published(arena: Arena, shape: Shape) -> Slice:
@@ -93,33 +113,52 @@ def published(arena: Arena, shape: Shape) -> Slice:
         server = arena.cloud.inside(peer("published", "server", *ends, *answer))
         client = peer("published", "client", *reversed(ends), "--bytes", shape.up)
         client += ["--seconds", str(arena.seconds), "--results", f"{folder}/data.csv"]
-        with Program(server, Path(folder, "server.log")):
-            return _slice(output(arena.edge.inside(client), timeout_s=arena.seconds + 60))
+        with Program(server, Path(folder, "server.log")) as server:
+            return _slice(arena.edge.inside(client), server)
 
 
 def bare_tcp(arena: Arena, shape: Shape) -> Slice:
     """The Rust program of peers/bare_tcp.rs."""
-    address = f"{arena.cloud.address}:{TCP_PORT}"
-    serve = arena.cloud.inside([BARE_TCP, "serve", address])
-    drive = arena.edge.inside([BARE_TCP, "drive", address, shape.up, shape.down, arena.seconds])
+    return _bare(arena, shape, BARE_TCP, "tcp", LISTENING)
+
+
+def bare_udp(arena: Arena, shape: Shape) -> Slice:
+    """The Rust program of peers/bare_udp.rs."""
+    return _bare(arena, shape, BARE_UDP, "udp", BOUND, DATAGRAM_BYTES)
+
+
+def _bare(arena: Arena, shape: Shape, program: Path, protocol: str, state: str, *options: object) -> Slice:
+    address = f"{arena.cloud.address}:{BARE_PORT}"
+    serve = arena.cloud.inside([program, "serve", address, *options])
+    drive = arena.edge.inside([program, "drive", address, *options, shape.up, shape.down, arena.seconds])
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder, Program(serve, Path(folder, "log")) as server:
-        server.wait_until("bare-tcp listens", lambda: _sees(server, TCP_PORT, LISTENING))
-        return _slice(output(drive, timeout_s=arena.seconds + 60))
+        server.wait_until("it listens", lambda: sees(server, BARE_PORT, state, protocol))
+        return _slice(drive, server, arena.seconds + 60)
 
 
-def _slice(text: str) -> Slice:
+def _slice(drive: Sequence[object], server: Program, timeout_s: float = 120.0) -> Slice:
+    """Runs the driving end to its end, beside the other one."""
+    before = server.cpu_seconds()
+    text, cpu_seconds = output_and_cpu(drive, timeout_s=timeout_s)
     figures = json.loads(text)
-    return Slice(figures["iterations"] / figures["seconds"], figures["stages"])
+    answered = figures["iterations"]
+    return Slice(
+        answered / figures["seconds"],
+        figures["stages"],
+        answered + figures.get("lost", 0),
+        answered,
+        cpu_seconds + server.cpu_seconds() - before,
+    )
 
 
-def _cloud(it: Plant, arena: Arena, shape: Shape, reporting: str) -> str:
+def _cloud(it: Plant, arena: Arena, shape: Shape, reporting: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "cloud"
         state_dir = "{it.folder}/cloud"
         {reporting}
         [serve]
-        listen = "tcp://{arena.cloud.address}:{DATA_PORT}"
+        listen = "{peer or _tcp(arena)}"
         [[model]]
         name = "echo"
         kind = "echo"
@@ -127,7 +166,7 @@ def _cloud(it: Plant, arena: Arena, shape: Shape, reporting: str) -> str:
     """
 
 
-def _edge(it: Plant, arena: Arena, shape: Shape, reporting: str, limit: str) -> str:
+def _edge(it: Plant, arena: Arena, shape: Shape, reporting: str, limit: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "edge"
@@ -136,16 +175,20 @@ def _edge(it: Plant, arena: Arena, shape: Shape, reporting: str, limit: str) -> 
         [[pipeline]]
         name = "loop"
         sensor = {{ kind = "synthetic", size_bytes = {shape.up} }}
-        placement = {{ kind = "remote", peer = "tcp://{arena.cloud.address}:{DATA_PORT}", model = "echo" }}
+        placement = {{ kind = "remote", peer = "{peer or _tcp(arena)}", model = "echo" }}
         load = {{ mode = "closed" }}
-        warm_up = {{ iterations = {WARM_UP} }}
+        warm_up = {{ iterations = {arena.warm_up} }}
         limit = {{ {limit} }}
     """
 
 
-def _sees(program: Program, port: int, state: str) -> bool:
-    """Whether the program's host has a TCP socket in this state with this port at either end."""
-    for line in Path(f"/proc/{program.pid}/net/tcp").read_text().splitlines()[1:]:
+def _tcp(arena: Arena) -> str:
+    return f"tcp://{arena.cloud.address}:{DATA_PORT}"
+
+
+def sees(program: Program, port: int, state: str, protocol: str = "tcp") -> bool:
+    """Whether the program's host has a socket in this state with this port at either end."""
+    for line in Path(f"/proc/{program.pid}/net/{protocol}").read_text().splitlines()[1:]:
         _, local, remote, found = line.split()[:4]
         if found == state and f":{port:04X}" in (local[8:], remote[8:]):
             return True

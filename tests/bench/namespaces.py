@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from programs import Failure
+from programs import Failure, Program
 
 PREFIX = "peernet-bench-"
+DEVICE = "veth0"
 # Every kernel has it and it does not pace: with BBR, the default of some hosts, a megabyte over a cable without limits
 # takes three times as long, whatever program sends it, and the differences between programs drown in that.
 CONGESTION_CONTROL = "reno"
@@ -34,14 +36,42 @@ def need_root() -> None:
     """Fails when this process may not make network namespaces."""
     if os.geteuid() != 0:
         raise Failure(
-            "the part 'loop' makes two network namespaces, which needs root: run tests/bench/run.sh loop as root; "
-            "the other parts (node, model, ingest, idle) need none"
+            "this part makes two network namespaces, which needs root: run tests/bench/run.sh as root; "
+            "the parts node, model, ingest and idle need none"
         )
 
 
 @contextmanager
 def two_hosts() -> Iterator[tuple[Host, Host]]:
     """Edge and cloud, joined by a cable without delay or limit."""
+    with _hosts() as (edge, cloud):
+        _ip("link", "add", DEVICE, "netns", edge.name, "type", "veth", "peer", "name", DEVICE, "netns", cloud.name)
+        for host in (edge, cloud):
+            _set_up(host)
+        yield edge, cloud
+
+
+@contextmanager
+def two_distant_hosts(bits_per_second: int, delay_ms: int) -> Iterator[tuple[Host, Host]]:
+    """Edge and cloud, joined by a wire with this rate and delay in either direction. Its queues hold 4 MB."""
+    with _hosts() as (edge, cloud), tempfile.TemporaryDirectory(prefix=PREFIX) as folder, ExitStack() as stack:
+        for host in (edge, cloud):
+            switch = ["vde_switch", "--sock", f"{folder}/{host.name}", "--tap", DEVICE]
+            stack.enter_context(Program(host.inside(switch), Path(folder, f"{host.name}.log"))).wait_until(
+                "a virtual switch runs", lambda host=host: _has_device(host) and Path(folder, host.name, "ctl").exists()
+            )
+            _set_up(host)
+            shape = f"qdisc add dev {DEVICE} root tbf rate {bits_per_second}bit burst 32kb limit 4000000"
+            _run(*host.inside(["tc", *shape.split()]))
+        plugs = ":".join(f"{folder}/{host.name}" for host in (edge, cloud))
+        wire = ["wirefilter", "-v", plugs, "-d", str(delay_ms), "--nofifo"]
+        stack.enter_context(Program(edge.inside(wire), Path(folder, "wire.log")))
+        yield edge, cloud
+
+
+@contextmanager
+def _hosts() -> Iterator[tuple[Host, Host]]:
+    """Edge and cloud with nothing between them."""
     need_root()
     _sweep()
     edge, cloud = (Host(f"{PREFIX}{os.getpid()}-{role}", f"10.77.0.{n}") for n, role in ((1, "edge"), (2, "cloud")))
@@ -49,13 +79,19 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
         for host in (edge, cloud):
             _ip("netns", "add", host.name)
             stack.callback(_ip, "netns", "delete", host.name)
-        _ip("link", "add", "veth0", "netns", edge.name, "type", "veth", "peer", "name", "veth0", "netns", cloud.name)
-        for host in (edge, cloud):
-            _ip("-n", host.name, "address", "add", f"{host.address}/24", "dev", "veth0")
             _ip("-n", host.name, "link", "set", "lo", "up")
-            _ip("-n", host.name, "link", "set", "veth0", "up")
-            _run(*host.inside(["sysctl", "-qw", f"net.ipv4.tcp_congestion_control={CONGESTION_CONTROL}"]))
         yield edge, cloud
+
+
+def _set_up(host: Host) -> None:
+    _ip("-n", host.name, "address", "add", f"{host.address}/24", "dev", DEVICE)
+    _ip("-n", host.name, "link", "set", DEVICE, "up")
+    _run(*host.inside(["sysctl", "-qw", f"net.ipv4.tcp_congestion_control={CONGESTION_CONTROL}"]))
+
+
+def _has_device(host: Host) -> bool:
+    command = ["ip", "-n", host.name, "link", "show", "dev", DEVICE]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 @contextmanager

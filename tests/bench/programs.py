@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ RELEASE = ROOT / "target/release"
 PEERNETD = RELEASE / "peernetd"
 PEERNET = RELEASE / "peernet"
 BARE_TCP = RELEASE / "bare-tcp"
+BARE_UDP = RELEASE / "bare-udp"
 EVENT_STREAM = RELEASE / "event-stream"
 
 PR_SET_PDEATHSIG = 1
@@ -48,7 +50,8 @@ class Program:
         with log.open("wb") as file:
             self._child = subprocess.Popen(
                 self.command,
-                stdin=subprocess.DEVNULL,
+                # Open and silent: some programs end when their input does.
+                stdin=subprocess.PIPE,
                 stdout=file,
                 stderr=subprocess.STDOUT,
                 cwd=folder,
@@ -64,6 +67,12 @@ class Program:
     def text(self) -> str:
         """All it wrote so far."""
         return self.log.read_text(errors="replace")
+
+    def cpu_seconds(self) -> float:
+        """Processor time that it has used, of user and system."""
+        # The name of the program, in brackets, may have spaces.
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def check(self) -> None:
         """Fails when it has ended."""
@@ -101,7 +110,14 @@ class Program:
         self.stop()
 
 
-def output(command: Sequence[object], *, folder: Path = HERE, timeout_s: float = 120.0, show: bool = False) -> str:
+def output(
+    command: Sequence[object],
+    *,
+    folder: Path = HERE,
+    timeout_s: float = 120.0,
+    show: bool = False,
+    environment: Mapping[str, str] | None = None,
+) -> str:
     """Runs a program to its end and returns its standard output; `show` lets its standard error through."""
     child = subprocess.Popen(
         [str(part) for part in command],
@@ -109,6 +125,7 @@ def output(command: Sequence[object], *, folder: Path = HERE, timeout_s: float =
         stdout=subprocess.PIPE,
         stderr=None if show else subprocess.PIPE,
         cwd=folder,
+        env={**os.environ, **(environment or {})},
         text=True,
         process_group=0,
         preexec_fn=_die_with_parent,
@@ -124,6 +141,16 @@ def output(command: Sequence[object], *, folder: Path = HERE, timeout_s: float =
     if child.returncode != 0:
         raise Failure(f"{command} failed (exit code {child.returncode}):\n{tail(out + (err or ''))}")
     return out
+
+
+def output_and_cpu(
+    command: Sequence[object], *, timeout_s: float = 120.0, environment: Mapping[str, str] | None = None
+) -> tuple[str, float]:
+    """Runs a program to its end; its standard output, and the processor time that it and its children used."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    text = output(command, timeout_s=timeout_s, environment=environment)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return text, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def tail(text: str, lines: int = 15) -> str:

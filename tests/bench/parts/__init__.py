@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, attacked, browser, delays, idle, ingest, live, loop, model, node, pages, python, stream
+from . import agent, attacked, browser, delays, idle, ingest, live, loop, model, networks, node, pages, python, stream
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
     "node": node,
     "loop": loop,
+    "networks": networks,
     "python": python,
     "model": model,
     "ingest": ingest,

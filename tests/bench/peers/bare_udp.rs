@@ -29,8 +29,7 @@ fn main() -> anyhow::Result<()> {
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["serve", address, datagram] => serve(address, datagram.parse()?),
         ["drive", address, datagram, up, down, seconds] => {
-            let figures =
-                drive(address, datagram.parse()?, (up.parse()?, down.parse()?), seconds.parse()?)?;
+            let figures = drive(address, datagram.parse()?, (up.parse()?, down.parse()?), seconds.parse()?)?;
             #[expect(clippy::print_stdout, reason = "the result that was asked for")]
             {
                 println!("{figures}");
@@ -76,7 +75,9 @@ impl Port {
     }
 
     fn send(&mut self, head: Head, to: SocketAddr) -> anyhow::Result<()> {
-        for (field, bytes) in [head.number, head.bytes, head.answer].into_iter().zip(self.buffer.chunks_mut(4)) {
+        for (field, bytes) in
+            [head.number, head.bytes, head.answer].into_iter().zip(self.buffer.chunks_mut(4))
+        {
             bytes.copy_from_slice(&field.to_le_bytes());
         }
         let mut left = head.bytes as usize;
@@ -95,7 +96,8 @@ impl Port {
             Err(error) if matches!(error.kind(), std::io::ErrorKind::WouldBlock) => return Ok(None),
             Err(error) => return Err(error.into()),
         };
-        let field = |at: usize| self.buffer[..length].get(at..at + 4)?.first_chunk().map(|b| u32::from_le_bytes(*b));
+        let field =
+            |at: usize| self.buffer[..length].get(at..at + 4)?.first_chunk().map(|b| u32::from_le_bytes(*b));
         let (Some(number), Some(bytes), Some(answer)) = (field(0), field(4), field(8)) else {
             bail!("a datagram of {length} bytes came from {from}");
         };
