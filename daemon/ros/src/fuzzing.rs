@@ -2,7 +2,9 @@
 
 use bytes::{BufMut, Bytes};
 
-use crate::messages::{CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, WireForm};
+use crate::messages::{
+    CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, UInt8MultiArray, WireForm,
+};
 use crate::ros1::TopicType;
 use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
 use crate::ros1::xmlrpc::{parse_call, parse_response, write_call, write_response};
@@ -85,6 +87,7 @@ pub fn any_message(data: &[u8]) {
         read::<CompressedImage>(form, &data);
         read::<Imu>(form, &data);
         read::<PointCloud2>(form, &data);
+        read::<UInt8MultiArray>(form, &data);
     }
 }
 

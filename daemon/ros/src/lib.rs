@@ -1,8 +1,10 @@
 //! Clients of ROS 1 and ROS 2 that need no ROS installation.
 //!
-//! `messages` has the message types and their two wire forms, `ros1` and `ros2` exchange messages as bytes.
+//! `messages` has the message types and their two wire forms, `ros1` and `ros2` exchange messages as bytes. `topics` is
+//! for callers that block and that either version suits.
 
 pub mod fuzzing;
 pub mod messages;
 pub mod ros1;
 pub mod ros2;
+pub mod topics;

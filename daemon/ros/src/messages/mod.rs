@@ -19,7 +19,7 @@ pub use field::Field;
 pub use geometry::{Quaternion, Vector3};
 pub use reader::{DecodeError, Reader};
 pub use sensor::{CompressedImage, Image, Imu, PointCloud2, PointField};
-pub use standard::{Header, StringMessage, Time};
+pub use standard::{Header, MultiArrayDimension, MultiArrayLayout, StringMessage, Time, UInt8MultiArray};
 pub use writer::{EncodeError, EncodedMessage, Writer};
 
 use bytes::Bytes;

@@ -1,5 +1,7 @@
 //! Times and the types of `std_msgs`.
 
+use bytes::Bytes;
+
 use super::field::struct_field;
 use super::{DecodeError, EncodeError, Field, Message, MessageDefinition, Reader, WireForm, Writer};
 
@@ -107,4 +109,67 @@ impl Message for StringMessage {
         dependencies: &[],
     };
     const DDS_TYPE: &'static str = "std_msgs::msg::dds_::String_";
+}
+
+/// `std_msgs/MultiArrayDimension`: one dimension of an array.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MultiArrayDimension {
+    /// Name of the dimension.
+    pub label: String,
+    /// Length of the dimension.
+    pub size: u32,
+    /// Elements of the array that one step in the dimension above it skips.
+    pub stride: u32,
+}
+
+struct_field!(MultiArrayDimension { label: String, size: u32, stride: u32 });
+
+impl MultiArrayDimension {
+    const DEFINITION: MessageDefinition = MessageDefinition {
+        name: "std_msgs/MultiArrayDimension",
+        md5: "4cd0c83a8683deae40ecdac60e53bfa8",
+        text: "string label\nuint32 size\nuint32 stride\n",
+        dependencies: &[],
+    };
+}
+
+/// `std_msgs/MultiArrayLayout`: the shape of an array.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MultiArrayLayout {
+    /// Dimensions, outermost first.
+    pub dim: Vec<MultiArrayDimension>,
+    /// Elements before the first one of the array.
+    pub data_offset: u32,
+}
+
+struct_field!(MultiArrayLayout { dim: Vec<MultiArrayDimension>, data_offset: u32 });
+
+impl MultiArrayLayout {
+    const DEFINITION: MessageDefinition = MessageDefinition {
+        name: "std_msgs/MultiArrayLayout",
+        md5: "0fed2a11c13e11c5571b4e2a995a91a3",
+        text: "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset\n",
+        dependencies: &[&MultiArrayDimension::DEFINITION],
+    };
+}
+
+/// `std_msgs/UInt8MultiArray`: bytes, with a shape or without.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct UInt8MultiArray {
+    /// Shape; no dimensions where there is none.
+    pub layout: MultiArrayLayout,
+    /// The bytes.
+    pub data: Bytes,
+}
+
+struct_field!(UInt8MultiArray { layout: MultiArrayLayout, data: Bytes });
+
+impl Message for UInt8MultiArray {
+    const DEFINITION: &'static MessageDefinition = &MessageDefinition {
+        name: "std_msgs/UInt8MultiArray",
+        md5: "82373f1612381bb6ee473b5cd6f5d89c",
+        text: "std_msgs/MultiArrayLayout layout\nuint8[] data\n",
+        dependencies: &[&MultiArrayLayout::DEFINITION, &MultiArrayDimension::DEFINITION],
+    };
+    const DDS_TYPE: &'static str = "std_msgs::msg::dds_::UInt8MultiArray_";
 }

@@ -29,6 +29,8 @@ pub enum WhenFull {
     Wait,
     /// The message is dropped and counted. The publisher notices nothing, which suits those who only watch.
     Drop,
+    /// The oldest messages in the queue are dropped and counted until it fits, which suits those who want the newest.
+    DropOldest,
 }
 
 /// Messages of all publishers of a topic.
@@ -56,15 +58,21 @@ impl IncomingQueue {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a message, and returns whether it was not dropped.
-    pub(super) async fn push(&self, mut message: ReceivedMessage) -> bool {
+    /// Adds a message, and returns how many messages were dropped for want of room.
+    pub(super) async fn push(&self, mut message: ReceivedMessage) -> u64 {
+        let mut dropped = 0;
         loop {
             // Made before looking, so that nothing that happens in between is missed.
             let room = self.room.notified();
             match self.try_push(message) {
-                None => return true,
-                Some(_) if self.when_full == WhenFull::Drop => return false,
+                None => return dropped,
+                Some(_) if self.when_full == WhenFull::Drop => return dropped + 1,
                 Some(refused) => message = refused,
+            }
+            if self.when_full == WhenFull::DropOldest {
+                // Its owner may have read the oldest meanwhile; there is room then.
+                dropped += u64::from(self.try_pop().is_some());
+                continue;
             }
             room.await;
         }

@@ -1,6 +1,6 @@
 //! The master's API, as far as a node with topics needs it.
 
-use super::environment::RpcUri;
+use super::environment::{Environment, RpcUri};
 use super::error::NodeError;
 use super::rpc::{self, RpcError};
 use super::xmlrpc::Value;
@@ -33,6 +33,14 @@ impl SystemState {
     pub fn publishers_of(&self, topic: &str) -> &[String] {
         self.publishers.iter().find(|entry| entry.name == topic).map_or(&[], |entry| &entry.nodes)
     }
+}
+
+/// Asks the master for all topics with the names of their types, without being a node.
+///
+/// # Errors
+/// The master does not answer.
+pub async fn topic_types(environment: &Environment) -> Result<Vec<(String, String)>, NodeError> {
+    MasterClient::new(environment.master.clone(), "/peernet").topic_types().await
 }
 
 /// The master, as one node calls it.

@@ -35,7 +35,7 @@ pub use environment::{Environment, EnvironmentError, RpcUri};
 pub use error::NodeError;
 pub use incoming::{ReceivedMessage, WhenFull};
 pub use limits::QueueLimits;
-pub use master::{NamedNodes, SystemState};
+pub use master::{NamedNodes, SystemState, topic_types};
 pub use names::{NameError, NodeName};
 pub use node::Node;
 pub use outgoing::SendCounts;

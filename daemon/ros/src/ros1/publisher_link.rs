@@ -228,8 +228,9 @@ impl PublisherLink {
                 counts.bytes += bytes.len() as u64;
             }
             let message = ReceivedMessage { bytes, publisher: Arc::clone(&publisher), received };
-            if !topic.queue.push(message).await {
-                self.state().counts.dropped += 1;
+            let dropped = topic.queue.push(message).await;
+            if dropped > 0 {
+                self.state().counts.dropped += dropped;
             }
         }
     }

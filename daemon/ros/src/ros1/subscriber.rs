@@ -59,7 +59,8 @@ pub struct ReceiveCounts {
     pub messages: u64,
     /// Bytes of these messages, without the length before each.
     pub bytes: u64,
-    /// Messages that were dropped because the subscriber's queue was full.
+    /// Messages that were dropped because the subscriber's queue was full. With several publishers and
+    /// [`WhenFull::DropOldest`] a message counts for the publisher of the one that took its place.
     pub dropped: u64,
     /// Connections that were opened.
     pub connections: u64,

@@ -24,6 +24,9 @@ mod not_built;
 #[cfg(not(feature = "ros2"))]
 pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
 
+/// Whether this build has ROS 2.
+pub const IS_BUILT: bool = cfg!(feature = "ros2");
+
 pub use error::{NoPeer, Ros2Error};
 pub use names::{absolute_topic, dds_type};
 pub use peers::{EndpointId, EndpointRole, PeerTable, Refusal};

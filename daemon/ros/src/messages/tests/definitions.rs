@@ -4,6 +4,7 @@ use md5::{Digest, Md5};
 
 use crate::messages::{
     CompressedImage, Header, Image, Imu, Message, MessageDefinition, PointCloud2, StringMessage,
+    UInt8MultiArray,
 };
 
 /// Constants first and then fields, each in order; a field of another message type has that type's sum in place of its
@@ -35,6 +36,7 @@ fn sums_are_those_of_the_definitions() {
         CompressedImage::DEFINITION,
         Imu::DEFINITION,
         PointCloud2::DEFINITION,
+        UInt8MultiArray::DEFINITION,
     ];
     for definition in all {
         assert_eq!(definition.md5, sum(definition), "{}", definition.name);
@@ -69,4 +71,5 @@ fn dds_types_follow_the_ros1_names() {
     check::<CompressedImage>();
     check::<Imu>();
     check::<PointCloud2>();
+    check::<UInt8MultiArray>();
 }

@@ -5,7 +5,9 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 
 use super::{compressed_images, images, imus, point_clouds};
-use crate::messages::{CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, WireForm};
+use crate::messages::{
+    CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, UInt8MultiArray, WireForm,
+};
 
 /// Decodes as every type; whatever is accepted encodes again.
 fn decode_all(form: WireForm, bytes: &Bytes) {
@@ -20,6 +22,7 @@ fn decode_all(form: WireForm, bytes: &Bytes) {
     decode::<CompressedImage>(form, bytes);
     decode::<Imu>(form, bytes);
     decode::<PointCloud2>(form, bytes);
+    decode::<UInt8MultiArray>(form, bytes);
 }
 
 fn mutate(mut bytes: Vec<u8>, changes: &[(Index, u8)], length: Option<Index>) -> Bytes {

@@ -4,8 +4,10 @@ use std::fmt::Debug;
 
 use proptest::prelude::*;
 
-use super::{compressed_images, headers, images, imus, point_clouds};
-use crate::messages::{Header, Message, StringMessage, WireForm};
+use super::{blobs, compressed_images, headers, images, imus, point_clouds};
+use crate::messages::{
+    Header, Message, MultiArrayDimension, MultiArrayLayout, StringMessage, UInt8MultiArray, WireForm,
+};
 
 fn pass_through<M: Message>(message: &M, form: WireForm) -> M {
     let encoded = message.encode(form).unwrap();
@@ -35,6 +37,12 @@ proptest! {
     #[test]
     fn string_survives(data in "[^\0]{0,100}") {
         check(StringMessage { data }, |message| message);
+    }
+
+    #[test]
+    fn byte_array_survives(label in "[^\0]{0,9}", size: u32, stride: u32, data_offset: u32, data in blobs()) {
+        let layout = MultiArrayLayout { dim: vec![MultiArrayDimension { label, size, stride }], data_offset };
+        check(UInt8MultiArray { layout, data }, |message| message);
     }
 
     #[test]

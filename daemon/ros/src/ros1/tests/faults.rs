@@ -156,6 +156,35 @@ async fn watching_subscriber_drops_and_counts() {
 }
 
 #[tokio::test]
+async fn newest_messages_replace_oldest_and_are_counted() {
+    let master = TestMaster::start().await;
+    let (a, b) = (node(&master, "a").await, node(&master, "b").await);
+    let kind = TopicType::of::<StringMessage>();
+    let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let options = SubscriberOptions {
+        queue: QueueLimits { messages: 3, bytes: 1_000_000 },
+        when_full: WhenFull::DropOldest,
+        ..SubscriberOptions::default()
+    };
+    let mut subscriber = b.subscribe("t", kind, options).await.unwrap();
+    within(publisher.wait_for_subscribers(1)).await.unwrap();
+    for length in 1..=100 {
+        within(publisher.publish_waiting(message(length))).await.unwrap();
+    }
+    within(async {
+        while subscriber.counts().dropped < 97 {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    assert_eq!(subscriber.counts().messages, 100);
+    for length in 98..=100 {
+        assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message(length));
+    }
+    assert_eq!(subscriber.counts().dropped, 97);
+}
+
+#[tokio::test]
 async fn subscriber_reconnects_to_a_restarted_publisher() {
     let master = TestMaster::start().await;
     let b = node(&master, "b").await;

@@ -1,0 +1,128 @@
+//! The nodes that all readers and writers of this process share.
+
+use std::io;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, LazyLock, Weak};
+
+use peernet_clock::SharedClock;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::Mutex;
+
+use super::TopicError;
+use crate::ros1::{Environment, Node, NodeError};
+use crate::ros2::{Ros2Node, Ros2Settings};
+
+/// Serves the sockets of all nodes: one thread, which lives as long as the process.
+static RUNTIME: LazyLock<io::Result<Runtime>> =
+    LazyLock::new(|| Builder::new_multi_thread().worker_threads(1).thread_name("ros").enable_all().build());
+
+/// The nodes of ROS 1 that are in use.
+static ROS1_NODES: Mutex<Vec<Weak<SharedNode>>> = Mutex::const_new(Vec::new());
+
+/// The node of ROS 2, while it is in use. Its domain is that of the environment, so that there is one only.
+static ROS2_NODE: Mutex<Weak<Ros2Node>> = Mutex::const_new(Weak::new());
+
+/// Nodes of ROS 1 that this process has made.
+static MADE: AtomicU32 = AtomicU32::new(0);
+
+/// Returns the runtime of the nodes.
+pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
+    RUNTIME.as_ref().map_err(|error| TopicError::Thread(error.to_string()))
+}
+
+/// A node of ROS 1 with a master. It tells the master when its last user is gone.
+#[derive(Debug)]
+pub(super) struct SharedNode {
+    environment: Environment,
+    /// Present until it is dropped.
+    node: Option<Node>,
+}
+
+impl Drop for SharedNode {
+    fn drop(&mut self) {
+        let (Some(node), Ok(runtime)) = (self.node.take(), runtime()) else { return };
+        runtime.spawn(async move {
+            if let Err(error) = node.shutdown().await {
+                tracing::warn!(%error, "the ROS master still lists a node that has ended; `rosnode cleanup` removes it");
+            }
+        });
+    }
+}
+
+/// Opens something on the node of this process for a master. Where that node has a reader or writer of the same topic
+/// already, or has ended, another node is taken.
+pub(super) async fn open_on_ros1<T>(
+    environment: &Environment,
+    clock: &SharedClock,
+    open: impl AsyncFn(&Node) -> Result<T, NodeError>,
+) -> Result<(T, Arc<SharedNode>), TopicError> {
+    let mut nodes = ROS1_NODES.lock().await;
+    nodes.retain(|node| node.strong_count() > 0);
+    for shared in nodes.iter().filter_map(Weak::upgrade).filter(|shared| shared.environment == *environment) {
+        let Some(node) = &shared.node else { continue };
+        match open(node).await {
+            Ok(opened) => return Ok((opened, shared)),
+            Err(
+                NodeError::AlreadyPublished { .. }
+                | NodeError::AlreadySubscribed { .. }
+                | NodeError::Closed { .. },
+            ) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    let node = Node::new(environment, &node_name(), SharedClock::clone(clock)).await?;
+    let opened = open(&node).await?;
+    let shared = Arc::new(SharedNode { environment: environment.clone(), node: Some(node) });
+    nodes.push(Arc::downgrade(&shared));
+    Ok((opened, shared))
+}
+
+/// Returns the node of ROS 2, which joins the domain of the environment when it is first asked for.
+pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
+    let mut shared = ROS2_NODE.lock().await;
+    if let Some(node) = shared.upgrade() {
+        return Ok(node);
+    }
+    let settings = Ros2Settings { node_name: base_name(), ..Ros2Settings::default() };
+    let node = Arc::new(Ros2Node::new(settings).await?);
+    for warning in node.socket_buffer_warnings() {
+        tracing::warn!("{warning}");
+    }
+    *shared = Arc::downgrade(&node);
+    Ok(node)
+}
+
+/// Returns the name of the next node of ROS 1. The master ends an older node of the same name.
+fn node_name() -> String {
+    let base = base_name();
+    match MADE.fetch_add(1, Ordering::Relaxed) {
+        0 => base,
+        others => format!("{base}_{}", others + 1),
+    }
+}
+
+/// Returns `peernet`, the host and the process: nobody else has that name.
+fn base_name() -> String {
+    let system = rustix::system::uname();
+    let host = system.nodename().to_string_lossy();
+    let host: String = host.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    // ROS 2 allows no two underscores in a row.
+    let words: Vec<&str> = host.split('_').filter(|word| !word.is_empty()).collect();
+    format!("peernet_{}_{}", words.join("_"), std::process::id()).replace("__", "_")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros1::NodeName;
+
+    #[test]
+    fn names_of_nodes_are_allowed_and_differ() {
+        let (first, second) = (node_name(), node_name());
+        assert_ne!(first, second);
+        for name in [first, second] {
+            NodeName::new("/", &name).unwrap();
+            assert!(!name.contains("__"), "{name}");
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! What can be found wrong with a topic before it is opened.
+
+use std::env;
+
+use super::nodes::runtime;
+use super::{MessageType, RosVersion, TopicError};
+use crate::ros1::{self, Environment, NodeName};
+use crate::ros2::{self, Ros2Error, Ros2Settings};
+
+/// What a topic is to be opened for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TopicUse {
+    /// Its messages are read.
+    Read,
+    /// Messages are published.
+    Write,
+}
+
+/// Checks a topic without asking anybody, and returns its version of ROS: the names, the environment variables, and
+/// whether this build has that version.
+///
+/// # Errors
+/// What is wrong.
+pub fn check_topic(
+    configured: Option<RosVersion>,
+    topic: &str,
+    of: Option<&MessageType>,
+) -> Result<RosVersion, TopicError> {
+    let variable = |name: &str| env::var(name).ok();
+    let version = RosVersion::resolve(configured, variable)?;
+    match version {
+        RosVersion::Ros1 => {
+            let environment = Environment::from_process()?;
+            NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?;
+        }
+        RosVersion::Ros2 => {
+            if !ros2::IS_BUILT {
+                return Err(Ros2Error::NotBuilt.into());
+            }
+            let settings = Ros2Settings::default().with_environment(variable)?;
+            let topic = ros2::absolute_topic(&settings.namespace, &settings.node_name, topic)?;
+            if of.is_none() {
+                return Err(TopicError::TypeRequired { topic });
+            }
+        }
+    }
+    Ok(version)
+}
+
+/// Asks the ROS 1 master for a topic, and returns what would keep messages from passing now; nothing where all is well.
+/// Nobody is asked in ROS 2, which has no master. Blocks for some seconds at most.
+///
+/// # Errors
+/// The environment cannot be used, or no master answers.
+pub fn survey_topic(
+    version: RosVersion,
+    topic: &str,
+    of: Option<&MessageType>,
+    for_use: TopicUse,
+) -> Result<Option<String>, TopicError> {
+    if version == RosVersion::Ros2 {
+        return Ok(None);
+    }
+    let environment = Environment::from_process()?;
+    let topic = NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?;
+    let topics = runtime()?.block_on(ros1::topic_types(&environment))?;
+    let known = topics.iter().find(|(name, _)| *name == topic).map(|(_, kind)| kind.as_str());
+    let master = environment.master;
+    Ok(match (known, of) {
+        // The master knows the type as `*` where somebody has subscribed to any.
+        (Some(kind), Some(of)) if kind != of.as_str() && kind != "*" => {
+            Some(format!("topic {topic} has the type {kind}, not {of}, says the ROS master at {master}"))
+        }
+        (None, _) if for_use == TopicUse::Read => Some(format!(
+            "the ROS master at {master} does not know topic {topic} yet; {}",
+            seen(topics.iter().map(|(name, _)| name.as_str()))
+        )),
+        _ => None,
+    })
+}
+
+/// Most topics that are listed.
+const LISTED: usize = 8;
+
+/// Names the topics that there are.
+pub(super) fn seen<'a>(topics: impl Iterator<Item = &'a str>) -> String {
+    let mut all: Vec<&str> = topics.collect();
+    if all.is_empty() {
+        return "it knows no topic at all".to_owned();
+    }
+    all.sort_unstable();
+    let more = if all.len() > LISTED { ", …" } else { "" };
+    all.truncate(LISTED);
+    format!("it knows {}{more}", all.join(", "))
+}
