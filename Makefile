@@ -82,8 +82,9 @@ package: setup build
 	@deploy/debian/build.sh target/debug
 	@deploy/debian/test.sh target/debian/*.deb
 
+# With what the default build leaves out because it is heavy.
 deb: setup
-	$(CARGO) build --release --locked --package peernetd
+	$(CARGO) build --release --locked --package peernetd --features ros2
 	@deploy/debian/build.sh
 
 # --- foreign peers --------------------------------------------------------------------------------------------

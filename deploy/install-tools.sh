@@ -44,6 +44,7 @@ faketime      faketime          programs that are shown a false time
 mkfs.ext4     e2fsprogs         file systems that become read-only
 losetup       mount             file systems in files
 unshare       util-linux        throw-away roots for the package test
+rosmaster     python3-rosmaster  a real master of ROS 1
 sqlite3       sqlite3           people open the store with it, so the tests do
 curl          curl              the documents ask the REST API with it, so the tests do
 systemd-analyze  systemd        the units are checked with it

@@ -1,11 +1,12 @@
 //! What a pipeline does with an answer.
 //!
-//! `none` does nothing, `log` writes answers to the log, `exec` hands them to a program of the user's own. A new kind is one
-//! file here, registered in [`ActuatorConfig`].
+//! `none` does nothing, `log` writes answers to the log, `exec` hands them to a program of the user's own, `ros` publishes them.
+//! A new kind is one file here, registered in [`ActuatorConfig`].
 
 pub mod exec;
 pub mod log;
 pub mod none;
+pub mod ros;
 
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
@@ -70,6 +71,11 @@ pub trait ActuatorKind {
     fn check(&self) -> Result<(), ActuatorError> {
         Ok(())
     }
+
+    /// What is not wrong, but keeps answers from being acted upon now, for people. May ask other hosts for some seconds.
+    fn remarks(&self) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 /// `actuator` in the configuration of a pipeline. A new kind is registered here.
@@ -83,4 +89,6 @@ pub enum ActuatorConfig {
     Log(log::LogActuatorConfig),
     /// Hands each answer to a program of your own: docs/external-programs.md.
     Exec(exec::ExecConfig),
+    /// Publishes each answer on a topic of ROS 1 or ROS 2: docs/ros.md.
+    Ros(ros::RosActuatorConfig),
 }

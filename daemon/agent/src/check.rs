@@ -131,7 +131,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.0
 }
 
-/// What is not wrong, but may surprise.
+/// What is not wrong, but may surprise. Parts may ask other hosts: blocks for some seconds.
 pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
     let mut report = Report::default();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
@@ -141,6 +141,12 @@ pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
                 "all {total} iterations are warm-up (warm_up.iterations = {warm_up}): there will be rows, but no statistics"
             );
             report.add(format!("pipeline[{index}].limit.total"), text);
+        }
+        for remark in pipeline.sensor.remarks() {
+            report.add(format!("pipeline[{index}].sensor"), remark);
+        }
+        for remark in pipeline.actuator.remarks() {
+            report.add(format!("pipeline[{index}].actuator"), remark);
         }
     }
     report.0

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use peernet_external::exec::ExchangeError;
 use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
+use peernet_ros::topics::TopicError;
 
 /// Why a sensor could not be opened, a sample not be had or not be changed.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +44,19 @@ pub enum SensorError {
     /// A Python object that could not be had, or gave no sample.
     #[error(transparent)]
     Python(#[from] PythonError),
+    /// A ROS topic that gave no message.
+    #[error(transparent)]
+    Topic(#[from] TopicError),
+    /// A ROS message that is no sample.
+    #[error("a message of topic {topic} ({of}) cannot be used: {reason}")]
+    Message {
+        /// The topic.
+        topic: String,
+        /// Type of the message.
+        of: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// A configuration that contradicts itself.
     #[error("{0}")]
     Config(String),

@@ -25,5 +25,6 @@ mod promises;
 mod published;
 mod python;
 mod results;
+mod ros;
 mod stream;
 mod trouble;

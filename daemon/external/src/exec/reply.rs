@@ -10,7 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names that have a meaning of their own in every tree.
-const OURS: [&str; 31] = [
+const OURS: [&str; 33] = [
     "iteration",
     "sensing",
     "capture",
@@ -39,6 +39,8 @@ const OURS: [&str; 31] = [
     "skipped-starts",
     "lateness",
     "dropped-samples",
+    "capture-delay",
+    "dropped-answers",
     "top-1",
     "top-5",
     "unknown-label",

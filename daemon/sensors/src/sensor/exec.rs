@@ -7,11 +7,8 @@ use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
-use super::SensorKind;
+use super::{DROPPED_SAMPLES, SensorKind};
 use crate::{Sensor, SensorError};
-
-/// Samples that the program took and did not give, by the gaps in its numbers.
-const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// A program that is asked for each sample.
 struct Exec {
@@ -64,7 +61,8 @@ impl Exec {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         if let Some(sequence) = notes.sequence {
-            // One that counts from the beginning again has been started anew: what it missed is not known.
+            // What the program took and did not give leaves gaps in its numbers. One that counts from the beginning again has
+            // been started anew: what it missed is not known.
             let next = self.last.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
             log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);

@@ -3,15 +3,20 @@
 pub mod exec;
 pub mod images;
 pub mod python;
+pub mod ros;
 pub mod synthetic;
 pub mod text;
 
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
+use peernet_logger::Name;
 use serde::{Deserialize, Serialize};
 
 use crate::{Sensor, SensorError};
+
+/// Samples that a sensor could not give since the one before, because the pipeline was busy or they were lost.
+const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// A kind of sensor, implemented by its configuration.
 #[enum_dispatch]
@@ -28,6 +33,11 @@ pub trait SensorKind {
     /// When the configuration contradicts itself, or what it names is not there.
     fn check(&self, clock: &SharedClock) -> Result<(), SensorError> {
         self.open(clock).map(drop)
+    }
+
+    /// What is not wrong, but keeps samples from coming now, for people. May ask other hosts for some seconds.
+    fn remarks(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
@@ -57,6 +67,8 @@ pub enum SensorConfig {
     Exec(exec::ExecConfig),
     /// A Python object of your own with `sample()`: docs/python.md.
     Python(python::PythonConfig),
+    /// The messages of a topic of ROS 1 or ROS 2: docs/ros.md.
+    Ros(ros::RosSensorConfig),
     /// Random bytes.
     Synthetic(synthetic::SyntheticConfig),
 }
@@ -77,6 +89,7 @@ mod tests {
             "kind = 'text'\nlength = 3\nzz = 1",
             "kind = 'exec'\ncommand = 'x'\nzz = 1",
             "kind = 'python'\nobject = 'a::b'\nzz = 1",
+            "kind = 'ros'\ntopic = '/t'\nzz = 1",
             "kind = 'synthetic'\nzz = 1",
         ] {
             let error = toml::from_str::<SensorConfig>(text).expect_err("has an unknown key").to_string();

@@ -1,0 +1,192 @@
+//! `ros`: publishes each answer on a topic of ROS 1 or ROS 2.
+
+use peernet_clock::SharedClock;
+use peernet_logger::{Name, Recorder, Unit};
+use peernet_ros::messages::{StringMessage, UInt8MultiArray};
+use peernet_ros::topics::{
+    MessageType, RosVersion, TopicError, TopicUse, TopicWriter, Written, check_topic, survey_topic,
+};
+use peernet_sample::{Part, Sample};
+use serde::{Deserialize, Serialize};
+
+use crate::{Actuator, ActuatorError, ActuatorKind};
+
+/// Subscribers that did not get an answer, because they are too slow and their queues are full.
+const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
+
+/// `{ kind = "ros", … }`: each part of an answer is published as a message.
+///
+/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as of every ROS node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RosActuatorConfig {
+    /// Name of the topic; a relative one is below `ROS_NAMESPACE` in ROS 1.
+    pub topic: String,
+    /// Type of the messages.
+    #[serde(default, rename = "type")]
+    pub message_type: AnswerType,
+    /// 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ros_version: Option<RosVersion>,
+}
+
+/// The message types that answers are published as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AnswerType {
+    /// The text or JSON document of the answer. An answer that is no text fails.
+    #[default]
+    #[serde(rename = "std_msgs/String")]
+    Text,
+    /// The bytes of the answer.
+    #[serde(rename = "std_msgs/UInt8MultiArray")]
+    Bytes,
+}
+
+impl AnswerType {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Text => "std_msgs/String",
+            Self::Bytes => "std_msgs/UInt8MultiArray",
+        }
+    }
+
+    fn open(self, version: RosVersion, topic: &str, clock: &SharedClock) -> Result<TopicWriter, TopicError> {
+        match self {
+            Self::Text => TopicWriter::open::<StringMessage>(version, topic, clock),
+            Self::Bytes => TopicWriter::open::<UInt8MultiArray>(version, topic, clock),
+        }
+    }
+}
+
+impl RosActuatorConfig {
+    fn checked(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
+        let of = MessageType::try_from(self.message_type.name().to_owned());
+        let of = of.map_err(|error| ActuatorError(error.to_string()))?;
+        let version = check_topic(self.ros_version, &self.topic, Some(&of))?;
+        Ok((version, of))
+    }
+}
+
+impl ActuatorKind for RosActuatorConfig {
+    /// Publishes the topic now, so that subscribers are there when the first answer comes. A master that does not answer is
+    /// asked again with each answer.
+    fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        let (version, _) = self.checked()?;
+        let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
+        if let Err(error) = ros.writer() {
+            tracing::warn!(topic = self.topic, %error, "answers cannot be published; trying again with each one");
+        }
+        Ok(Box::new(ros))
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let version = self.checked().map(|(version, _)| version.to_string());
+        let version = version.unwrap_or_else(|_| "ROS".to_owned());
+        let topic = format!("{version} topic {} ({})", self.topic, self.message_type.name());
+        vec![("Actuator".to_owned(), topic)]
+    }
+
+    fn check(&self) -> Result<(), ActuatorError> {
+        self.checked().map(drop)
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        let Ok((version, of)) = self.checked() else { return Vec::new() };
+        match survey_topic(version, &self.topic, Some(&of), TopicUse::Write) {
+            Ok(remark) => remark.into_iter().collect(),
+            Err(error) => vec![error.to_string()],
+        }
+    }
+}
+
+impl From<TopicError> for ActuatorError {
+    fn from(error: TopicError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+/// A topic that answers are published to.
+struct Ros {
+    config: RosActuatorConfig,
+    version: RosVersion,
+    clock: SharedClock,
+    /// `None` while no master answers, and after the node has ended.
+    writer: Option<TopicWriter>,
+}
+
+impl Ros {
+    fn writer(&mut self) -> Result<&TopicWriter, TopicError> {
+        let RosActuatorConfig { topic, message_type, .. } = &self.config;
+        Ok(match &mut self.writer {
+            Some(writer) => writer,
+            none => none.insert(message_type.open(self.version, topic, &self.clock)?),
+        })
+    }
+
+    fn publish(&mut self, part: &Part) -> Result<Written, ActuatorError> {
+        let written = match self.config.message_type {
+            AnswerType::Text => {
+                let data = String::from_utf8(part.bytes.to_vec()).map_err(|_| self.not_text(part))?;
+                self.writer().and_then(|writer| writer.write(&StringMessage { data }))
+            }
+            AnswerType::Bytes => {
+                let message = UInt8MultiArray { data: part.bytes.clone(), ..UInt8MultiArray::default() };
+                self.writer().and_then(|writer| writer.write(&message))
+            }
+        };
+        if written.as_ref().is_err_and(TopicError::is_end) {
+            self.writer = None;
+        }
+        Ok(written?)
+    }
+
+    fn not_text(&self, part: &Part) -> ActuatorError {
+        let (topic, media) = (&self.config.topic, part.description.media.iana());
+        ActuatorError(format!(
+            "an answer of the type {media} is no text for topic {topic}; set type = \"{}\"",
+            AnswerType::Bytes.name()
+        ))
+    }
+}
+
+impl Actuator for Ros {
+    fn act(&mut self, _source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
+        let mut dropped = 0;
+        for part in &answer.parts {
+            dropped += self.publish(part)?.dropped;
+        }
+        log.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
+        Ok(())
+    }
+
+    fn blocks(&self) -> bool {
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::ActuatorConfig;
+
+    fn read(text: &str) -> Result<ActuatorConfig, String> {
+        toml::from_str(text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn unknown_type_is_refused_with_those_there_are() {
+        let error = read("kind = 'ros'\ntopic = '/a'\ntype = 'std_msgs/Strin'").expect_err("there is none");
+        assert!(error.contains("`std_msgs/String` or `std_msgs/UInt8MultiArray`"), "{error}");
+        let error = read("kind = 'ros'\ntopic = '/a'\nros_version = 3").expect_err("there is none");
+        assert!(error.contains("there is no ROS 3; write 1 or 2"), "{error}");
+    }
+
+    #[test]
+    fn topic_that_ros_does_not_allow_is_found() {
+        use crate::ActuatorKind;
+        let config = read("kind = 'ros'\ntopic = '/a-b'\nros_version = 1").expect("is well formed");
+        let error = config.check().expect_err("has a hyphen").to_string();
+        assert!(error.contains("\"/a-b\" contains '-'"), "{error}");
+        let config = read("kind = 'ros'\ntopic = '/answer'\nros_version = 1").expect("is well formed");
+        config.check().expect("is allowed");
+    }
+}

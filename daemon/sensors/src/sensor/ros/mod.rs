@@ -1,0 +1,178 @@
+//! `ros`: the messages of a topic of ROS 1 or ROS 2.
+
+mod image;
+mod payload;
+
+use std::num::{NonZeroU32, NonZeroU64};
+use std::time::Duration;
+
+use peernet_clock::{OneWayDelay, SharedClock, Stamp, WallTime};
+use peernet_logger::{Measure, Name, Recorder, Unit};
+use peernet_ros::ros2::{QosProfile, Reliability};
+use peernet_ros::topics::{
+    MessageType, ReaderOptions, RosVersion, TopicError, TopicMessage, TopicReader, TopicUse, check_topic,
+    survey_topic,
+};
+use peernet_sample::Sample;
+use serde::{Deserialize, Serialize};
+
+use self::payload::Payload;
+use super::{DROPPED_SAMPLES, SensorKind};
+use crate::{Sensor, SensorError};
+
+/// From `header.stamp` of the message to its arrival at this host, with both stamps.
+const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
+
+/// `{ kind = "ros", … }`: each sample is a message of the topic.
+///
+/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as of every ROS node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RosSensorConfig {
+    /// Name of the topic; a relative one is below `ROS_NAMESPACE` in ROS 1.
+    pub topic: String,
+    /// Type of its messages. ROS 2 needs it; ROS 1 takes what is published without it.
+    #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
+    pub message_type: Option<MessageType>,
+    /// 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ros_version: Option<RosVersion>,
+    /// Messages that wait while the pipeline is busy, 1 to 8192. Beyond it the oldest is dropped and counted.
+    #[serde(default = "one_message")]
+    pub queue: NonZeroU32,
+    /// How long to wait for a message; milliseconds.
+    #[serde(default = "five_seconds")]
+    pub timeout_ms: NonZeroU64,
+    /// Of ROS 2: whether lost messages are sent again. Default: `reliable`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reliability: Option<Reliability>,
+    /// The clock that `header.stamp` is of.
+    #[serde(default)]
+    pub stamp_clock: StampClock,
+}
+
+/// The clock of `header.stamp`, which ROS does not name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StampClock {
+    /// A clock that is not known: of another host, of a device, or simulated. No delay follows from it.
+    #[default]
+    Unknown,
+    /// The wall clock of this host: what publishes the topic runs here, and stamps with the time of day.
+    Host,
+}
+
+const fn one_message() -> NonZeroU32 {
+    NonZeroU32::MIN
+}
+
+fn five_seconds() -> NonZeroU64 {
+    NonZeroU64::new(5000).unwrap_or(NonZeroU64::MIN)
+}
+
+impl RosSensorConfig {
+    fn checked(&self) -> Result<RosVersion, SensorError> {
+        let version = check_topic(self.ros_version, &self.topic, self.message_type.as_ref())?;
+        let wrong = |reason: &str| Err(SensorError::Config(format!("a ros sensor {reason}")));
+        if self.queue.get() > QosProfile::MAX_DEPTH {
+            return wrong("keeps at most 8192 messages: lower its queue");
+        }
+        if version == RosVersion::Ros1 && self.reliability.is_some() {
+            return wrong("of ROS 1 has no reliability, because TCP loses nothing: remove the key");
+        }
+        Ok(version)
+    }
+}
+
+impl SensorKind for RosSensorConfig {
+    /// Subscribes to nothing yet: the master may come later, and is looked for with each sample.
+    fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
+        let version = self.checked()?;
+        let options =
+            ReaderOptions { queue: self.queue.get(), reliability: self.reliability.unwrap_or_default() };
+        let (config, clock) = (self.clone(), SharedClock::clone(clock));
+        Ok(Box::new(Ros { config, version, options, clock, reader: None }))
+    }
+
+    fn remarks(&self) -> Vec<String> {
+        let Ok(version) = self.checked() else { return Vec::new() };
+        match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
+            Ok(remark) => remark.into_iter().collect(),
+            Err(error) => vec![error.to_string()],
+        }
+    }
+}
+
+/// A topic that is subscribed to when the first sample is asked for.
+struct Ros {
+    config: RosSensorConfig,
+    version: RosVersion,
+    options: ReaderOptions,
+    clock: SharedClock,
+    /// `None` before the first sample, and after the node has ended.
+    reader: Option<TopicReader>,
+}
+
+impl Ros {
+    fn read(&mut self) -> Result<TopicMessage, TopicError> {
+        let config = &self.config;
+        let reader = match &mut self.reader {
+            Some(reader) => reader,
+            none => none.insert(TopicReader::open(
+                self.version,
+                &config.topic,
+                config.message_type.as_ref(),
+                self.options,
+                &self.clock,
+            )?),
+        };
+        let read = reader.read(Duration::from_millis(config.timeout_ms.get()));
+        if let Err(error) = &read
+            && error.is_end()
+        {
+            self.reader = None;
+        }
+        read
+    }
+
+    /// Records the capture time and the arrival, and what lies between them where both are of one clock.
+    fn note_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
+        let raw = received - stamp;
+        let delay = match self.config.stamp_clock {
+            StampClock::Host => OneWayDelay::same_clock(raw),
+            StampClock::Unknown => OneWayDelay::unsynchronised(raw),
+        };
+        let sent = Stamp { wall: stamp, mono: log.clock().mono() };
+        let node = log.depart(CAPTURE_DELAY, sent);
+        log.arrive(node, received);
+        if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {
+            transit.delay = Some(delay);
+        }
+    }
+}
+
+impl Sensor for Ros {
+    fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
+        let message = self.read()?;
+        log.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
+        let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
+            topic: self.config.topic.clone(),
+            of: message.of.to_string(),
+            reason: error.to_string(),
+        })?;
+        if let Some(stamp) = payload.stamp {
+            self.note_stamp(stamp, message.received, log);
+        }
+        Ok(Some(Sample { parts: payload.parts, source: self.config.topic.clone(), label: None }))
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let of = self.config.message_type.as_ref().map_or("any type", MessageType::as_str);
+        let topic = format!("{} topic {} ({of})", self.version, self.config.topic);
+        let clock = match self.config.stamp_clock {
+            StampClock::Host => "header.stamp of each message, by the wall clock of this host",
+            StampClock::Unknown => "header.stamp of each message, by a clock that is not known",
+        };
+        vec![("Sensor".to_owned(), topic), ("Capture time".to_owned(), clock.to_owned())]
+    }
+}

@@ -1,0 +1,202 @@
+//! What a message becomes as a sample.
+
+use peernet_clock::WallTime;
+use peernet_ros::messages::{
+    CompressedImage, DecodeError, Image, Imu, Message, PointCloud2, PointField, StringMessage, Time,
+};
+use peernet_ros::topics::TopicMessage;
+use peernet_sample::{Description, ElementType, MediaType, Part};
+use serde_json::json;
+
+use super::image::{self, PictureError};
+
+/// The parts of a sample, and its capture time.
+#[derive(Debug)]
+pub(super) struct Payload {
+    pub(super) parts: Vec<Part>,
+    /// `header.stamp`; `None` where the type has no header or the publisher set no time.
+    pub(super) stamp: Option<WallTime>,
+}
+
+/// Why a message is no sample.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum PayloadError {
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+}
+
+impl Payload {
+    /// Reads a message by the type that its publisher names; one of another type is handed on as it was serialised.
+    pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
+        let of = &*message.of;
+        if of == Image::DEFINITION.name {
+            let image: Image = read(message)?;
+            let stamp = stamp(image.header.stamp);
+            return Ok(Self { parts: vec![image::part(image)?], stamp });
+        }
+        if of == CompressedImage::DEFINITION.name {
+            let image: CompressedImage = read(message)?;
+            let part = Part { description: Description::unshaped(file(&image.format)), bytes: image.data };
+            return Ok(Self { parts: vec![part], stamp: stamp(image.header.stamp) });
+        }
+        if of == PointCloud2::DEFINITION.name {
+            let cloud: PointCloud2 = read(message)?;
+            let stamp = stamp(cloud.header.stamp);
+            return Ok(Self { parts: points(&cloud)?, stamp });
+        }
+        if of == Imu::DEFINITION.name {
+            let imu: Imu = read(message)?;
+            return Ok(Self { parts: vec![readings(&imu)], stamp: stamp(imu.header.stamp) });
+        }
+        if of == StringMessage::DEFINITION.name {
+            let text: StringMessage = read(message)?;
+            let description = Description::unshaped(MediaType::Text);
+            return Ok(Self { parts: vec![Part { description, bytes: text.data.into() }], stamp: None });
+        }
+        let part = Part { description: Description::bytes(), bytes: message.bytes.clone() };
+        Ok(Self { parts: vec![part], stamp: None })
+    }
+}
+
+fn read<M: Message>(message: &TopicMessage) -> Result<M, DecodeError> {
+    M::decode(message.form, message.bytes.clone())
+}
+
+/// A stamp of zero means in ROS that there is none.
+fn stamp(time: Time) -> Option<WallTime> {
+    (time != Time::default()).then(|| WallTime::from_unix_nanos(time.as_nanos()))
+}
+
+/// `format` is `jpeg` or `png`, or what image_transport writes: `rgb8; jpeg compressed bgr8`.
+fn file(format: &str) -> MediaType {
+    let format = format.to_ascii_lowercase();
+    if format.contains("jpeg") || format.contains("jpg") {
+        MediaType::Jpeg
+    } else if format.contains("png") {
+        MediaType::Png
+    } else {
+        MediaType::Bytes
+    }
+}
+
+/// The points, `height × width × point_step` bytes without padding, and a JSON document that says what their bytes are.
+fn points(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
+    let shape = vec![cloud.height, cloud.width, cloud.point_step];
+    let rows = image::Rows {
+        height: cloud.height,
+        row_bytes: u64::from(cloud.width) * u64::from(cloud.point_step),
+        step: cloud.row_step,
+    };
+    let fields: Vec<_> = cloud.fields.iter().map(field).collect();
+    let about = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
+    let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::U8) };
+    Ok(vec![
+        Part { description, bytes: rows.joined(&cloud.data)? },
+        Part { description: Description::unshaped(MediaType::Json), bytes: about.to_string().into() },
+    ])
+}
+
+fn field(field: &PointField) -> serde_json::Value {
+    const TYPES: [&str; 8] = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"];
+    let of = usize::from(field.datatype).checked_sub(1).and_then(|at| TYPES.get(at)).copied();
+    json!({ "name": field.name, "offset": field.offset, "type": of, "count": field.count })
+}
+
+/// All 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity and its
+/// covariance, linear acceleration and its covariance.
+fn readings(imu: &Imu) -> Part {
+    let (q, v, a) = (imu.orientation, imu.angular_velocity, imu.linear_acceleration);
+    let numbers = [q.x, q.y, q.z, q.w]
+        .into_iter()
+        .chain(imu.orientation_covariance)
+        .chain([v.x, v.y, v.z])
+        .chain(imu.angular_velocity_covariance)
+        .chain([a.x, a.y, a.z])
+        .chain(imu.linear_acceleration_covariance);
+    let bytes: Vec<u8> = numbers.flat_map(f64::to_le_bytes).collect();
+    let shape = vec![37];
+    let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::F64) };
+    Part { description, bytes: bytes.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use bytes::Bytes;
+    use peernet_ros::messages::{Header, WireForm};
+
+    use super::*;
+
+    fn pass<M: Message>(message: &M, form: WireForm) -> Payload {
+        let bytes = message.encode(form).expect("can be encoded").into_bytes();
+        let received = WallTime::from_unix_nanos(0);
+        let of: Arc<str> = M::DEFINITION.name.into();
+        Payload::decode(&TopicMessage { form, of, bytes, received, dropped: 0 }).expect("is a sample")
+    }
+
+    fn header() -> Header {
+        Header { seq: 3, stamp: Time { sec: 12, nanosec: 34 }, frame_id: "map".into() }
+    }
+
+    #[test]
+    fn each_type_becomes_parts_in_both_wire_forms() {
+        for form in [WireForm::Ros1, WireForm::Cdr] {
+            let file = CompressedImage {
+                header: header(),
+                format: "rgb8; jpeg compressed bgr8".into(),
+                data: "file".into(),
+            };
+            let payload = pass(&file, form);
+            assert_eq!(payload.parts[0].description.media, MediaType::Jpeg);
+            assert_eq!(payload.parts[0].bytes, "file");
+            assert_eq!(payload.stamp, Some(WallTime::from_unix_nanos(12_000_000_034)));
+
+            let text = pass(&StringMessage { data: "left".into() }, form);
+            assert_eq!((text.parts[0].bytes.as_ref(), text.stamp), (&b"left"[..], None));
+
+            let mut imu = Imu { header: header(), ..Imu::default() };
+            imu.linear_acceleration_covariance[8] = 2.5;
+            let part = pass(&imu, form).parts.remove(0);
+            assert_eq!(part.description.shaped_bytes(), Some(part.bytes.len() as u64));
+            assert_eq!(part.bytes[36 * 8..], 2.5_f64.to_le_bytes());
+        }
+    }
+
+    #[test]
+    fn point_cloud_loses_padding_and_keeps_description() {
+        let fields = vec![PointField { name: "x".into(), offset: 0, datatype: 7, count: 1 }];
+        let data = Bytes::from_static(b"aaaabbbb....ccccdddd....");
+        let cloud = PointCloud2 {
+            height: 2,
+            width: 2,
+            fields,
+            point_step: 4,
+            row_step: 12,
+            data,
+            ..PointCloud2::default()
+        };
+        let payload = pass(&cloud, WireForm::Ros1);
+        assert_eq!(payload.parts[0].bytes, "aaaabbbbccccdddd");
+        assert_eq!(payload.parts[0].description.shape, [2, 2, 4]);
+        let about: serde_json::Value = serde_json::from_slice(&payload.parts[1].bytes).expect("is JSON");
+        assert_eq!((&about["fields"][0]["type"], &about["big_endian"]), (&"float32".into(), &false.into()));
+        // Nobody set the time.
+        assert_eq!(payload.stamp, None);
+    }
+
+    #[test]
+    fn message_of_another_type_is_handed_on_as_bytes() {
+        let (form, bytes) = (WireForm::Ros1, Bytes::from_static(&[1, 2, 3]));
+        let of: Arc<str> = "nav_msgs/Odometry".into();
+        let received = WallTime::from_unix_nanos(0);
+        let message = TopicMessage { form, of, bytes: bytes.clone(), received, dropped: 0 };
+        let payload = Payload::decode(&message).expect("is a sample");
+        assert_eq!((&payload.parts[0].description, &payload.parts[0].bytes), (&Description::bytes(), &bytes));
+        // As a picture the same bytes are an error.
+        let message = TopicMessage { of: "sensor_msgs/Image".into(), ..message };
+        assert!(matches!(Payload::decode(&message), Err(PayloadError::Decode(_))));
+    }
+}

@@ -1,0 +1,234 @@
+//! Sensor and actuator `ros` in real agents, with the master of ROS 1 and a node of this process as the robot.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use peernet_clock::{Clock, ClockIdentity, SystemClock};
+use peernet_ros::messages::{
+    CompressedImage, Header, Message, StringMessage, Time, UInt8MultiArray, WireForm,
+};
+use peernet_ros::ros1::{
+    Environment, Node, Publisher, PublisherOptions, RpcUri, Subscriber, SubscriberOptions, TopicType,
+    topic_types,
+};
+use peernet_tests::{Process, Site, until};
+use tokio::runtime::Runtime;
+
+/// A master, and a node that stands for the robot's.
+struct Robot {
+    runtime: Runtime,
+    node: Node,
+    _master: Process,
+}
+
+fn environment(port: u16) -> Environment {
+    Environment {
+        master: RpcUri::parse(&uri(port)).expect("is a URI"),
+        advertised_host: Some("127.0.0.1".to_owned()),
+        namespace: "/".to_owned(),
+    }
+}
+
+fn uri(port: u16) -> String {
+    format!("http://127.0.0.1:{port}")
+}
+
+fn clock() -> SystemClock {
+    SystemClock::new(ClockIdentity::new("test", "test"))
+}
+
+impl Robot {
+    /// Starts the master on the site's port of data, which no cloud needs here.
+    fn start(site: &Site) -> Self {
+        let port = site.data;
+        let arguments = ["--core", "-p", &port.to_string()];
+        let home = site.folder().display().to_string();
+        let master =
+            Process::start(Path::new("rosmaster"), &arguments, site.folder(), &[("ROS_HOME", &home)]);
+        let runtime = Runtime::new().expect("a runtime");
+        let environment = environment(port);
+        until("the ROS master", || runtime.block_on(topic_types(&environment)).ok());
+        let node = runtime.block_on(Node::new(&environment, "robot", Arc::new(clock())));
+        Self { node: node.expect("the master answers"), runtime, _master: master }
+    }
+
+    fn publish<M: Message>(&self, topic: &str) -> Publisher {
+        let publishing = self.node.publish(topic, TopicType::of::<M>(), PublisherOptions::default());
+        self.runtime.block_on(publishing).expect("the master answers")
+    }
+
+    fn subscribe<M: Message>(&self, topic: &str) -> Subscriber {
+        let subscribing = self.node.subscribe(topic, TopicType::of::<M>(), SubscriberOptions::default());
+        self.runtime.block_on(subscribing).expect("the master answers")
+    }
+
+    fn send<M: Message>(&self, publisher: &Publisher, message: &M) {
+        let encoded = message.encode(WireForm::Ros1).expect("can be encoded");
+        let sent = self.runtime.block_on(publisher.publish_waiting(encoded)).expect("the node runs");
+        assert_eq!(sent.subscribers, 1);
+    }
+
+    fn wait_for_subscriber(&self, publisher: &Publisher) {
+        self.runtime.block_on(publisher.wait_for_subscribers(1)).expect("the node runs");
+    }
+}
+
+/// Writes and starts an agent among ROS nodes.
+fn agent(site: &Site, tables: &str) -> Process {
+    let head = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\naggregator = \"tcp://127.0.0.1:{events}\"\n";
+    site.write("edge.toml", &(head.to_owned() + tables));
+    site.start_with(
+        "edge.toml",
+        &[("ROS_MASTER_URI", &uri(site.data)), ("ROS_IP", "127.0.0.1"), ("ROS_VERSION", "1")],
+    )
+}
+
+const ECHO: &str = r#"
+[[model]]
+name = "echo"
+kind = "echo"
+
+[[pipeline]]
+name = "look"
+sensor = { kind = "ros", topic = "/camera", stamp_clock = "host" }
+placement = { kind = "local", model = "echo" }
+actuator = { kind = "ros", topic = "/seen", type = "std_msgs/UInt8MultiArray" }
+warm_up = { iterations = 0 }
+limit = { total = 10 }
+"#;
+
+#[test]
+fn topic_is_sensed_and_answers_are_published() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let robot = Robot::start(&site);
+    let camera = robot.publish::<CompressedImage>("/camera");
+    let mut seen = robot.subscribe::<UInt8MultiArray>("/seen");
+    let edge = agent(&site, ECHO);
+    robot.wait_for_subscriber(&camera);
+    robot.runtime.block_on(seen.wait_for_publishers(1)).expect("the node runs");
+    for number in 0..10_u8 {
+        let stamp = Time::from_nanos(clock().wall().unix_nanos() - 20_000_000);
+        let header = Header { stamp, ..Header::default() };
+        let data = vec![number; 1_000_000].into();
+        robot.send(&camera, &CompressedImage { header, format: "jpeg".into(), data });
+        let answer = robot.runtime.block_on(seen.recv()).expect("the node runs").bytes;
+        let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("is one");
+        assert_eq!((answer.data.len(), answer.data[999_999]), (1_000_000, number));
+    }
+    let run = api.finished_run();
+    assert_eq!(api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_u64(), Some(10));
+    assert_eq!((api.mean(run, "dropped-samples"), api.mean(run, "dropped-answers")), (0.0, 0.0));
+    // Stamped 20 ms before it was published.
+    let delay = api.mean(run, "capture-delay");
+    assert!((0.02..5.0).contains(&delay), "{delay}");
+    assert_eq!(edge.stop().code(), 0);
+}
+
+const BUSY: &str = r#"
+[[model]]
+name = "slow"
+kind = "sleep"
+inference_ms = 1000
+
+[[pipeline]]
+name = "listen"
+sensor = { kind = "ros", topic = "/words", type = "std_msgs/String" }
+placement = { kind = "local", model = "slow" }
+warm_up = { iterations = 0 }
+limit = { total = 2 }
+"#;
+
+#[test]
+fn messages_for_a_busy_pipeline_are_counted_as_dropped() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let robot = Robot::start(&site);
+    let words = robot.publish::<StringMessage>("/words");
+    let edge = agent(&site, BUSY);
+    robot.wait_for_subscriber(&words);
+    for number in 0..10 {
+        robot.send(&words, &StringMessage { data: format!("word {number}") });
+    }
+    let run = api.finished_run();
+    // One or two were taken, the newest among them: the first one may have been replaced before anybody saw it.
+    let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
+    assert_eq!(taken + taken * api.mean(run, "dropped-samples"), 10.0);
+    // Texts have no header, and so no capture time.
+    assert!(api.figures(run, "capture-delay").is_none());
+    assert_eq!(edge.stop().code(), 0);
+}
+
+const ALONE: &str = r#"
+[[pipeline]]
+name = "listen"
+sensor = { kind = "ros", topic = "/words", type = "std_msgs/String", timeout_ms = 300 }
+placement = { kind = "none" }
+warm_up = { iterations = 0 }
+"#;
+
+#[test]
+fn pipeline_goes_on_when_the_master_comes_late() {
+    let site = Site::new();
+    let (_aggregator, api) = site.aggregator();
+    let edge = agent(&site, ALONE);
+    let incident = |text: &str| {
+        api.until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
+    };
+    incident("start roscore there, or set ROS_MASTER_URI");
+    let robot = Robot::start(&site);
+    let words = robot.publish::<StringMessage>("/words");
+    robot.wait_for_subscriber(&words);
+    robot.send(&words, &StringMessage { data: "at last".into() });
+    api.until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["ok"].as_u64()? > 0).then_some(()));
+    assert_eq!(edge.stop().code(), 0);
+}
+
+/// Checks one pipeline; returns the exit code and what was said.
+fn check(site: &Site, sensor: &str, actuator: &str) -> (i32, String) {
+    let text = format!(
+        "[agent]\nstate_dir = \"{{folder}}/edge\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n[[pipeline]]\nname = \"one\"\n\
+         sensor = {{ kind = \"ros\", {sensor} }}\nactuator = {{ kind = \"ros\", {actuator} }}\n\
+         placement = {{ kind = \"local\", model = \"echo\" }}\n"
+    );
+    let file = site.write("check.toml", &text).display().to_string();
+    let uri = uri(site.data);
+    let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
+    let program = peernet_tests::program("peernetd");
+    let ended = Process::start(&program, &["check", &file], site.folder(), &environment).ended();
+    (ended.code(), ended.log)
+}
+
+#[test]
+fn check_names_what_is_wrong_with_a_topic() {
+    let site = Site::new();
+    let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
+    let (code, said) = check(&site, "topic = \"/words\"", actuator);
+    assert_eq!(code, 78, "{said}");
+    assert!(said.contains("pipeline[0].sensor: which version of ROS? set ros_version = 1 or 2"), "{said}");
+    let (code, said) = check(&site, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
+    assert_eq!(code, 78, "{said}");
+    assert!(said.contains("`words` cannot be the name of a ROS message type"), "{said}");
+    if !peernet_ros::ros2::IS_BUILT {
+        let (code, said) = check(&site, sensor, "topic = \"/answers\", ros_version = 2");
+        assert_eq!(code, 78, "{said}");
+        assert!(said.contains("pipeline[0].actuator: this build has no ROS 2"), "{said}");
+    }
+    // What may be right in a moment is a note.
+    let (code, said) = check(&site, sensor, actuator);
+    assert_eq!(code, 0, "{said}");
+    assert!(said.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"), "{said}");
+    let robot = Robot::start(&site);
+    let (_, said) = check(&site, sensor, actuator);
+    assert!(said.contains("does not know topic /words yet; it knows no topic at all"), "{said}");
+    let _words = robot.publish::<StringMessage>("/words");
+    let _answers = robot.publish::<CompressedImage>("/answers");
+    let (code, said) = check(&site, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
+    assert_eq!(code, 0, "{said}");
+    for part in [
+        "pipeline[0].sensor: topic /words has the type std_msgs/String, not sensor_msgs/Image",
+        "pipeline[0].actuator: topic /answers has the type sensor_msgs/CompressedImage, not std_msgs/String",
+    ] {
+        assert!(said.contains(part), "{part} is missing in:\n{said}");
+    }
+}
