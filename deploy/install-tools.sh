@@ -60,6 +60,10 @@ rosnode       python3-rosnode         its tools see our nodes
 /usr/lib/python3/dist-packages/roslaunch    python3-roslaunch    the other packages use it without saying so
 /usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1
 /usr/lib/python3/dist-packages/std_msgs     python3-std-msgs     texts as messages of ROS 1
+/usr/include/fastdds/dds/domain/DomainParticipant.hpp  libfastrtps-dev  Fast DDS, a middleware of ROS 2
+g++           build-essential   compiles programs for Fast DDS and libzmq
+ip            iproute2          network namespaces as hosts
+unshare       util-linux        network namespaces as hosts
 '
 
 # Prints "package  reason" for each line of $1 whose command is missing.
@@ -151,14 +155,16 @@ cargo_tool() {
 
 # --- schemathesis for the tests -------------------------------------------------------------------------------------
 
-install_api_environment() {
-    requirements=$root/deploy/api-requirements.txt
-    cmp -s "$requirements" "$venv/api/requirements.txt" && [ -x "$venv/api/bin/schemathesis" ] && return 0
-    say "schemathesis goes into $venv/api, for the tests of the REST API"
-    python3 -m venv --clear "$venv/api" || fail "python3 -m venv $venv/api failed"
-    "$venv/api/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
-        || fail "pip could not install $requirements into $venv/api; is there a network?"
-    cp "$requirements" "$venv/api/requirements.txt"
+# python_environment NAME WHAT WHAT-FOR: the packages of deploy/NAME-requirements.txt in an environment of their own.
+python_environment() {
+    requirements=$root/deploy/$1-requirements.txt
+    # The copy beside the packages says what was installed.
+    cmp -s "$requirements" "$venv/$1/requirements.txt" && [ -x "$venv/$1/bin/python" ] && return 0
+    say "$2 into $venv/$1, for $3"
+    python3 -m venv --clear "$venv/$1" || fail "python3 -m venv $venv/$1 failed"
+    "$venv/$1/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
+        || fail "pip could not install $requirements into $venv/$1; is there a network?"
+    cp "$requirements" "$venv/$1/requirements.txt"
 }
 
 # --- Python packages of the benchmarks ------------------------------------------------------------------------------
@@ -211,7 +217,11 @@ for set in "$@"; do
             wants_api=1
             wants_venv=1
             ;;
-        interop) packages=$packages$interop_packages ;;
+        interop)
+            packages=$packages$interop_packages
+            wants_interop=1
+            wants_venv=1
+            ;;
         bench) wants_venv=1 ;;
         *) fail "unknown set '$set'; known are build, test, interop and bench" ;;
     esac
@@ -228,6 +238,7 @@ for set in "$@"; do
     esac
 done
 # Last: the benchmarks' environment is made anew in the folder around them.
-[ -z "${wants_api:-}" ] || install_api_environment
+[ -z "${wants_api:-}" ] || python_environment api "schemathesis goes" "the tests of the REST API"
+[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS and pyzmq go" "tests with foreign peers"
 [ -z "${wants_chrony:-}" ] || unpack_chrony
 say "$*: everything is there"

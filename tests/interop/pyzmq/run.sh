@@ -1,0 +1,9 @@
+#!/usr/bin/env bash
+# An edge in Python, with libzmq through pyzmq, at a cloud of ours. It knows the session protocol from docs/session-protocol.md.
+# Runs on loopback, on a free port.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../../.." && pwd)
+
+"$root/tests/interop/build.sh"
+exec "$root/.venv-tools/interop/bin/python" "$here/check.py" "${CARGO_TARGET_DIR:-$root/target}/debug/peernetd"
