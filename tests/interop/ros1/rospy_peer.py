@@ -1,7 +1,8 @@
 """A rospy node that publishes, subscribes or echoes, as ros1_peer.rs does.
 
-rospy_peer.py publish NAME TOPIC COUNT BYTES
+rospy_peer.py publish NAME TOPIC COUNT BYTES [SUBSCRIBERS]
 rospy_peer.py subscribe NAME TOPIC COUNT
+rospy_peer.py collect NAME TOPIC COUNT      the same of byte arrays that are the data of pictures
 rospy_peer.py rate NAME TOPIC COUNT
 rospy_peer.py refused NAME TOPIC
 rospy_peer.py echo NAME IN OUT
@@ -13,7 +14,7 @@ import time
 
 import rospy
 from sensor_msgs.msg import CompressedImage
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 
 # Bytes of the queues: rospy reads a message of 1 MB in one go only if its buffer holds it.
 BUFFER_BYTES = 1 << 24
@@ -33,10 +34,10 @@ def picture(number, length):
     return message
 
 
-def publish(topic, count, length):
+def publish(topic, count, length, subscribers=1):
     publisher = rospy.Publisher(topic, CompressedImage, queue_size=int(count))
     say("ready")
-    while publisher.get_num_connections() == 0:
+    while publisher.get_num_connections() < int(subscribers):
         rospy.sleep(0.01)
     for number in range(int(count)):
         publisher.publish(picture(number, int(length)))
@@ -52,6 +53,15 @@ def subscribe(topic, count):
         number = message.header.stamp.secs
         intact = message.data == picture(number, len(message.data)).data
         say(f"picture {number} {len(message.data)} {'intact' if intact else 'damaged'}")
+
+
+def collect(topic, count):
+    arrived = queue.Queue()
+    rospy.Subscriber(topic, UInt8MultiArray, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+    say("ready")
+    for number in range(int(count)):
+        data = arrived.get().data
+        say(f"picture {number} {len(data)} {'intact' if data == picture(number, len(data)).data else 'damaged'}")
 
 
 def rate(topic, count):
@@ -115,7 +125,8 @@ def main():
     command, name, *arguments = sys.argv[1:]
     rospy.init_node(name, disable_signals=True)
     commands = {
-        "publish": publish, "subscribe": subscribe, "rate": rate, "refused": refused, "echo": echo, "ping": ping
+        "publish": publish, "subscribe": subscribe, "collect": collect, "rate": rate, "refused": refused, "echo": echo,
+        "ping": ping,
     }
     commands[command](*arguments)
     rospy.signal_shutdown("done")
