@@ -335,7 +335,7 @@ fn start_pipelines(
     let patience = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
         let placement = pipeline::intended(&pipeline.placement);
-        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
+        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_in_words(), placement));
         match pipeline.start {
             StartMode::Boot => {
                 let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));

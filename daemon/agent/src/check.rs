@@ -14,11 +14,15 @@ use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_networks::{Address, SessionSettings};
+use peernet_ros::topics::RosVersion;
+use peernet_ros::ros1::NodeName;
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
 use rustix::fs::{Access, access};
 
-use crate::config::{AgentConfig, HostConfig, PipelineConfig, PlacementConfig, ServeConfig};
+use crate::config::{
+    AgentConfig, HostConfig, LoadConfig, ObserveConfig, PipelineConfig, PlacementConfig, ServeConfig,
+};
 use crate::identity::{existing_id, existing_secret};
 
 /// Most events that may wait for the aggregator.
@@ -196,7 +200,11 @@ fn check_pipeline(
     models: &[Slug],
     clock: &SharedClock,
 ) {
-    report.unless_ok(format!("{at}.sensor"), pipeline.sensor.check(clock));
+    match (&pipeline.sensor, &pipeline.placement) {
+        (_, PlacementConfig::Observe(observed)) => check_observed(report, at, pipeline, observed),
+        (Some(sensor), _) => report.unless_ok(format!("{at}.sensor"), sensor.check(clock)),
+        (None, _) => report.add(format!("{at}.sensor"), "where do samples come from? Add a sensor"),
+    }
     for (index, transform) in pipeline.transforms.iter().enumerate() {
         report.unless_ok(format!("{at}.transforms[{index}]"), transform.build());
     }
@@ -243,6 +251,35 @@ fn check_pipeline(
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {
         let text = "episodes and steps mean nothing without episode_steps; set it or use iterations";
         report.add(format!("{at}.warm_up"), text);
+    }
+}
+
+fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
+    let foreign = [
+        ("sensor", pipeline.sensor.is_some()),
+        ("transforms", !pipeline.transforms.is_empty()),
+        ("load", pipeline.load != LoadConfig::default()),
+        ("actuator", pipeline.actuator.acts()),
+    ];
+    for (key, _) in foreign.into_iter().filter(|(_, is_there)| *is_there) {
+        report
+            .add(format!("{at}.{key}"), format!("a system that is only observed has its own; remove {key}"));
+    }
+    if observed.input == observed.output {
+        let text = "it is the topic of input, too; name the topic that the observed nodes publish";
+        report.add(format!("{at}.placement.output"), text);
+    }
+    for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
+        let resolved = NodeName::new("/", "peernet").and_then(|node| node.resolve(topic));
+        report.unless_ok(format!("{at}.placement.{key}"), resolved);
+    }
+    let key = format!("{at}.placement.ros_version");
+    match RosVersion::resolve(observed.ros_version, |name| std::env::var(name).ok()) {
+        Ok(RosVersion::Ros1) => {}
+        Ok(RosVersion::Ros2) => {
+            report.add(key, "topics of ROS 2 cannot be observed; only those of ROS 1 can")
+        }
+        Err(error) => report.add(key, error),
     }
 }
 

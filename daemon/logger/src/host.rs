@@ -86,6 +86,11 @@ impl Slug {
     pub fn none() -> Self {
         Self("none".into())
     }
+
+    /// `observed`: stands for a model where nodes of another system are observed.
+    pub fn observed() -> Self {
+        Self("observed".into())
+    }
 }
 
 impl TryFrom<String> for Slug {

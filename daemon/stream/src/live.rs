@@ -97,6 +97,11 @@ impl Placement {
         let (peer, network, address, device) = (None, None, None, None);
         Self { kind: PlacementKind::None, peer, network, address, model: Slug::none(), device }
     }
+
+    /// Nodes of another system that are observed: what computes there is no model of this program.
+    pub fn observed() -> Self {
+        Self { kind: PlacementKind::Local, model: Slug::observed(), ..Self::sensor_alone() }
+    }
 }
 
 /// Here, there or nowhere.

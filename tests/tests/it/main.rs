@@ -20,6 +20,7 @@ mod limits;
 mod listening;
 mod maintenance;
 mod models;
+mod observe;
 mod ownership;
 mod promises;
 mod published;

@@ -5,6 +5,7 @@
 mod clock;
 mod host;
 mod listen;
+mod observe;
 mod pipeline;
 mod probes;
 mod rehearsal;
@@ -14,6 +15,7 @@ mod spool;
 pub use clock::{ClockConfig, DisciplineSource, Timestamps};
 pub use host::HostConfig;
 pub use listen::{ListenAddresses, ListenAddressesError};
+pub use observe::{ObserveConfig, PairBy};
 pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
 pub use probes::ProbesConfig;
 pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};

@@ -10,19 +10,24 @@ use peernet_sensors::{SensorConfig, SensorKind, TransformConfig};
 use peernet_stream::ExperimentPlace;
 use serde::{Deserialize, Serialize};
 
+use super::ObserveConfig;
+
 /// `[[pipeline]]`: sensor → transforms → placement → actuator, and how often.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PipelineConfig {
     /// Name for people, unique on this host.
     pub name: Slug,
-    /// Where samples come from: `{ kind = "images", path = "…" }` and so on.
-    pub sensor: SensorConfig,
+    /// Where samples come from: `{ kind = "images", path = "…" }` and so on. Required, except where a system is only
+    /// observed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<SensorConfig>,
     /// What is done with each sample before it is sent or computed on, in order. Default: nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub transforms: Vec<TransformConfig>,
     /// Where it computes: `{ kind = "local", model = "…" }`,
-    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`, or `{ kind = "none" }` to study the sensor alone.
+    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`, `{ kind = "none" }` to study the sensor alone, or
+    /// `{ kind = "observe", input = "/a", output = "/b" }` to observe a ROS system that runs already.
     pub placement: PlacementConfig,
     /// When iterations begin. Default: `{ mode = "closed" }`.
     #[serde(default)]
@@ -58,7 +63,9 @@ impl PipelineConfig {
     /// Without the values of `env`, which may be secret. The arguments of programs are still there.
     pub(crate) fn publishable(&self) -> Self {
         let mut told = self.clone();
-        told.sensor.hide_secrets();
+        if let Some(sensor) = &mut told.sensor {
+            sensor.hide_secrets();
+        }
         told.actuator.hide_secrets();
         told
     }
@@ -77,6 +84,8 @@ pub enum PlacementConfig {
     Remote(RemoteConfig),
     /// Nowhere: the sensor and its transforms alone, without answers. `actuator` does nothing then.
     None {},
+    /// In a ROS system that runs already and is only observed.
+    Observe(ObserveConfig),
 }
 
 /// `placement = { kind = "remote", … }`
@@ -105,7 +114,7 @@ impl PlacementConfig {
         match self {
             Self::Local { model } => Some(model),
             Self::Remote(remote) => remote.model.as_ref(),
-            Self::None {} => None,
+            Self::None {} | Self::Observe(_) => None,
         }
     }
 }
@@ -211,6 +220,14 @@ pub enum StartMode {
 }
 
 impl PipelineConfig {
+    /// The load in words; an observed system has its own.
+    pub fn load_in_words(&self) -> String {
+        match &self.placement {
+            PlacementConfig::Observe(_) => "observed".to_owned(),
+            _ => self.load.describe(),
+        }
+    }
+
     /// How long to wait for an answer.
     pub fn timeout(&self) -> Duration {
         Duration::from_millis(self.timeout_ms.get())

@@ -32,6 +32,9 @@ pub(super) enum AssembleError {
     /// There is no timer for the starts.
     #[error("cannot have a timer: {0}")]
     Timer(#[source] io::Error),
+    /// The configuration names no sensor.
+    #[error("the pipeline has no sensor; add one")]
+    NoSensor,
     /// The sensor panicked while it was set up.
     #[error("setting up the sensor panicked: {0}")]
     Panicked(#[from] JoinError),
@@ -63,10 +66,11 @@ impl Line {
         clock: SharedClock,
         fingerprints: &FingerprintKey,
     ) -> Result<Self, AssembleError> {
-        let sensor = config.sensor.open(&clock)?;
+        let sensor_config = config.sensor.as_ref().ok_or(AssembleError::NoSensor)?;
+        let sensor = sensor_config.open(&clock)?;
         let transforms = config.transforms.iter().map(TransformKind::build).collect::<Result<Vec<_>, _>>()?;
         let mut facts = sensor.facts();
-        facts.extend(config.sensor.arguments(fingerprints));
+        facts.extend(sensor_config.arguments(fingerprints));
         if !transforms.is_empty() {
             facts.push(("Transforms".to_owned(), in_words(&transforms)));
         }

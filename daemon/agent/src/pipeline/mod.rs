@@ -1,7 +1,7 @@
 //! Pipelines: sensor → transforms → placement → actuator, again and again.
 //!
 //! `load`, `progress` and `brake` decide without I/O; `cycle` is the state of the inner loop and
-//! `drive` its waiting; `runner` is the life around it.
+//! `drive` its waiting; `runner` is the life around it. `observe` is the loop of a pipeline that only watches a ROS system.
 
 mod accuracy;
 mod acting;
@@ -14,6 +14,7 @@ mod flight;
 mod iteration;
 mod line;
 mod load;
+mod observe;
 mod placement;
 mod progress;
 mod run;

@@ -88,7 +88,8 @@ impl Placement {
                 let link = context.links.attach(&session, &remote.peer, &config.name);
                 Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
             }
-            PlacementConfig::None {} => Ok(Self::None),
+            // An observed system is never asked: its runner goes another way.
+            PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
         }
     }
 
@@ -194,6 +195,7 @@ pub(crate) fn intended(config: &PlacementConfig) -> Description {
         },
         PlacementConfig::Remote(config) => remote(config),
         PlacementConfig::None {} => Description::sensor_alone(),
+        PlacementConfig::Observe(_) => Description::observed(),
     }
 }
 

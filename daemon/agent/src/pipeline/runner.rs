@@ -9,13 +9,14 @@ use futures::FutureExt;
 use peernet_inference::LoadError;
 use peernet_logger::RunId;
 use peernet_networks::Address;
-use peernet_stream::{IncidentKind, PipelineState};
+use peernet_stream::{Condition, IncidentKind, PipelineState, Placement as Description};
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
 use super::cycle::{Ended, LoopError};
 use super::drive::drive;
 use super::line::{AssembleError, Line};
+use super::observe::{self, SourceError};
 use super::placement::{OpenFailure, Placement};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
@@ -46,7 +47,7 @@ pub(crate) async fn run(
 
 /// The reason why a pipeline could not start or had to stop.
 #[derive(Debug, thiserror::Error)]
-enum PipelineError {
+pub(super) enum PipelineError {
     #[error(transparent)]
     Assemble(#[from] AssembleError),
     /// The host's own model cannot be loaded.
@@ -56,17 +57,21 @@ enum PipelineError {
     ModelPanicked,
     #[error(transparent)]
     Loop(#[from] LoopError),
+    /// The topics of an observed system cannot be subscribed to.
+    #[error(transparent)]
+    Observe(#[from] SourceError),
     #[error("the pipeline panicked: {message}; the log says where")]
     Panicked { message: String },
 }
 
-struct Runner {
-    config: Arc<PipelineConfig>,
-    display: Arc<Display>,
-    context: PipelineContext,
-    stop: CancellationToken,
+/// A pipeline and what it reports to.
+pub(super) struct Runner {
+    pub(super) config: Arc<PipelineConfig>,
+    pub(super) display: Arc<Display>,
+    pub(super) context: PipelineContext,
+    pub(super) stop: CancellationToken,
     /// How long iterations under way may take when the agent stops.
-    patience: Duration,
+    pub(super) patience: Duration,
 }
 
 /// Why a pipeline waits for its peer.
@@ -99,6 +104,9 @@ impl Trouble {
 impl Runner {
     /// Sets the pipeline up and runs it to its end.
     async fn live(&self) -> Result<(), PipelineError> {
+        if let PlacementConfig::Observe(observed) = &self.config.placement {
+            return observe::live(self, observed).await;
+        }
         let Some(line) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut line = line?;
         let mut run: Option<Run> = None;
@@ -174,19 +182,23 @@ impl Runner {
         error
     }
 
-    async fn begin(&self, mut facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
+    async fn begin(&self, facts: Vec<(String, String)>, placement: &Placement, warm: bool) -> Run {
+        let conditions = placement.conditions(&self.context, warm).await;
+        self.begin_run(facts, placement.describe(), conditions, warm)
+    }
+
+    /// Begins a run and reports it; `warm` when it directly continues another.
+    pub(super) fn begin_run(
+        &self,
+        mut facts: Vec<(String, String)>,
+        placement: Description,
+        conditions: Vec<Condition>,
+        warm: bool,
+    ) -> Run {
         if let Some(rehearsal) = self.context.host.clock.rehearsal() {
             facts.push(("Rehearsal".to_owned(), rehearsal.to_string()));
         }
-        let conditions = placement.conditions(&self.context, warm).await;
-        Run::begin(
-            &self.config,
-            placement.describe(),
-            (facts, conditions),
-            warm,
-            &self.context,
-            &self.display,
-        )
+        Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
     }
 
     fn end(&self, run: Option<&Run>, reason: &str) {
@@ -253,12 +265,12 @@ impl Runner {
 
     fn peer_address(&self) -> Option<&Address> {
         match &self.config.placement {
-            PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
+            PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
             PlacementConfig::Remote(remote) => Some(&remote.peer),
         }
     }
 
-    fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
+    pub(super) fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
         let what = Concerning { pipeline: Some(&self.config.name), run, peer: None };
         self.context.events.incidents.report(kind, what, text);
     }

@@ -73,10 +73,9 @@ impl Home {
 /// Whether the agent runs programs of the user's own.
 fn has_programs(config: &AgentConfig) -> bool {
     config.models.iter().any(ModelConfig::is_program)
-        || config
-            .pipelines
-            .iter()
-            .any(|pipeline| pipeline.sensor.is_program() || pipeline.actuator.is_program())
+        || config.pipelines.iter().any(|pipeline| {
+            pipeline.sensor.as_ref().is_some_and(SensorKind::is_program) || pipeline.actuator.is_program()
+        })
 }
 
 /// The folder of this user for what outlives a run.

@@ -119,7 +119,7 @@ impl<'a> Taking<'a> {
     ) -> Self {
         let peer = match &pipeline.placement {
             PlacementConfig::Remote(remote) => Some(remote.peer.to_string()),
-            PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
+            PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
         };
         Self {
             patience: Patience::new(clock.mono()),

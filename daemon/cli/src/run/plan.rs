@@ -92,7 +92,7 @@ impl Plan {
         // Repeats and users differ; configurations get the same payloads, so that they compare.
         let seed = |what: u64| derived(&[self.seed, what, run.repeat.into(), user.into()]);
         if configuration.seeds.sensor {
-            pipeline.sensor = with_seed(&pipeline.sensor, seed(1));
+            pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
         }
         if configuration.seeds.load {
             pipeline.load = with_seed(&pipeline.load, seed(2));

@@ -158,7 +158,7 @@ fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
 fn peer(order: &Order) -> Option<Address> {
     match &order.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
-        PlacementConfig::Local { .. } | PlacementConfig::None {} => None,
+        PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
     }
 }
 

@@ -82,7 +82,7 @@ fn folders_are_named_after_number_labels_and_repeat() {
 fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
     let plan = plan(FILE, None);
     let seed = |run: &Run, user| match plan.pipeline(run, user, "id").expect("a pipeline").sensor {
-        SensorConfig::Text(text) => text.seed,
+        Some(SensorConfig::Text(text)) => text.seed,
         other => panic!("{other:?}"),
     };
     let run = |configuration, repeat| {
@@ -93,7 +93,8 @@ fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
     assert_ne!(seed(run(0, 0), 0), seed(run(0, 1), 0));
     assert_ne!(seed(run(1, 0), 0), seed(run(1, 0), 1));
     let other = super::tests::plan(FILE, Some(8));
-    let SensorConfig::Text(text) = other.pipeline(&other.runs[0], 0, "id").expect("a pipeline").sensor else {
+    let Some(SensorConfig::Text(text)) = other.pipeline(&other.runs[0], 0, "id").expect("a pipeline").sensor
+    else {
         panic!("it is a text")
     };
     let others = text.seed;

@@ -1,0 +1,178 @@
+//! The life of a pipeline that observes: connecting, waiting for publishers, running, finished.
+
+use std::time::Duration;
+
+use peernet_logger::RunId;
+use peernet_stream::{IncidentKind, PipelineState, Placement as Description};
+
+use super::session::{Observation, SessionEnded};
+use super::source::{Source, SourceError, node_name};
+use super::topic::Topic;
+use crate::config::ObserveConfig;
+use crate::pauses::Pauses;
+use crate::pipeline::placement::Placement;
+use crate::pipeline::run::Run;
+use crate::pipeline::runner::{PipelineError, Runner};
+
+/// How long a topic may be without a publisher before that is reported.
+const QUIET: Duration = Duration::from_secs(10);
+
+/// Observes until the run reaches its limit or the agent stops. What ends the node, such as a master that is away, is
+/// waited for.
+///
+/// # Errors
+/// The configuration or the types of the topics must be changed first.
+pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
+    let clock = &runner.context.host.clock;
+    let mut underway: Option<(Run, Observation<'_>)> = None;
+    loop {
+        let Some(mut source) = connect(runner, config, underway.as_ref().map(|(run, _)| run.id())).await?
+        else {
+            if let Some((mut run, mut observation)) = underway {
+                observation.give_up("the agent stopped before the output message came", &mut run, runner);
+                run.end("stopped", &runner.context);
+            }
+            return Ok(());
+        };
+        let (run, observation) = match &mut underway {
+            Some(underway) => underway,
+            None => {
+                let run = begin(runner, config, &source, false).await;
+                let observation = Observation::new(config, runner.config.timeout(), clock.mono());
+                underway.insert((run, observation))
+            }
+        };
+        runner.display.set_state(PipelineState::Running);
+        let reason = loop {
+            match observation.run(&mut source, run, runner).await {
+                SessionEnded::Midnight => {
+                    run.end("finished", &runner.context);
+                    *run = begin(runner, config, &source, true).await;
+                }
+                SessionEnded::Limit => break "finished",
+                SessionEnded::Stopped => break "stopped",
+                SessionEnded::SourceLost(error) => {
+                    report_trouble(runner, run.id(), Some(&error.to_string()));
+                    break "";
+                }
+            }
+        };
+        source.close().await;
+        if !reason.is_empty() {
+            run.end(reason, &runner.context);
+            return Ok(());
+        }
+    }
+}
+
+async fn begin(runner: &Runner, config: &ObserveConfig, source: &Source, warm: bool) -> Run {
+    // Conditions of this host alone, as for a sensor that nobody answers.
+    let conditions = Placement::None.conditions(&runner.context, warm).await;
+    runner.begin_run(facts(config, source), Description::observed(), conditions, warm)
+}
+
+/// What the run's page says of the observed system.
+fn facts(config: &ObserveConfig, source: &Source) -> Vec<(String, String)> {
+    let mut facts = vec![("Observed".to_owned(), source.describe())];
+    for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
+        let kind = topic.kind().map_or_else(String::new, |kind| format!(" ({})", kind.name));
+        facts.push((role.to_owned(), format!("{}{kind}", topic.name())));
+        facts.push((format!("{role} publishers"), publishers(topic)));
+    }
+    facts.push(("Paired by".to_owned(), config.pair_by.describe().to_owned()));
+    facts
+}
+
+fn publishers(topic: &Topic) -> String {
+    let places: Vec<String> = topic.publishers().iter().map(ToString::to_string).collect();
+    places.join(", ")
+}
+
+/// Subscribes to both topics, however long that takes, and waits before a run for publishers of both. `None` when the
+/// agent stops.
+async fn connect(
+    runner: &Runner,
+    config: &ObserveConfig,
+    run: Option<RunId>,
+) -> Result<Option<Source>, SourceError> {
+    let host = &runner.context.host;
+    let name = node_name(&host.name, &runner.config.name);
+    let mut pauses = Pauses::new(host.id);
+    let mut said = String::new();
+    loop {
+        let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
+        let Some(opened) = opening.await else { return Ok(None) };
+        let error = match opened {
+            Ok(source) => match await_publishers(runner, config, &source, run).await {
+                Ok(true) => return Ok(Some(source)),
+                Ok(false) => {
+                    source.close().await;
+                    return Ok(None);
+                }
+                Err(error) => {
+                    source.close().await;
+                    error
+                }
+            },
+            Err(error) => error,
+        };
+        if !error.may_pass() {
+            return Err(error);
+        }
+        let text = error.to_string();
+        if said != text {
+            runner.report(IncidentKind::Disconnected, run, format!("{text} (trying again)"));
+            said.clone_from(&text);
+        }
+        runner.display.set_state(PipelineState::Waiting(text));
+        if runner.stop.run_until_cancelled(tokio::time::sleep(pauses.grow())).await.is_none() {
+            return Ok(None);
+        }
+    }
+}
+
+/// Waits until both topics have publishers, unless a run is under way already. Returns whether it goes on: not when the
+/// agent stops.
+async fn await_publishers(
+    runner: &Runner,
+    config: &ObserveConfig,
+    source: &Source,
+    run: Option<RunId>,
+) -> Result<bool, SourceError> {
+    let mut quiet = std::pin::pin!(tokio::time::sleep(QUIET));
+    let mut is_reported = false;
+    loop {
+        // Made before looking, so that nothing that happens in between is missed.
+        let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
+        source.check_types(config.pair_by)?;
+        let Some(trouble) = source.trouble().filter(|_| run.is_none()) else { return Ok(true) };
+        runner.display.set_state(PipelineState::Waiting(trouble.clone()));
+        tokio::select! {
+            () = input => {}
+            () = output => {}
+            error = source.ended() => return Err(error),
+            () = runner.stop.cancelled() => return Ok(false),
+            () = &mut quiet, if !is_reported => {
+                is_reported = true;
+                let text = format!("{trouble} since {} s; the run begins when one does", QUIET.as_secs());
+                runner.report(IncidentKind::Disconnected, None, text);
+            }
+        }
+    }
+}
+
+/// Reports what keeps a topic silent during a run, or that it is over.
+pub(super) fn report_trouble(runner: &Runner, run: RunId, trouble: Option<&str>) {
+    match trouble {
+        Some(trouble) => {
+            let text = format!("{trouble}; the run goes on when there are messages again");
+            runner.report(IncidentKind::Disconnected, Some(run), text);
+            runner.display.set_state(PipelineState::Waiting(trouble.to_owned()));
+        }
+        None => {
+            let text = "both observed topics have a publisher again".to_owned();
+            runner.report(IncidentKind::Connected, Some(run), text);
+            runner.display.set_state(PipelineState::Running);
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! What is kept of a message.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::Stamp;
+use peernet_ros::messages::{Field, Header, Reader, WireForm};
+
+use crate::config::PairBy;
+
+/// A message of an observed topic, without its content.
+#[derive(Clone, Debug)]
+pub(super) struct TopicMessage {
+    /// When the agent had its last byte.
+    pub(super) received: Stamp,
+    /// Bytes of the serialised message.
+    pub(super) length: usize,
+    /// What tells its publisher from others of the topic.
+    pub(super) publisher: Arc<str>,
+    /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` without a header, and where the
+    /// publisher left it at 0.
+    pub(super) stamp: Option<i64>,
+    /// Number that its publisher gave it, one more than that of the message before.
+    pub(super) sequence: Option<i64>,
+}
+
+impl TopicMessage {
+    /// Returns what the message is paired by, or why it cannot be paired.
+    pub(super) fn key(&self, pair_by: PairBy) -> Result<Option<i64>, &'static str> {
+        match pair_by {
+            PairBy::Stamp => self.stamp.map(Some).ok_or("it has no header.stamp, or one of 0"),
+            PairBy::Sequence => self.sequence.map(Some).ok_or("it has no sequence number"),
+            PairBy::Order => Ok(None),
+        }
+    }
+}
+
+/// Returns whether messages of a type begin with a `std_msgs/Header`, by the text of its definition.
+pub(super) fn begins_with_header(definition: &str) -> bool {
+    let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+    // A constant is no field.
+    let first = lines.into_iter().find(|line| !line.is_empty() && !line.contains('='));
+    let kind = first.and_then(|line| line.split_whitespace().next());
+    kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
+}
+
+/// Reads the header that a message begins with; `None` where there is none.
+pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
+    let mut reader = Reader::new(form, message.clone()).ok()?;
+    Header::read(&mut reader).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn header_is_found_behind_comments_and_constants() {
+        for definition in
+            ["Header header\nuint32 height\n", "# An image\n\nuint8 A=1\nstd_msgs/Header header # when"]
+        {
+            assert!(begins_with_header(definition), "{definition}");
+        }
+        for definition in ["string data\n", "", "uint32 id\nHeader header\n", "HeaderArray headers\n"] {
+            assert!(!begins_with_header(definition), "{definition}");
+        }
+    }
+
+    #[test]
+    fn header_of_any_type_is_read() {
+        // seq 7, 3 s + 5 ns, frame "a", then a field of a type that nobody here knows.
+        let message = [7, 0, 0, 0, 3, 0, 0, 0, 5, 0, 0, 0, 1, 0, 0, 0, b'a', 9, 9, 9];
+        let header = read_header(WireForm::Ros1, &Bytes::copy_from_slice(&message)).expect("a header");
+        assert_eq!((header.seq, header.stamp.as_nanos()), (7, 3_000_000_005));
+        assert!(read_header(WireForm::Ros1, &Bytes::from_static(&[1, 2])).is_none());
+    }
+}

@@ -1,0 +1,19 @@
+//! Pipelines that compute nothing: an existing ROS system is observed between two of its topics.
+//!
+//! Each message of the input topic is an iteration, answered by the message of the output topic that belongs to it. Nodes of
+//! the system are not touched: the agent subscribes as one more node, and stamps what it receives on its own host.
+//!
+//! `pairing` and `arrivals` decide without I/O; `source` and `topic` subscribe; `record` makes the tree of an iteration;
+//! `session` is the loop of a run and `life` what is around it.
+
+mod arrivals;
+mod life;
+mod message;
+mod pairing;
+mod record;
+mod session;
+mod source;
+mod topic;
+
+pub(super) use life::live;
+pub(super) use source::SourceError;

@@ -1,0 +1,129 @@
+//! Which output message belongs to which input message. No I/O.
+
+use std::collections::VecDeque;
+
+use peernet_clock::{MonoTime, Span};
+
+#[cfg(test)]
+mod tests;
+
+/// Pairs the messages of two topics.
+///
+/// Messages with a key are paired with the oldest message of the other topic that has the same key, whichever comes first:
+/// the observed node may have had the input before the agent. Messages without a key are paired in the order of arrival.
+#[derive(Debug)]
+pub(super) struct Pairing<I, O> {
+    /// How long an input message waits for its output message, and the other way round.
+    timeout: Span,
+    /// Messages of each topic that may wait.
+    capacity: usize,
+    inputs: VecDeque<Waiting<I>>,
+    outputs: VecDeque<Waiting<O>>,
+}
+
+/// A message that waits for one of the other topic.
+#[derive(Debug)]
+struct Waiting<T> {
+    key: Option<i64>,
+    since: MonoTime,
+    message: T,
+}
+
+/// What became of a message.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Resolution<I, O> {
+    /// The two belong together.
+    Paired { input: I, output: O },
+    /// The input message has no output message.
+    Unanswered { input: I, cause: Unanswered },
+    /// The output message has no input message.
+    Unmatched(O),
+}
+
+/// Why an input message has no output message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unanswered {
+    /// None came in time.
+    Expired,
+    /// Too many input messages came after it.
+    Displaced,
+}
+
+impl<I, O> Pairing<I, O> {
+    /// Creates a pairing in which at most `capacity` messages of each topic wait, no longer than `timeout`.
+    pub(super) fn new(timeout: Span, capacity: usize) -> Self {
+        Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
+    }
+
+    /// Takes in an input message that was received at `at`.
+    pub(super) fn take_input(
+        &mut self,
+        key: Option<i64>,
+        at: MonoTime,
+        input: I,
+    ) -> Option<Resolution<I, O>> {
+        // An output message without a key never waits: it would be taken for that of a later input message.
+        if let Some(output) = remove(&mut self.outputs, key) {
+            return Some(Resolution::Paired { input, output });
+        }
+        self.inputs.push_back(Waiting { key, since: at, message: input });
+        let displaced = (self.inputs.len() > self.capacity).then(|| self.inputs.pop_front()).flatten()?;
+        Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
+    }
+
+    /// Takes in an output message that was received at `at`.
+    pub(super) fn take_output(
+        &mut self,
+        key: Option<i64>,
+        at: MonoTime,
+        output: O,
+    ) -> Option<Resolution<I, O>> {
+        if key.is_none() {
+            let oldest = self.inputs.pop_front_if(|oldest| oldest.since <= at);
+            return Some(match oldest {
+                Some(Waiting { message: input, .. }) => Resolution::Paired { input, output },
+                None => Resolution::Unmatched(output),
+            });
+        }
+        if let Some(input) = remove(&mut self.inputs, key) {
+            return Some(Resolution::Paired { input, output });
+        }
+        self.outputs.push_back(Waiting { key, since: at, message: output });
+        let displaced = (self.outputs.len() > self.capacity).then(|| self.outputs.pop_front()).flatten()?;
+        Some(Resolution::Unmatched(displaced.message))
+    }
+
+    /// Gives up the next message that has waited for too long by `now`; to be called until there is none.
+    pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
+        let timeout = self.timeout;
+        if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.since >= timeout) {
+            return Some(Resolution::Unanswered { input: oldest.message, cause: Unanswered::Expired });
+        }
+        let oldest = self.outputs.pop_front_if(|oldest| now - oldest.since >= timeout)?;
+        Some(Resolution::Unmatched(oldest.message))
+    }
+
+    /// Returns when the next message will have waited for too long.
+    pub(super) fn next_deadline(&self) -> Option<MonoTime> {
+        let input = self.inputs.front().map(|oldest| oldest.since);
+        let output = self.outputs.front().map(|oldest| oldest.since);
+        input.into_iter().chain(output).min().map(|since| since + self.timeout)
+    }
+
+    /// Returns whether no input message waits.
+    pub(super) fn is_settled(&self) -> bool {
+        self.inputs.is_empty()
+    }
+
+    /// Removes and returns all input messages that wait, the oldest first.
+    pub(super) fn take_waiting(&mut self) -> impl Iterator<Item = I> + use<I, O> {
+        std::mem::take(&mut self.inputs).into_iter().map(|waiting| waiting.message)
+    }
+}
+
+/// Removes the oldest message with this key.
+fn remove<T>(waiting: &mut VecDeque<Waiting<T>>, key: Option<i64>) -> Option<T> {
+    let wanted = key?;
+    let index = waiting.iter().position(|message| message.key == Some(wanted))?;
+    waiting.remove(index).map(|waiting| waiting.message)
+}

@@ -1,0 +1,188 @@
+//! Every message is resolved once, whatever comes in whatever order.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use proptest::prelude::*;
+
+use super::*;
+
+const TIMEOUT: Span = Span::from_millis(100);
+const CAPACITY: usize = 4;
+
+type Numbered = Resolution<u32, u32>;
+
+fn at(millis: i64) -> MonoTime {
+    MonoTime::from_nanos(millis * 1_000_000)
+}
+
+fn pairing() -> Pairing<u32, u32> {
+    Pairing::new(TIMEOUT, CAPACITY)
+}
+
+fn paired(input: u32, output: u32) -> Option<Numbered> {
+    Some(Resolution::Paired { input, output })
+}
+
+#[test]
+fn equal_keys_are_paired_in_any_order_of_arrival() {
+    let mut pairing = pairing();
+    assert_eq!(pairing.take_input(Some(10), at(0), 1), None);
+    assert_eq!(pairing.take_input(Some(20), at(1), 2), None);
+    assert_eq!(pairing.take_output(Some(20), at(2), 12), paired(2, 12));
+    assert_eq!(pairing.take_output(Some(30), at(3), 13), None, "its input message may still come");
+    assert_eq!(pairing.take_input(Some(30), at(4), 3), paired(3, 13));
+    assert_eq!(pairing.take_output(Some(10), at(5), 11), paired(1, 11));
+    assert!(pairing.is_settled());
+}
+
+#[test]
+fn second_output_of_one_input_is_unmatched() {
+    let mut pairing = pairing();
+    pairing.take_input(Some(10), at(0), 1);
+    assert_eq!(pairing.take_output(Some(10), at(1), 11), paired(1, 11));
+    assert_eq!(pairing.take_output(Some(10), at(2), 12), None);
+    assert_eq!(pairing.expire(at(101)), None);
+    assert_eq!(pairing.expire(at(102)), Some(Resolution::Unmatched(12)));
+}
+
+#[test]
+fn input_without_output_is_given_up_at_its_deadline() {
+    let mut pairing = pairing();
+    pairing.take_input(Some(10), at(5), 1);
+    assert_eq!(pairing.next_deadline(), Some(at(105)));
+    assert_eq!(pairing.expire(at(104)), None);
+    let expired = Resolution::Unanswered { input: 1, cause: Unanswered::Expired };
+    assert_eq!(pairing.expire(at(105)), Some(expired));
+    assert_eq!((pairing.expire(at(105)), pairing.next_deadline()), (None, None));
+}
+
+#[test]
+fn order_pairs_the_oldest_and_never_with_a_later_input() {
+    let mut pairing = pairing();
+    assert_eq!(pairing.take_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
+    pairing.take_input(None, at(1), 1);
+    pairing.take_input(None, at(2), 2);
+    assert_eq!(pairing.take_output(None, at(3), 11), paired(1, 11));
+    // Handed over late: it was received before the input message that waits.
+    assert_eq!(pairing.take_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
+    assert_eq!(pairing.take_output(None, at(4), 13), paired(2, 13));
+}
+
+/// What happens, and the milliseconds that pass before it.
+#[derive(Clone, Copy, Debug)]
+enum Happening {
+    Input(Option<i64>),
+    Output(Option<i64>),
+    Expire,
+}
+
+fn happenings() -> impl Strategy<Value = Vec<(i64, Happening)>> {
+    let by_key = prop_oneof![
+        4 => (0_i64..6).prop_map(|key| Happening::Input(Some(key))),
+        4 => (0_i64..6).prop_map(|key| Happening::Output(Some(key))),
+        2 => Just(Happening::Expire),
+    ];
+    let by_order = prop_oneof![
+        4 => Just(Happening::Input(None)),
+        4 => Just(Happening::Output(None)),
+        2 => Just(Happening::Expire),
+    ];
+    let step = 0_i64..40;
+    prop_oneof![
+        proptest::collection::vec((step.clone(), by_key), 0..200),
+        proptest::collection::vec((step, by_order), 0..200),
+    ]
+}
+
+/// Keys and moments of the messages of a topic, by their numbers.
+type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
+
+/// Removes what a resolution names from the messages that wait, and checks that it may be resolved so.
+fn settle(
+    resolution: &Numbered,
+    now: MonoTime,
+    inputs: &mut Sent,
+    outputs: &mut Sent,
+) -> Result<(), TestCaseError> {
+    match resolution {
+        Resolution::Paired { input, output } => {
+            let (input, output) = (inputs.remove(input), outputs.remove(output));
+            let (Some((key, since)), Some((other, at))) = (input, output) else {
+                return Err(TestCaseError::fail("a message was resolved twice"));
+            };
+            prop_assert_eq!(key, other);
+            prop_assert!(key.is_some() || since <= at);
+        }
+        Resolution::Unanswered { input, cause } => {
+            let waited = inputs.remove(input).map(|(_, since)| now - since);
+            let Some(waited) = waited else { return Err(TestCaseError::fail("an input was resolved twice")) };
+            match cause {
+                Unanswered::Expired => prop_assert!(waited >= TIMEOUT),
+                Unanswered::Displaced => prop_assert!(inputs.len() >= CAPACITY),
+            }
+        }
+        Resolution::Unmatched(output) => {
+            prop_assert!(outputs.remove(output).is_some(), "an output was resolved twice");
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn every_message_is_resolved_once_in_bounded_memory(happenings in happenings()) {
+        let (mut pairing, mut now, mut number) = (pairing(), at(0), 0_u32);
+        let (mut inputs, mut outputs) = (Sent::new(), Sent::new());
+        for (pause, happening) in happenings {
+            now = now + Span::from_millis(pause);
+            number += 1;
+            let resolution = match happening {
+                Happening::Input(key) => {
+                    inputs.insert(number, (key, now));
+                    pairing.take_input(key, now, number)
+                }
+                Happening::Output(key) => {
+                    outputs.insert(number, (key, now));
+                    pairing.take_output(key, now, number)
+                }
+                Happening::Expire => None,
+            };
+            if let Some(resolution) = resolution {
+                settle(&resolution, now, &mut inputs, &mut outputs)?;
+            }
+            if matches!(happening, Happening::Expire) {
+                while let Some(resolution) = pairing.expire(now) {
+                    settle(&resolution, now, &mut inputs, &mut outputs)?;
+                }
+                prop_assert!(pairing.next_deadline().is_none_or(|deadline| deadline > now));
+            }
+            // Nothing is forgotten, and no more waits than may.
+            prop_assert!(inputs.len() <= CAPACITY && outputs.len() <= CAPACITY);
+            prop_assert_eq!(pairing.inputs.len(), inputs.len());
+            prop_assert_eq!(pairing.outputs.len(), outputs.len());
+            prop_assert_eq!(pairing.is_settled(), inputs.is_empty());
+            // What could be paired does not wait.
+            let waiting: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
+            prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting.contains(&key))));
+        }
+        let left: Vec<u32> = pairing.take_waiting().collect();
+        prop_assert_eq!(left, inputs.keys().copied().collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn order_keeps_the_sequence_of_both_topics(is_input in proptest::collection::vec(any::<bool>(), 0..100)) {
+        let mut pairing = pairing();
+        let mut pairs = Vec::new();
+        for (number, is_input) in (0_u32..).zip(is_input) {
+            let resolution = if is_input {
+                pairing.take_input(None, at(number.into()), number)
+            } else {
+                pairing.take_output(None, at(number.into()), number)
+            };
+            if let Some(Resolution::Paired { input, output }) = resolution {
+                pairs.push((input, output));
+            }
+        }
+        prop_assert!(pairs.is_sorted_by(|one, next| one.0 < next.0 && one.1 < next.1));
+    }
+}

@@ -1,0 +1,213 @@
+//! The tree of one iteration of an observed system.
+
+use peernet_clock::{SharedClock, Span, Stamp, WallTime};
+use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
+
+use super::arrivals::Arrival;
+use super::message::TopicMessage;
+use crate::pipeline::flight::Ticket;
+use crate::pipeline::iteration;
+use crate::pipeline::load::Start;
+use crate::pipeline::progress::Position;
+
+/// Largest difference between a `header.stamp` and this host's clock that is taken for the age of a message. Beyond it the
+/// stamp is that of another clock, as that of a simulation.
+const MAX_AGE: Span = Span::from_seconds(3600);
+
+/// Output messages without an input message since the iteration before. Absent when there were none.
+const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
+
+/// A message with what its arrival says of its topic.
+#[derive(Debug)]
+pub(super) struct Received {
+    pub(super) message: TopicMessage,
+    pub(super) arrival: Arrival,
+}
+
+/// An input message with its place in the run.
+#[derive(Debug)]
+pub(super) struct Input {
+    pub(super) position: Position,
+    pub(super) received: Received,
+}
+
+/// Messages that did not become iterations, since the last answered one.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Uncounted {
+    pub(super) input_missing: u64,
+    pub(super) output_missing: u64,
+    pub(super) output_unmatched: u64,
+}
+
+/// Names of the values of a topic; age and period are the terms of the topic statistics of ROS 2.
+struct TopicNames {
+    /// Reception by the agent, less `header.stamp`: holds the offset between the clocks of two hosts.
+    age: Name,
+    /// Time since the topic's message before.
+    period: Name,
+    /// Difference between two periods in a row.
+    jitter: Name,
+    /// Size of the serialised message.
+    bytes: Name,
+    /// Messages that should have come since the answered iteration before, by their sequence numbers.
+    missing: Name,
+}
+
+const INPUT: TopicNames = TopicNames {
+    age: Name::from_static("input-age"),
+    period: Name::from_static("input-period"),
+    jitter: Name::from_static("input-jitter"),
+    bytes: Name::from_static("input-bytes"),
+    missing: Name::from_static("input-missing"),
+};
+
+const OUTPUT: TopicNames = TopicNames {
+    age: Name::from_static("output-age"),
+    period: Name::from_static("output-period"),
+    jitter: Name::from_static("output-jitter"),
+    bytes: Name::from_static("output-bytes"),
+    missing: Name::from_static("output-missing"),
+};
+
+/// Returns the tree of an input message with its output message, and when the iteration ended.
+pub(super) fn answered(
+    clock: &SharedClock,
+    host: HostId,
+    input: &Input,
+    output: &Received,
+    uncounted: Uncounted,
+) -> (Tree, Stamp) {
+    let (begun, seen) = (input.received.message.received, output.message.received);
+    // The observed node may have had the input before the agent: then it took less time than can be seen here.
+    let ended = if seen.mono < begun.mono { begun } else { seen };
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
+    log.timed(stage::INFERENCE, begun.mono, ended.mono);
+    let at = ended.mono - begun.mono;
+    add(log.tree_mut(), &INPUT, &input.received, Span::ZERO, uncounted.input_missing);
+    add(log.tree_mut(), &OUTPUT, output, at, uncounted.output_missing);
+    if uncounted.output_unmatched > 0 {
+        count(log.tree_mut(), OUTPUT_UNMATCHED, at, uncounted.output_unmatched);
+    }
+    (iteration::close(log, &ticket(input.position, begun), ended.mono, true, None), ended)
+}
+
+/// Returns the tree of an input message that has no output message at `ended`.
+pub(super) fn unanswered(
+    clock: &SharedClock,
+    host: HostId,
+    position: Position,
+    input: &Received,
+    ended: Stamp,
+) -> Tree {
+    let begun = input.message.received;
+    let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
+    add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
+    iteration::close(log, &ticket(position, begun), ended.mono, true, None)
+}
+
+fn add(tree: &mut Tree, names: &TopicNames, received: &Received, at: Span, missing: u64) {
+    let Received { message, arrival } = received;
+    let mut seconds = |name: &Name, span: Option<Span>| {
+        if let Some(span) = span {
+            tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
+        }
+    };
+    seconds(&names.age, age(message));
+    seconds(&names.period, arrival.period);
+    seconds(&names.jitter, arrival.jitter);
+    let bytes = Measure::Value(message.length as f64, Unit::BYTES);
+    tree.add(NodeId::ROOT, names.bytes.clone(), at, bytes);
+    if missing > 0 {
+        count(tree, names.missing.clone(), at, missing);
+    }
+}
+
+fn count(tree: &mut Tree, name: Name, at: Span, count: u64) {
+    tree.add(NodeId::ROOT, name, at, Measure::Value(count as f64, Unit::NONE));
+}
+
+fn age(message: &TopicMessage) -> Option<Span> {
+    let age = message.received.wall - WallTime::from_unix_nanos(message.stamp?);
+    (age.abs() <= MAX_AGE).then_some(age)
+}
+
+const fn ticket(position: Position, begun: Stamp) -> Ticket {
+    Ticket { position, start: Start { intended: begun.mono, skipped: 0 }, begun: begun.mono }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{Clock, ClockIdentity, ManualClock};
+
+    use super::*;
+
+    const POSITION: Position = Position { number: 1, episode: 0, step: 0, warm_up: false };
+
+    fn received(at: Stamp, stamp: Option<i64>) -> Received {
+        let message =
+            TopicMessage { received: at, length: 10, publisher: Arc::from("/n"), stamp, sequence: None };
+        let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None, missing: 0 };
+        Received { message, arrival }
+    }
+
+    fn clock() -> Arc<ManualClock> {
+        Arc::new(ManualClock::new(
+            WallTime::from_unix_nanos(1_000_000_000_000_000_000),
+            ClockIdentity::new("boot", "system"),
+        ))
+    }
+
+    fn millis(tree: &Tree, name: &str) -> Option<f64> {
+        Some((tree.find(&[name])?.1.measure.value()? * 1e3).round())
+    }
+
+    #[test]
+    fn answered_input_has_latency_ages_and_counts() {
+        let clock = clock();
+        let captured = clock.wall().unix_nanos();
+        clock.advance(Span::from_millis(3));
+        let input = Input { position: POSITION, received: received(clock.stamp(), Some(captured)) };
+        clock.advance(Span::from_millis(20));
+        let output = received(clock.stamp(), Some(captured));
+        let uncounted = Uncounted { input_missing: 2, output_missing: 0, output_unmatched: 1 };
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, uncounted);
+        for (name, expected) in [
+            ("inference", 20.0),
+            ("total", 20.0),
+            ("unattributed", 0.0),
+            ("input-age", 3.0),
+            ("output-age", 23.0),
+        ] {
+            assert_eq!(millis(&tree, name), Some(expected), "{name}");
+        }
+        let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
+        assert_eq!((value("input-missing"), value("output-missing")), (Some(2.0), None));
+        assert_eq!((value("output-unmatched"), value("input-period")), (Some(1.0), Some(0.04)));
+        assert_eq!(ended, output.message.received);
+    }
+
+    #[test]
+    fn output_that_came_first_has_no_latency() {
+        let clock = clock();
+        let output = received(clock.stamp(), None);
+        clock.advance(Span::from_millis(1));
+        let input = Input { position: POSITION, received: received(clock.stamp(), None) };
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let (tree, ended) = answered(&shared, HostId::random(), &input, &output, Uncounted::default());
+        assert_eq!(millis(&tree, "inference"), Some(0.0));
+        assert_eq!(ended, input.received.message.received);
+    }
+
+    #[test]
+    fn stamp_of_a_simulated_clock_is_no_age() {
+        let clock = clock();
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let input = received(clock.stamp(), Some(5_000_000_000));
+        clock.advance(Span::from_millis(1000));
+        let tree = unanswered(&shared, HostId::random(), POSITION, &input, clock.stamp());
+        assert_eq!((millis(&tree, "input-age"), millis(&tree, "total")), (None, Some(1000.0)));
+    }
+}

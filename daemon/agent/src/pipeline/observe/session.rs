@@ -1,0 +1,255 @@
+//! Makes iterations of the messages of two topics, until something ends the run.
+
+use std::pin::pin;
+use std::time::Duration;
+
+use futures::FutureExt;
+use peernet_clock::{MonoTime, Span};
+use peernet_stream::Outcome;
+
+use super::arrivals::Arrivals;
+use super::message::TopicMessage;
+use super::pairing::{Pairing, Resolution, Unanswered};
+use super::record::{self, Input, Received, Uncounted};
+use super::source::{Source, SourceError};
+use super::topic::Topic;
+use crate::config::ObserveConfig;
+use crate::pipeline::run::Run;
+use crate::pipeline::runner::Runner;
+
+/// Messages of each topic that wait for one of the other at most: a topic of 1 kHz for four seconds.
+const MAX_WAITING: usize = 4096;
+/// Longest time between two looks at the publishers and at the end of the run.
+const LOOK: Span = Span::from_seconds(1);
+
+/// Why a session ended.
+#[derive(Debug)]
+pub(super) enum SessionEnded {
+    /// The run reached its limit.
+    Limit,
+    /// A new day began.
+    Midnight,
+    /// The agent stops.
+    Stopped,
+    /// The node has ended.
+    SourceLost(SourceError),
+}
+
+/// What was observed so far, over all connections and runs.
+pub(super) struct Observation<'a> {
+    config: &'a ObserveConfig,
+    timeout: Span,
+    pairing: Pairing<Input, Received>,
+    input: Arrivals,
+    output: Arrivals,
+    uncounted: Uncounted,
+    /// Messages from before are not taken in: nobody waited for them.
+    since: MonoTime,
+    /// Output messages without a key were reported.
+    has_reported_output: bool,
+}
+
+impl<'a> Observation<'a> {
+    pub(super) fn new(config: &'a ObserveConfig, timeout: Duration, since: MonoTime) -> Self {
+        let timeout = Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
+        Self {
+            config,
+            timeout,
+            pairing: Pairing::new(timeout, MAX_WAITING),
+            input: Arrivals::default(),
+            output: Arrivals::default(),
+            uncounted: Uncounted::default(),
+            since,
+            has_reported_output: false,
+        }
+    }
+
+    /// Makes iterations of `run` until one of the ends; all that had begun has been recorded by then, unless the node
+    /// has ended.
+    pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
+        let clock = &runner.context.host.clock;
+        let mut stopping = pin!(runner.stop.cancelled());
+        let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
+        let mut ending: Option<SessionEnded> = None;
+        let mut trouble: Option<String> = None;
+        let mut dropped = source.input.dropped() + source.output.dropped();
+        let mut look_at = clock.mono();
+        loop {
+            let now = clock.mono();
+            while let Some(resolution) = self.pairing.expire(now) {
+                self.settle(resolution, run, runner);
+            }
+            if now >= look_at {
+                look_at = now + LOOK;
+                let current = source.trouble();
+                if current != trouble {
+                    super::life::report_trouble(runner, run.id(), current.as_deref());
+                    trouble = current;
+                }
+                report_dropped(source, &mut dropped);
+            }
+            if ending.is_none() {
+                if run.is_over(now) {
+                    ending = Some(SessionEnded::Limit);
+                } else if run.is_yesterdays(clock.wall()) {
+                    ending = Some(SessionEnded::Midnight);
+                }
+            }
+            if self.pairing.is_settled()
+                && let Some(ending) = ending.take()
+            {
+                return ending;
+            }
+            let wakes_at = self.pairing.next_deadline().map_or(look_at, |deadline| deadline.min(look_at));
+            let pause = tokio::time::sleep((wakes_at - now).to_duration());
+            let is_stopping = matches!(ending, Some(SessionEnded::Stopped));
+            tokio::select! {
+                () = &mut stopping, if !is_stopping => {
+                    given_up.as_mut().reset(tokio::time::Instant::now() + runner.patience);
+                    ending = Some(SessionEnded::Stopped);
+                }
+                message = source.input.next() => match message {
+                    Ok(message) if ending.is_none() => self.take_input(message, run, runner),
+                    // The run is over; those that it has are still waited for.
+                    Ok(_) => {}
+                    Err(error) => return SessionEnded::SourceLost(error.into()),
+                },
+                message = source.output.next() => match message {
+                    Ok(message) => {
+                        // What is there already may have come before it.
+                        if ending.is_none() {
+                            self.take_arrived(&mut source.input, run, runner);
+                        }
+                        self.take_output(message, run, runner);
+                    }
+                    Err(error) => return SessionEnded::SourceLost(error.into()),
+                },
+                () = pause => {}
+                () = &mut given_up, if is_stopping => {
+                    self.give_up("the agent stopped before the output message came", run, runner);
+                    return SessionEnded::Stopped;
+                }
+            }
+        }
+    }
+
+    /// Records the input messages that wait as lost.
+    pub(super) fn give_up(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
+        for input in self.pairing.take_waiting() {
+            record_lost(&input, reason.to_owned(), run, runner);
+        }
+    }
+
+    /// Takes in the input messages that have been received.
+    fn take_arrived(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
+        // An error shows again when the next message is waited for.
+        while let Some(Ok(message)) = input.next().now_or_never() {
+            if !run.is_over(message.received.mono) {
+                self.take_input(message, run, runner);
+            }
+        }
+    }
+
+    fn take_input(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
+        let at = message.received.mono;
+        if at < self.since {
+            return;
+        }
+        let arrival = self.input.record(at, &message.publisher, message.sequence);
+        self.uncounted.input_missing += arrival.missing;
+        let position = run.place(at);
+        let key = message.key(self.config.pair_by);
+        let received = Received { message, arrival };
+        match key {
+            Ok(key) => {
+                let input = Input { position, received };
+                if let Some(resolution) = self.pairing.take_input(key, at, input) {
+                    self.settle(resolution, run, runner);
+                }
+            }
+            Err(reason) => {
+                let host = &runner.context.host;
+                let ended = host.clock.stamp();
+                let tree = record::unanswered(&host.clock, host.id, position, &received, ended);
+                let outcome = Outcome::Failed(format!("a message of {}: {reason}", self.config.input));
+                run.record(position, outcome, tree, ended, &runner.context, &runner.display);
+            }
+        }
+    }
+
+    fn take_output(&mut self, message: TopicMessage, run: &mut Run, runner: &Runner) {
+        let at = message.received.mono;
+        if at < self.since {
+            return;
+        }
+        let arrival = self.output.record(at, &message.publisher, message.sequence);
+        self.uncounted.output_missing += arrival.missing;
+        match message.key(self.config.pair_by) {
+            Ok(key) => {
+                let output = Received { message, arrival };
+                if let Some(resolution) = self.pairing.take_output(key, at, output) {
+                    self.settle(resolution, run, runner);
+                }
+            }
+            Err(reason) => {
+                self.uncounted.output_unmatched += 1;
+                if !std::mem::replace(&mut self.has_reported_output, true) {
+                    let topic = &self.config.output;
+                    tracing::warn!(topic, "a message cannot be paired: {reason}; such messages are counted");
+                }
+            }
+        }
+    }
+
+    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &Run, runner: &Runner) {
+        match resolution {
+            Resolution::Paired { input, output } => {
+                let uncounted = std::mem::take(&mut self.uncounted);
+                let host = &runner.context.host;
+                let (tree, ended) = record::answered(&host.clock, host.id, &input, &output, uncounted);
+                run.record(input.position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
+            }
+            Resolution::Unanswered { input, cause } => {
+                let ObserveConfig { output, pair_by, .. } = self.config;
+                let (by, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
+                let reason = match cause {
+                    Unanswered::Expired => {
+                        format!("no message of {output} with its {by} within {millis} ms")
+                    }
+                    Unanswered::Displaced => {
+                        format!("{MAX_WAITING} newer messages came before one of {output} with its {by}")
+                    }
+                };
+                record_lost(&input, reason, run, runner);
+            }
+            Resolution::Unmatched(output) => {
+                // The first may belong to input messages from before the run.
+                if output.message.received.mono - self.since >= self.timeout {
+                    self.uncounted.output_unmatched += 1;
+                }
+            }
+        }
+    }
+}
+
+fn record_lost(input: &Input, reason: String, run: &Run, runner: &Runner) {
+    let host = &runner.context.host;
+    let ended = host.clock.stamp();
+    let tree = record::unanswered(&host.clock, host.id, input.position, &input.received, ended);
+    run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.display);
+}
+
+/// Says that messages were dropped here, which is no fault of the observed nodes.
+fn report_dropped(source: &Source, reported: &mut u64) {
+    let dropped = source.input.dropped() + source.output.dropped();
+    if dropped > *reported {
+        let (input, output, more) = (source.input.name(), source.output.name(), dropped - *reported);
+        tracing::warn!(
+            input,
+            output,
+            more,
+            "this agent was too busy and dropped messages of observed topics"
+        );
+        *reported = dropped;
+    }
+}

@@ -1,0 +1,95 @@
+//! A ROS 1 node for tests: a camera, or a node that answers after a known time.
+//!
+//! ```text
+//! ros1-node camera NAME TOPIC HZ              publishes stamped messages
+//! ros1-node relay NAME IN OUT DELAY_MS DROP   publishes what it receives after a delay, but not every DROPth message (0: all)
+//! ros1-node talk NAME TOPIC                   publishes texts, which have no header
+//! ```
+//! A relay prints the median of what it really took, in microseconds, after each 20 messages.
+#![expect(clippy::print_stdout, reason = "the tests read what it prints")]
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use bytes::Bytes;
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_ros::messages::{CompressedImage, Header, Message, StringMessage, Time, WireForm};
+use peernet_ros::ros1::{Environment, Node, PublisherOptions, SubscriberOptions, TopicType};
+
+/// Messages after which a relay says how long it took.
+const REPORT: usize = 20;
+
+fn say(line: &str) {
+    println!("{line}");
+}
+
+async fn camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyhow::Result<()> {
+    let publisher =
+        node.publish(topic, TopicType::of::<CompressedImage>(), PublisherOptions::default()).await?;
+    say("ready");
+    let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / hz));
+    for seq in 0.. {
+        ticks.tick().await;
+        let stamp = Time::from_nanos(clock.wall().unix_nanos());
+        let header = Header { seq, stamp, frame_id: "camera".into() };
+        let picture =
+            CompressedImage { header, format: "jpeg".into(), data: Bytes::from_static(&[7; 10_000]) };
+        publisher.publish(picture.encode(WireForm::Ros1)?)?;
+    }
+    Ok(())
+}
+
+async fn relay(node: &Node, from: &str, to: &str, delay: Duration, drop: usize) -> anyhow::Result<()> {
+    let kind = TopicType::of::<CompressedImage>();
+    let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
+    let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
+    say("ready");
+    let mut taken = Vec::new();
+    for number in 1.. {
+        let message = subscriber.recv().await?;
+        let begun = Instant::now();
+        if drop > 0 && number % drop == 0 {
+            continue;
+        }
+        // Timers of tokio are rounded up to whole milliseconds.
+        std::thread::sleep(delay);
+        publisher.publish(message.bytes)?;
+        taken.push(begun.elapsed().as_micros());
+        if taken.len() == REPORT {
+            taken.sort_unstable();
+            say(&format!("median {} us", taken[REPORT / 2]));
+            taken.clear();
+        }
+    }
+    Ok(())
+}
+
+async fn talk(node: &Node, topic: &str) -> anyhow::Result<()> {
+    let publisher =
+        node.publish(topic, TopicType::of::<StringMessage>(), PublisherOptions::default()).await?;
+    say("ready");
+    let mut ticks = tokio::time::interval(Duration::from_millis(50));
+    loop {
+        ticks.tick().await;
+        publisher.publish(StringMessage { data: "hello".into() }.encode(WireForm::Ros1)?)?;
+    }
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [command, name, rest @ ..] = arguments.as_slice() else { bail!("usage: see the head of node.rs") };
+    let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("test", "test")));
+    let node = Node::new(&Environment::from_process()?, name, Arc::clone(&clock)).await?;
+    let rest: Vec<&str> = rest.iter().map(String::as_str).collect();
+    match (command.as_str(), rest.as_slice()) {
+        ("camera", [topic, hz]) => camera(&node, &clock, topic, hz.parse()?).await,
+        ("relay", [from, to, delay, drop]) => {
+            relay(&node, from, to, Duration::from_millis(delay.parse()?), drop.parse()?).await
+        }
+        ("talk", [topic]) => talk(&node, topic).await,
+        _ => bail!("unknown command {command} with {} arguments", rest.len()),
+    }?;
+    node.shutdown().await.context("the end of the node")
+}

@@ -1,0 +1,67 @@
+//! A ROS 1 system of real processes: a master, and nodes that take a known time.
+
+use std::net::TcpStream;
+use std::path::Path;
+
+use crate::{Process, Site, free_port, program, root, until};
+
+/// A ROS 1 system on loopback.
+#[derive(Debug)]
+pub struct Ros1System {
+    port: u16,
+    master: Option<Process>,
+}
+
+impl Default for Ros1System {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Ros1System {
+    /// Starts a master.
+    pub fn new() -> Self {
+        let mut system = Self { port: free_port(), master: None };
+        system.start_master();
+        system
+    }
+
+    /// Starts the master at the port that it had before.
+    pub fn start_master(&mut self) {
+        let arguments = ["--core", "-p", &self.port.to_string()];
+        let home = std::env::temp_dir().display().to_string();
+        self.master =
+            Some(Process::start(Path::new("rosmaster"), &arguments, root(), &[("ROS_HOME", &home)]));
+        until("the ROS master", || TcpStream::connect(("127.0.0.1", self.port)).ok());
+    }
+
+    /// Kills the master, which forgets everything.
+    pub fn kill_master(&mut self) {
+        self.master.take().map(Process::kill);
+    }
+
+    /// The environment variables of programs that take part in the system.
+    pub fn environment(&self) -> [(&'static str, String); 2] {
+        [("ROS_MASTER_URI", format!("http://127.0.0.1:{}", self.port)), ("ROS_IP", "127.0.0.1".to_owned())]
+    }
+
+    /// Starts a node of `tests/ros/node.rs` and waits until it publishes.
+    pub fn node(&self, arguments: &[&str]) -> Process {
+        let environment = self.environment();
+        let environment: Vec<(&str, &str)> =
+            environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        let node = Process::start(&program("ros1-node"), arguments, root(), &environment);
+        node.wait_for("ready");
+        node
+    }
+
+    /// Writes an agent and starts it as a part of the system; `tables` follow its table `[agent]`.
+    pub fn agent(&self, site: &Site, name: &str, tables: &str) -> Process {
+        let file = format!("{name}.toml");
+        site.write(&file, &(crate::site::agent(name, "127.0.0.1") + tables));
+        let environment = self.environment();
+        let environment: Vec<(&str, &str)> =
+            environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        site.start_with(&file, &environment)
+    }
+}

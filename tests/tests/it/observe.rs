@@ -1,0 +1,211 @@
+//! A ROS 1 system is profiled between two of its topics, without a change of its nodes.
+
+use peernet_tests::{Api, Process, Ros1System, Site, until};
+use serde_json::Value;
+
+/// A pipeline that observes the nodes between two topics.
+fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"{name}\"\ntimeout_ms = 500\n\
+         placement = {{ kind = \"observe\", ros_version = 1, input = \"{input}\", output = \"{output}\" }}\n{keys}\n"
+    )
+}
+
+/// The numbers of runs by their pipelines' names, once all have ended by themselves.
+fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
+    api.until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?;
+        let done = runs.iter().filter(|run| run["reason"] == "finished");
+        let named: Vec<(String, i64)> = done
+            .filter_map(|run| Some((run["pipeline"].as_str()?.to_owned(), run["number"].as_i64()?)))
+            .collect();
+        (named.len() == pipelines).then_some(named)
+    })
+}
+
+/// The median of a stage or value of a run, within 1 %.
+fn median(api: &Api, run: i64, name: &str) -> f64 {
+    let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
+}
+
+/// Messages that a median is taken of, here as by a relay.
+const WINDOW: usize = 20;
+
+/// The median latency of the newest iterations of a pipeline's only run, in seconds.
+fn latency(api: &Api, pipeline: &str) -> Option<f64> {
+    let runs = api.json("/api/v1/runs");
+    let run = runs["runs"].as_array()?.iter().find(|run| run["pipeline"] == pipeline)?["number"].as_i64()?;
+    let iterations = api.json(&format!("/api/v1/runs/{run}/iterations?limit=1000"));
+    let newest = iterations["iterations"].as_array()?.iter().rev().take(WINDOW);
+    let mut totals: Vec<f64> = newest.filter_map(|iteration| iteration["total"].as_f64()).collect();
+    totals.sort_by(f64::total_cmp);
+    (totals.len() == WINDOW).then(|| totals[WINDOW / 2])
+}
+
+/// The median of what a relay says it took lately, in seconds.
+fn taken(relay: &Process) -> Option<f64> {
+    let log = relay.log();
+    let line = log.lines().rfind(|line| line.starts_with("median"))?;
+    Some(line.split(' ').nth(1)?.parse::<f64>().ok()? * 1e-6)
+}
+
+/// Stored iterations of a pipeline's only run that were answered.
+fn answered(api: &Api, pipeline: &str) -> u64 {
+    let runs: Value = api.json("/api/v1/runs");
+    let mut runs = runs["runs"].as_array().expect("a list").iter();
+    let run = runs.find(|run| run["pipeline"] == pipeline);
+    run.and_then(|run| run["counts"]["ok"].as_u64()).unwrap_or_default()
+}
+
+#[test]
+fn latencies_of_a_chain_are_reported_within_a_millisecond() {
+    let (site, ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
+    let relay = |(delay, from, to): &(&str, &str, &str)| {
+        ros.node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
+    };
+    let relays: Vec<Process> = hops.iter().map(relay).collect();
+    let tables: String =
+        hops.iter().map(|(delay, from, to)| observer(&format!("hop{delay}"), from, to, "")).collect();
+    let limit = "limit = { iterations = 40 }";
+    let agent = ros.agent(&site, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
+    let _camera = ros.node(&["camera", "camera", "/camera", "10"]);
+
+    // A machine that is busy with other tests lets nodes and agent wait for a processor: until it does not for two seconds.
+    let mut sum = 0.0;
+    for ((delay, ..), relay) in hops.iter().zip(&relays) {
+        let seconds = until(&format!("a median within a millisecond of {delay} ms"), || {
+            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, taken(relay)?);
+            ((reported - taken).abs() < 1e-3).then_some(taken)
+        });
+        let least: f64 = delay.parse().expect("a number");
+        assert!(seconds >= least * 1e-3, "{seconds}");
+        sum += least * 1e-3;
+    }
+    let (_, whole) = finished(&api, 1).remove(0);
+    // A median of the API is within 1 % of the true one.
+    assert!(median(&api, whole, "total") >= sum * 0.99);
+    api.stages_are_the_total(whole, &["inference"]);
+
+    // Rate and jitter of both topics, the age since the stamp, and where the publishers run.
+    for topic in ["input", "output"] {
+        let period = median(&api, whole, &format!("{topic}-period"));
+        assert!((period - 0.1).abs() < 2e-2, "{topic}: {period}");
+        assert!(median(&api, whole, &format!("{topic}-jitter")) < 0.05, "{topic}");
+    }
+    // The camera stamps its messages when it publishes them.
+    assert!(median(&api, whole, "output-age") >= sum * 0.99);
+    let run = api.json(&format!("/api/v1/runs/{whole}"));
+    let facts = run["facts"].to_string();
+    for part in ["/camera (sensor_msgs/CompressedImage)", "/relay50 on this host", "header.stamp", "ROS 1"] {
+        assert!(facts.contains(part), "{part} is missing in {facts}");
+    }
+    assert_eq!((&run["counts"]["ok"], &run["counts"]["lost"]), (&40.into(), &0.into()), "{run}");
+    assert_eq!(agent.stop().code(), 0);
+}
+
+#[test]
+fn unanswered_input_messages_are_lost_iterations() {
+    let (site, ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
+    let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "4"]);
+    let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
+    let _agent = ros.agent(&site, "robot", &observer("lossy", "/camera", "/out", keys));
+    let (_, run) = finished(&api, 1).remove(0);
+    let detail = api.json(&format!("/api/v1/runs/{run}"));
+    let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
+    assert_eq!(count("ok") + count("lost"), 40, "{detail}");
+    assert_eq!(count("lost"), 10, "{detail}");
+    let iterations = api.json(&format!("/api/v1/runs/{run}/iterations?unsuccessful=true")).to_string();
+    assert!(iterations.contains("no message of /out with its header.stamp within 500 ms"), "{iterations}");
+}
+
+#[test]
+fn observing_goes_on_after_master_and_nodes_were_restarted() {
+    let (site, mut ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let agent =
+        ros.agent(&site, "robot", &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"));
+    let state = |wanted: &str| {
+        api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+            pipeline.to_string().contains(wanted).then(|| pipeline["run"].clone())
+        })
+    };
+    state("no node publishes /camera; no node publishes /out");
+    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
+    state("no node publishes /out");
+    let relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "0"]);
+    let ok = || answered(&api, "chain");
+    until("iterations", || (ok() > 5).then_some(()));
+    let run = api.until("/api/v1/pipelines/robot/chain", |pipeline| pipeline["run"].as_i64());
+
+    relay.kill();
+    state("no node publishes /out");
+    let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "0"]);
+    assert_eq!(state("running"), run, "it is the same run");
+
+    ros.kill_master();
+    agent.wait_for("the ROS master is not reachable");
+    ros.start_master();
+    agent.wait_for("the ROS master was started anew");
+    let before = ok();
+    until("iterations after the master was restarted", || (ok() > before).then_some(()));
+    let incidents = api.json("/api/v1/incidents").to_string();
+    for part in
+        ["the run goes on when there are messages again", "both observed topics have a publisher again"]
+    {
+        assert!(incidents.contains(part), "{part} is missing in {incidents}");
+    }
+    assert_eq!(agent.stop().code(), 0);
+}
+
+#[test]
+fn topic_without_header_is_refused_with_the_next_step() {
+    let (site, ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let _nodes = [ros.node(&["talk", "one", "/one"]), ros.node(&["talk", "two", "/two"])];
+    let stamped = observer("stamped", "/one", "/two", "");
+    let ordered =
+        observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
+    let _agent = ros.agent(&site, "robot", &(stamped + &ordered));
+    api.until("/api/v1/pipelines/robot/stamped", |pipeline| {
+        let text = pipeline.to_string();
+        (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
+    });
+    until("iterations", || (answered(&api, "ordered") > 5).then_some(()));
+}
+
+#[test]
+fn agent_waits_for_a_master() {
+    let (site, mut ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    ros.kill_master();
+    let _agent = ros.agent(&site, "robot", &observer("chain", "/camera", "/out", ""));
+    api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+        pipeline.to_string().contains("no ROS master answers at http://127.0.0.1").then_some(())
+    });
+    ros.start_master();
+    api.until("/api/v1/pipelines/robot/chain", |pipeline| {
+        pipeline.to_string().contains("no node publishes /camera").then_some(())
+    });
+}
+
+#[test]
+fn keys_of_an_active_pipeline_are_refused_beside_observe() {
+    let site = Site::new();
+    let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
+        .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
+    site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+    let ended = site.peernetd(&["check", "it.toml"]).ended();
+    assert_eq!(ended.code(), 78, "{}", ended.log);
+    for part in [
+        "pipeline[0].sensor: a system that is only observed has its own",
+        "pipeline[0].load: a system that is only observed",
+        "pipeline[0].placement.output: it is the topic of input, too",
+    ] {
+        assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+    }
+}
