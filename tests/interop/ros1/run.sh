@@ -6,3 +6,4 @@ tests/interop/build.sh
 programs=${CARGO_TARGET_DIR:-target}/debug
 python3 tests/interop/ros1/check.py "$programs/examples/ros1_peer"
 python3 tests/interop/ros1/agent.py "$programs/peernetd"
+python3 tests/interop/ros1/observe.py "$programs/peernetd"
