@@ -7,11 +7,13 @@ use std::sync::Arc;
 use peernet_clock::{MonoTime, Span};
 
 use super::connection::{Connection, ConnectionLimits, Event};
+use super::entry::{Entry, Standing, reply_address};
 use super::handshake::{CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
 use super::partial_message::PEAK_COST;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
+use super::timers::Timers;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 
@@ -29,6 +31,9 @@ const PATH_PAUSE: Span = Span::from_millis(100);
 
 /// Bytes of the packet that asks, and the least that it is an answer to.
 const PATH_BYTES: usize = 17;
+
+/// The shortest time between two looks at a connection.
+const SOON: Span = Span::from_millis(1);
 
 /// Most answers to strangers that wait to be sent.
 const MAX_ANSWERS: usize = 256;
@@ -51,14 +56,6 @@ pub(crate) struct EndpointLimits {
     pub(crate) terms: Terms,
 }
 
-/// What a connection may do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Standing {
-    Unadmitted { since: MonoTime },
-    Greeted,
-    Admitted,
-}
-
 /// Where datagrams go to, and from which address of this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Route {
@@ -71,22 +68,6 @@ pub(crate) struct Route {
 pub(crate) struct Delivery {
     pub(crate) arrival: Arrival,
     pub(crate) _reserved: Option<Reservation>,
-}
-
-#[derive(Debug)]
-struct Entry {
-    connection: Connection,
-    /// Where its datagrams come from.
-    source: SocketAddr,
-    /// Where it is answered, if not there.
-    reply_port: u16,
-    local: Option<IpAddr>,
-    nonce: u64,
-    datagram: u16,
-    standing: Standing,
-    path_asked: Option<MonoTime>,
-    has_delivered: bool,
-    is_ready: bool,
 }
 
 /// All connections of a port.
@@ -104,11 +85,8 @@ pub(crate) struct Endpoint {
     answers: VecDeque<(Route, Vec<u8>)>,
     /// Connections that may have something to send.
     ready: VecDeque<u64>,
+    timers: Timers,
     arrivals: VecDeque<Delivery>,
-}
-
-fn reply_address(source: SocketAddr, reply_port: u16) -> SocketAddr {
-    SocketAddr::new(source.ip(), if reply_port == 0 { source.port() } else { reply_port })
 }
 
 impl Endpoint {
@@ -126,6 +104,7 @@ impl Endpoint {
             opened: 0,
             answers: VecDeque::new(),
             ready: VecDeque::new(),
+            timers: Timers::default(),
             arrivals: VecDeque::new(),
         }
     }
@@ -236,6 +215,7 @@ impl Endpoint {
         // As long as the longest that will be sent: what does not fit on the path is noticed at once.
         answer.resize(answer.len().max(datagram.into()), 0);
         self.push_answer(Route { to, from: local }, answer);
+        self.schedule(id, now);
     }
 
     /// Whether one more connection may be opened. One without a session makes room: the oldest of the same address, or
@@ -401,17 +381,23 @@ impl Endpoint {
 
     /// Does what is due.
     pub(crate) fn tick(&mut self, now: MonoTime) {
-        let timeout = self.limits.hello_timeout;
-        let ids: Vec<u64> = self.entries.keys().copied().collect();
-        for id in ids {
+        while let Some(id) = self.timers.take_due(now) {
             let Some(entry) = self.entries.get_mut(&id) else { continue };
-            let is_late = matches!(entry.standing, Standing::Unadmitted { since } if now - since >= timeout);
-            if is_late && !entry.connection.is_closed() {
+            if entry.is_late(self.limits.hello_timeout, now) && !entry.connection.is_closed() {
                 self.close_now(id, "no hello came in time");
             } else {
                 entry.connection.tick(now);
             }
             self.collect(id);
+            self.schedule(id, now);
+        }
+    }
+
+    /// Sees to it that a connection is looked at in time. Called after each change.
+    fn schedule(&mut self, id: u64, now: MonoTime) {
+        if let Some(entry) = self.entries.get(&id) {
+            let at = entry.next_timer(self.limits.hello_timeout, now);
+            self.timers.bring_forward(id, at.max(now + SOON));
         }
     }
 
@@ -423,13 +409,8 @@ impl Endpoint {
     }
 
     /// When [`tick`](Self::tick) is to be called at the latest.
-    pub(crate) fn next_timer(&self, now: MonoTime) -> Option<MonoTime> {
-        let timeout = self.limits.hello_timeout;
-        let of = |entry: &Entry| match entry.standing {
-            Standing::Unadmitted { since } => entry.connection.next_timer(now).min(since + timeout),
-            _ => entry.connection.next_timer(now),
-        };
-        self.entries.values().map(of).min()
+    pub(crate) fn next_timer(&self) -> Option<MonoTime> {
+        self.timers.next()
     }
 
     /// Appends datagrams that leave now. Returns where they go; `None` when there are none.
@@ -438,17 +419,22 @@ impl Endpoint {
             out.extend_from_slice(&answer);
             return Some((route, Batch { segment: answer.len(), count: 1 }));
         }
+        // Whatever changes a connection makes it ready.
         while let Some(id) = self.ready.pop_front() {
             let Some(entry) = self.entries.get_mut(&id) else { continue };
+            let to = reply_address(entry.source, entry.reply_port);
             if let Some(batch) = entry.connection.fill(out, most, now) {
-                let to = reply_address(entry.source, entry.reply_port);
+                let route = Route { to, from: entry.local };
                 self.ready.push_back(id);
-                return Some((Route { to, from: entry.local }, batch));
+                return Some((route, batch));
             }
             entry.is_ready = false;
             if entry.connection.is_closed() {
-                self.nonces.remove(&(reply_address(entry.source, entry.reply_port), entry.nonce));
+                self.nonces.remove(&(to, entry.nonce));
                 self.entries.remove(&id);
+                self.timers.remove(id);
+            } else {
+                self.schedule(id, now);
             }
         }
         None
@@ -456,7 +442,10 @@ impl Endpoint {
 
     /// Begins to say goodbye to all.
     pub(crate) fn close(&mut self, now: MonoTime) {
-        self.entries.values_mut().for_each(|entry| entry.connection.close(now));
+        for (id, entry) in &mut self.entries {
+            entry.connection.close(now);
+            self.timers.bring_forward(*id, now);
+        }
         self.tick(now);
     }
 

@@ -9,6 +9,7 @@
 
 pub(crate) mod connection;
 pub(crate) mod endpoint;
+mod entry;
 pub(crate) mod fragment;
 pub mod fuzzing;
 pub(crate) mod handshake;
@@ -17,6 +18,7 @@ mod partial_message;
 pub(crate) mod reassembly;
 pub(crate) mod receiving;
 pub(crate) mod sending;
+mod timers;
 pub(crate) mod window;
 
 #[cfg(test)]

@@ -1,0 +1,67 @@
+//! When each connection of a port is to be looked at, so that no other one is.
+
+use std::collections::{BTreeSet, HashMap};
+
+use peernet_clock::MonoTime;
+
+/// One time for each connection, found in order.
+#[derive(Debug, Default)]
+pub(crate) struct Timers {
+    ordered: BTreeSet<(MonoTime, u64)>,
+    by_connection: HashMap<u64, MonoTime>,
+}
+
+impl Timers {
+    /// Sets the time of a connection, unless it has an earlier one: to be looked at too early does no harm.
+    pub(crate) fn bring_forward(&mut self, connection: u64, at: MonoTime) {
+        match self.by_connection.get(&connection) {
+            Some(earlier) if *earlier <= at => {}
+            _ => {
+                self.remove(connection);
+                self.by_connection.insert(connection, at);
+                self.ordered.insert((at, connection));
+            }
+        }
+    }
+
+    /// A connection is over.
+    pub(crate) fn remove(&mut self, connection: u64) {
+        if let Some(at) = self.by_connection.remove(&connection) {
+            self.ordered.remove(&(at, connection));
+        }
+    }
+
+    /// Takes a connection whose time has come; it has no time then.
+    pub(crate) fn take_due(&mut self, now: MonoTime) -> Option<u64> {
+        let (_, connection) = *self.ordered.first().filter(|(at, _)| *at <= now)?;
+        self.remove(connection);
+        Some(connection)
+    }
+
+    /// The first time of all.
+    pub(crate) fn next(&self) -> Option<MonoTime> {
+        self.ordered.first().map(|(at, _)| *at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Span;
+
+    use super::*;
+
+    #[test]
+    fn connections_come_in_order_of_their_earliest_times() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut timers = Timers::default();
+        for (connection, millis) in [(1, 30), (2, 20), (3, 10), (1, 5), (2, 40), (4, 1)] {
+            timers.bring_forward(connection, at(millis));
+        }
+        timers.remove(4);
+        timers.remove(4);
+        assert_eq!(timers.next(), Some(at(5)));
+        let due: Vec<u64> = std::iter::from_fn(|| timers.take_due(at(10))).collect();
+        assert_eq!(due, [1, 3]);
+        assert_eq!((timers.take_due(at(19)), timers.next()), (None, Some(at(20))));
+    }
+}
