@@ -46,7 +46,8 @@ pub struct ConnectionStatistics {
     pub malformed_messages: u64,
     /// Answers that arrived after the request had been given up.
     pub late_messages: u64,
-    /// On the edge requests that will never be answered, because the connection ended. On the cloud answers that could not
+    /// On the edge requests that will never be answered, because they or their answers were lost on the way or the
+    /// connection ended. On the cloud answers that could not
     /// be handed to the network.
     pub lost_messages: u64,
     /// The round trip of the transport's own packets; `None` where the transport does not measure one.
@@ -62,7 +63,7 @@ pub struct DirectionStatistics {
     pub messages: u64,
     /// Datagrams with data, with TCP segments with data; those sent again count again.
     pub datagrams: Option<u64>,
-    /// Datagrams that were sent and did not arrive.
+    /// Datagrams that were sent and did not arrive, or too late to tell.
     pub lost: Option<u64>,
     /// Datagrams that arrived more than once.
     pub duplicated: Option<u64>,

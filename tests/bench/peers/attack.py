@@ -185,7 +185,7 @@ class UdpPeer(asyncio.DatagramProtocol):
         return number
 
     async def send_fragment(self, connection: bytes, sequence: int, offset: int, total: int) -> None:
-        header = struct.pack(">QQIIIHH", sequence, 1, offset, total, 0, STRIDE, 0)
+        header = struct.pack(">IQQIIIHH", sequence, sequence, 1, offset, total, 0, STRIDE, 0)
         size = min(STRIDE, total - offset)
         await self.send(bytes([DATA]) + connection + header + bytes(size))
 

@@ -15,7 +15,7 @@ const MAX_AGE: Span = Span::from_seconds(1);
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     read_at: Option<MonoTime>,
-    by_session: BTreeMap<u64, Connection>,
+    by_session: BTreeMap<u64, (Option<ConnectionAddresses>, Connection)>,
     /// Whether it was told that the interfaces cannot be listed.
     has_complained: bool,
 }
@@ -30,29 +30,30 @@ impl Connections {
             self.read_at = Some(now);
         }
         for session in sessions {
-            if let Some(connection) = self.by_session.get_mut(&session.id) {
-                if is_due && let Some(statistics) = session.statistics.read() {
-                    connection.statistics = statistics;
-                }
-            } else if let Some(connection) = self.first_reading(session) {
-                self.by_session.insert(session.id, connection);
+            if is_due || !self.by_session.contains_key(&session.id) {
+                self.read(session);
             }
         }
-        self.by_session.values().cloned().collect()
+        self.by_session.values().map(|(_, connection)| connection.clone()).collect()
     }
 
-    fn first_reading(&mut self, session: &Session) -> Option<Connection> {
-        let statistics = session.statistics.read()?;
+    fn read(&mut self, session: &Session) {
+        let Some(statistics) = session.statistics.read() else { return };
         let addresses = session.statistics.addresses();
-        Some(Connection {
+        // A connection over datagrams stays open when a host gets another address.
+        let interface = match self.by_session.get(&session.id) {
+            Some((known, connection)) if *known == addresses => connection.interface.clone(),
+            _ => addresses.and_then(|addresses| self.interface(&addresses)),
+        };
+        let connection = Connection {
             pipeline: session.pipeline.clone(),
             network: session.network.clone(),
             local: addresses.map(|addresses| addresses.local.to_string()),
             remote: addresses.map(|addresses| addresses.remote.to_string()),
-            // It stays the same as long as the connection has this local address.
-            interface: addresses.and_then(|addresses| self.interface(&addresses)),
+            interface,
             statistics,
-        })
+        };
+        self.by_session.insert(session.id, (addresses, connection));
     }
 
     fn interface(&mut self, addresses: &ConnectionAddresses) -> Option<NetworkInterface> {

@@ -131,6 +131,14 @@ impl Placement {
         }
     }
 
+    /// What makes the connection to the peer worse than it could be, in words.
+    pub(super) fn caveat(&self) -> Option<&str> {
+        match self {
+            Self::Local(_) | Self::None => None,
+            Self::Remote { session, .. } => session.caveat(),
+        }
+    }
+
     /// What the model is, in words, and whether the peer's clock is made wrong on purpose.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         match self {

@@ -247,7 +247,8 @@ impl Runner {
         if let Some((peer, name)) = placement.peer() {
             let model = &description.model;
             let device = description.device.as_deref().unwrap_or("an unknown device");
-            let text = format!("connected to {name}, which runs {model} on {device}");
+            let caveat = placement.caveat().map(|caveat| format!("; {caveat}")).unwrap_or_default();
+            let text = format!("connected to {name}, which runs {model} on {device}{caveat}");
             let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
             self.context.events.incidents.report(IncidentKind::Connected, what, text);
         }

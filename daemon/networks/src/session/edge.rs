@@ -130,6 +130,11 @@ impl Session {
         self.inner.shared.peer_clock.subscribe()
     }
 
+    /// What makes the connection worse than it could be, and what to do about it, in words.
+    pub fn caveat(&self) -> Option<&str> {
+        self.inner.shared.sender.caveat()
+    }
+
     /// Returns what was sent and received so far, the messages that opened the session included.
     pub fn statistics(&self) -> ConnectionStatistics {
         self.inner.shared.statistics()

@@ -165,6 +165,11 @@ pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
         None
     }
 
+    /// What makes the connection worse than it could be, and what to do about it.
+    fn caveat(&self) -> Option<&str> {
+        None
+    }
+
     /// What the transport knows of the connection beside whole messages. It may ask the system.
     fn statistics(&self) -> TransportStatistics {
         TransportStatistics::default()

@@ -3,8 +3,10 @@
 use std::time::Duration;
 
 use bytes::Bytes;
+use peernet_clock::Span;
 use peernet_networks::{CloseReason, Incoming, NetworkKind, RequestError, Session, SessionSettings};
 use peernet_sample::{Description, Sample};
+use peernet_stream::DirectionStatistics;
 use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 
@@ -92,6 +94,41 @@ async fn answered_and_lost_are_all_that_was_sent() {
     assert_eq!((statistics.lost_messages, statistics.late_messages), (lost as u64, 0));
     within(session.close()).await;
     assert_eq!(within(session.closed()).await, CloseReason::Local);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn datagrams_of_both_directions_are_counted() {
+    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let weather = Weather { loss: 3, doubled: 3, delayed: 10 };
+    let relay = UdpRelay::before(&cloud.address(), weather, 77).await;
+    let _echo = echo_all(cloud);
+    let session = open(&relay.address, hello(), settings()).await.expect("accepted");
+    let addresses = session.statistics_reader().addresses().expect("it has addresses");
+    assert!(addresses.local.ip().is_loopback() && addresses.remote.to_string() == relay.address.authority());
+    let (answered, _) = exchange_all(&session, vec![10_000; 200], 4).await;
+    assert!(answered > 0);
+    // Losses are known two seconds later, and those of the other direction after the next sign of life.
+    let is_counted = |direction: &DirectionStatistics| {
+        [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
+    };
+    let mut ticks = tokio::time::interval(Duration::from_millis(50));
+    let counted = tokio::time::timeout(PATIENCE, async {
+        loop {
+            ticks.tick().await;
+            let known = session.statistics();
+            if is_counted(&known.sent) && is_counted(&known.received) {
+                return known;
+            }
+        }
+    });
+    let Ok(known) = counted.await else { panic!("never counted: {:?}", session.statistics()) };
+    // 200 messages of nine datagrams, and the hello.
+    let sent = known.sent.datagrams.expect("this end sends them");
+    assert!((1_801..2_000).contains(&sent), "{known:?}");
+    assert!(known.sent.lost < Some(sent / 10) && known.received.lost < known.received.datagrams, "{known:?}");
+    assert_eq!((known.sent.retransmitted.is_some(), known.received.retransmitted), (true, None));
+    let trip = known.round_trip.expect("signs of life were answered");
+    assert!(trip.min <= Some(trip.smoothed) && trip.smoothed < Span::from_seconds(1), "{trip:?}");
 }
 
 #[tokio::test]

@@ -28,7 +28,7 @@ pub(crate) struct LinkConnection {
     pub malformed_messages: u64,
     /// Answers that arrived after the request had been given up.
     pub late_messages: u64,
-    /// Requests that will never be answered, because the connection ended.
+    /// Requests that will never be answered, because they or their answers were lost on the way or the connection ended.
     pub lost_messages: u64,
 }
 

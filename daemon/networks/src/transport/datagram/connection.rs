@@ -9,16 +9,22 @@ use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span};
 
+use super::counting::{ArrivalCounter, ArrivalTotals};
 use super::fragment::split_frames;
-use super::packet::{Packet, ResetReason, Role, Terms};
+use super::packet::{Packet, ResetReason, Role, SignOfLife, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::receiving::{Arrived, Receiving};
+use super::round_trip::RoundTripEstimator;
 use super::sending::{Batch, QueueLimits, Sending};
+use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
 /// How long after a message the other end is asked what has arrived.
 const ASK_PAUSE: Span = Span::from_millis(50);
+
+/// How often it is asked at least while messages follow each other: statistics come with the answers.
+const ASK_PERIOD: Span = Span::from_seconds(1);
 
 /// How often what arrives in parts is looked at.
 const TICK: Span = Span::from_millis(20);
@@ -28,6 +34,10 @@ const BYE_PAUSE: Span = Span::from_millis(50);
 
 /// The goodbye from which on nothing is awaited any more, and the one that is always the last.
 const BYES: (u32, u32) = (2, 8);
+
+/// Why a connection ends whose long datagrams are lost.
+const LONG_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
+     (MTU) and does not say so; mend its MTU, or set datagram_bytes to what passes (1200 is tried by itself)";
 
 /// Most packets without a message that wait to be sent.
 const MAX_CONTROL: usize = 256;
@@ -82,6 +92,10 @@ pub(crate) struct Connection {
     pinged: MonoTime,
     /// Goodbyes that were heard.
     byes: u32,
+    counter: ArrivalCounter,
+    /// What the other end told of the datagrams of this one.
+    told: Option<ArrivalTotals>,
+    round_trip: RoundTripEstimator,
 }
 
 impl Connection {
@@ -106,6 +120,9 @@ impl Connection {
             heard: now,
             pinged: now,
             byes: 0,
+            counter: ArrivalCounter::new(now),
+            told: None,
+            round_trip: RoundTripEstimator::default(),
         }
     }
 
@@ -137,7 +154,8 @@ impl Connection {
         }
         self.heard = now;
         match packet {
-            Packet::Data { fragment, .. } => {
+            Packet::Data { number, fragment, .. } => {
+                self.counter.arrive(number, now);
                 match self.receiving.receive(&fragment, now) {
                     Arrived::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
@@ -153,7 +171,7 @@ impl Connection {
             }
             Packet::Progress { sequence, end, .. } => self.sending.progress(sequence, end, now),
             Packet::Lost { sequence, received, .. } => {
-                let (tag, total, lost) = self.sending.lost(sequence, received);
+                let (tag, total, lost) = self.sending.lost((sequence, received), self.told_lost(), now);
                 self.events.extend(lost.map(Event::Lost));
                 self.say(Packet::LostKnown { connection: self.id, sequence, tag, total });
             }
@@ -161,15 +179,18 @@ impl Connection {
                 let incomplete = self.receiving.known(sequence, tag, total);
                 self.events.extend(incomplete.map(Event::Incomplete));
             }
-            Packet::Ping { time, next, settled, .. } => {
-                self.receiving.expect(next, now);
-                self.sending.settled(settled);
-                let (connection, next) = (self.id, self.sending.next());
-                self.say(Packet::Pong { connection, time, next, settled: self.receiving.settled() });
+            Packet::Ping { sign, .. } => {
+                self.learn(&sign, now);
+                let sign = self.sign_of_life(sign.time, now);
+                self.say(Packet::Pong { connection: self.id, sign });
             }
-            Packet::Pong { next, settled, .. } => {
-                self.receiving.expect(next, now);
-                self.sending.settled(settled);
+            Packet::Pong { sign, .. } => {
+                self.learn(&sign, now);
+                let trip = now - (MonoTime::default() + Span::from_nanos(i64::try_from(sign.time).unwrap_or(0)));
+                // One that took longer would have ended the connection.
+                if trip >= Span::ZERO && trip <= self.limits.heartbeat_timeout {
+                    self.round_trip.measure(trip, now);
+                }
             }
             Packet::Bye { next, .. } => self.hear_bye(next, now),
             Packet::ByeHeard { .. } if self.phase != Phase::Open => self.phase = Phase::Closed,
@@ -179,9 +200,43 @@ impl Connection {
             Packet::Reset { reason, .. } => self.end(match reason {
                 ResetReason::Unknown => "the peer does not know the connection any more: it was restarted, or it gave the connection up",
                 ResetReason::Full => "the peer has too many connections",
+                ResetReason::LongLost => LONG_LOST,
             }),
             // The handshake's packets and confirmed paths are not a connection's own.
             _ => {}
+        }
+    }
+
+    /// How far this end has come.
+    fn sign_of_life(&mut self, time: u64, now: MonoTime) -> SignOfLife {
+        SignOfLife {
+            time,
+            next: self.sending.next(),
+            settled: self.receiving.settled(),
+            number: self.sending.datagrams() as u32,
+            arrivals: self.counter.totals(now),
+        }
+    }
+
+    /// The other end says how far it has come.
+    fn learn(&mut self, sign: &SignOfLife, now: MonoTime) {
+        self.receiving.expect(sign.next, now);
+        self.sending.settled(sign.settled);
+        self.counter.expect(sign.number, now);
+        self.told = Some(self.told.unwrap_or_default().max(sign.arrivals));
+    }
+
+    /// Datagrams of this end that were lost, as far as the other end has told.
+    fn told_lost(&self) -> u64 {
+        self.told.map_or(0, |told| told.lost)
+    }
+
+    /// What is known of the datagrams of both directions, and the round trip.
+    pub(crate) fn statistics(&mut self, now: MonoTime) -> TransportStatistics {
+        TransportStatistics {
+            sent: self.sending.statistics(self.told),
+            received: self.counter.statistics(now),
+            round_trip: self.round_trip.estimate(),
         }
     }
 
@@ -236,17 +291,26 @@ impl Connection {
         let expired = self.sending.expire(now);
         self.events.extend(expired.into_iter().map(Event::Lost));
         self.report(now);
+        if self.sending.loses_long(self.told_lost(), now) {
+            tracing::debug!(bytes = self.sending.longest(), "none of the longest datagrams arrive");
+            // The handshake of the next connection finds out what passes.
+            if self.role == Role::Cloud {
+                self.say(Packet::Reset { id: self.id, reason: ResetReason::LongLost });
+            }
+            self.end(LONG_LOST);
+            return;
+        }
         if now - self.heard >= self.limits.heartbeat_timeout {
             let seconds = self.limits.heartbeat_timeout.seconds();
             self.end(format!("nothing was heard of the peer for {seconds} s"));
             return;
         }
         let is_due = |at: MonoTime| at <= now;
-        if is_due(self.ping_at()) || self.sending.asks_at(self.pinged, ASK_PAUSE).is_some_and(is_due) {
+        if is_due(self.ping_at()) || self.asks_at().is_some_and(is_due) {
             self.pinged = now;
             let time = u64::try_from(now.nanos()).unwrap_or(0);
-            let (connection, next, settled) = (self.id, self.sending.next(), self.receiving.settled());
-            self.say(Packet::Ping { connection, time, next, settled });
+            let sign = self.sign_of_life(time, now);
+            self.say(Packet::Ping { connection: self.id, sign });
         }
         if let Phase::Closing { next_bye } = self.phase
             && self.sending.is_empty()
@@ -257,6 +321,10 @@ impl Connection {
         }
     }
 
+    fn asks_at(&self) -> Option<MonoTime> {
+        self.sending.asks_at(self.pinged, (ASK_PAUSE, ASK_PERIOD))
+    }
+
     fn ping_at(&self) -> MonoTime {
         self.heard.max(self.pinged) + self.limits.heartbeat_interval
     }
@@ -264,7 +332,7 @@ impl Connection {
     /// When [`tick`](Self::tick) is to be called at the latest.
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
         let mut next = self.ping_at().min(self.heard + self.limits.heartbeat_timeout);
-        let asks = self.sending.asks_at(self.pinged, ASK_PAUSE);
+        let asks = self.asks_at();
         let closes = match self.phase {
             Phase::Closing { next_bye } if self.sending.is_empty() => Some(next_bye),
             _ => None,

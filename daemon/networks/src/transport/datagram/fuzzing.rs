@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, Span};
 
 use super::connection::ConnectionLimits;
 use super::endpoint::{Endpoint, EndpointLimits};
-use super::packet::{Fragment, Packet, Role, Terms};
+use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
 use crate::transport::{Arrival, ConnectionId};
@@ -120,6 +120,8 @@ impl Port {
             bytes: bytes.get(7..).unwrap_or_default(),
         };
         let (sequence, far) = (number(0), number(1) << (number(2) % 64));
+        let sign =
+            |next, settled| SignOfLife { time: far, next, settled, number: far as u32, ..Default::default() };
         let packet = match what & 0x0f {
             0 => {
                 self.check(from, bytes);
@@ -140,14 +142,18 @@ impl Port {
             3 => Packet::Progress { connection, sequence: far, end: sequence as u32 },
             4 => Packet::Lost { connection, sequence, received: far as u32, total: far as u32 },
             5 => Packet::LostKnown { connection, sequence, tag: far, total: far as u32 },
-            6 => Packet::Ping { connection, time: far, next: far, settled: sequence },
-            7 => Packet::Pong { connection, time: far, next: sequence, settled: far },
+            6 => Packet::Ping { connection, sign: sign(far, sequence) },
+            7 => Packet::Pong { connection, sign: sign(sequence, far) },
             8 => Packet::Bye { connection, next: far },
             9 => Packet::PathConfirmed { connection, token: far },
             10 => Packet::Hello { version: 1, nonce: far, reply_port: 0 },
-            11 => Packet::Data { connection: far, fragment },
-            12 => Packet::Data { connection, fragment: Fragment { sequence: far, ..fragment } },
-            _ => Packet::Data { connection, fragment },
+            11 => Packet::Data { connection: far, number: 0, fragment },
+            12 => Packet::Data {
+                connection,
+                number: far as u32,
+                fragment: Fragment { sequence: far, ..fragment },
+            },
+            _ => Packet::Data { connection, number: sequence as u32, fragment },
         };
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);

@@ -24,6 +24,9 @@ const RETRY_PAUSE: Span = Span::from_millis(100);
 /// Requests with large datagrams that go unanswered before a small one is tried.
 const LARGE_TRIES: u32 = 3;
 
+/// Requests with small datagrams and the same cookie that go unanswered: five seconds, less than a cookie is accepted.
+const TRIES: u32 = 8;
+
 /// The secret with which a cloud makes cookies and numbers.
 pub(crate) struct CookieKey([u8; 32]);
 
@@ -92,6 +95,16 @@ pub(crate) enum Dialled {
     Refused,
 }
 
+/// Why a connection cannot be opened: even the smallest datagrams that are tried are too long for the path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "it answers short datagrams, but none of {bytes} bytes: a link on the path takes smaller packets (MTU); mend its \
+     MTU, or set datagram_bytes lower at one end"
+)]
+pub(crate) struct PathTooSmall {
+    bytes: u16,
+}
+
 /// An edge that opens a connection.
 #[derive(Debug)]
 pub(crate) struct Dialling {
@@ -101,6 +114,7 @@ pub(crate) struct Dialling {
     terms: Terms,
     prefix_bytes: usize,
     cookie: Option<Cookie>,
+    is_second_cookie: bool,
     /// Packets of this kind without an answer.
     tries: u32,
     next: MonoTime,
@@ -109,7 +123,16 @@ pub(crate) struct Dialling {
 impl Dialling {
     /// `prefix_bytes` are those of each datagram before the packet.
     pub(crate) fn new(nonce: u64, reply_port: u16, terms: Terms, prefix_bytes: usize, now: MonoTime) -> Self {
-        Self { nonce, reply_port, terms, prefix_bytes, cookie: None, tries: 0, next: now }
+        Self {
+            nonce,
+            reply_port,
+            terms,
+            prefix_bytes,
+            cookie: None,
+            is_second_cookie: false,
+            tries: 0,
+            next: now,
+        }
     }
 
     /// A packet arrived from where the cloud is.
@@ -128,17 +151,40 @@ impl Dialling {
         }
     }
 
-    /// Appends a packet if one is due. Returns whether it did.
-    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> bool {
-        if now < self.next {
-            return false;
+    /// Datagrams of the present length do not pass: shorter ones are tried at once.
+    ///
+    /// # Errors
+    /// When there are no shorter ones to try.
+    pub(crate) fn shorten(&mut self, now: MonoTime) -> Result<(), PathTooSmall> {
+        let bytes = self.terms.datagram;
+        if bytes <= SAFE_DATAGRAM_BYTES {
+            return Err(PathTooSmall { bytes });
         }
-        if self.tries >= LARGE_TRIES && self.terms.datagram > SAFE_DATAGRAM_BYTES {
-            tracing::warn!(
-                bytes = self.terms.datagram,
-                "the path carries no datagrams of the configured size; going on with {SAFE_DATAGRAM_BYTES} bytes"
-            );
-            (self.terms.datagram, self.tries) = (SAFE_DATAGRAM_BYTES, 0);
+        tracing::warn!(
+            datagram_bytes = bytes,
+            "the path carries no datagrams of the configured size; going on with {SAFE_DATAGRAM_BYTES} bytes; set \
+             datagram_bytes lower, or the MTU of every link on the path higher"
+        );
+        (self.terms.datagram, self.tries, self.next) = (SAFE_DATAGRAM_BYTES, 0, now);
+        Ok(())
+    }
+
+    /// Appends a packet if one is due. Returns whether it did.
+    ///
+    /// # Errors
+    /// When the cloud answers short packets only.
+    pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> Result<bool, PathTooSmall> {
+        if now < self.next {
+            return Ok(false);
+        }
+        let is_large = self.terms.datagram > SAFE_DATAGRAM_BYTES;
+        if self.cookie.is_some() && self.tries >= if is_large { LARGE_TRIES } else { TRIES } {
+            if is_large || self.is_second_cookie {
+                self.shorten(now)?;
+            } else {
+                // The first cookie may be too old by now; if there is a second one, short datagrams still pass.
+                (self.cookie, self.tries, self.is_second_cookie) = (None, 0, true);
+            }
         }
         let (nonce, reply_port) = (self.nonce, self.reply_port);
         match self.cookie {
@@ -153,11 +199,7 @@ impl Dialling {
         }
         self.next = now + Span::from_nanos(RETRY_PAUSE.nanos() << self.tries.min(3));
         self.tries += 1;
-        // A cookie that is too old is never answered.
-        if self.tries > 8 {
-            (self.cookie, self.tries) = (None, 0);
-        }
-        true
+        Ok(true)
     }
 
     /// When the next packet is due.

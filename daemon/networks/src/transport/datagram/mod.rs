@@ -4,10 +4,11 @@
 //! A *virtual connection* is opened by a [`handshake`], has heartbeats, and is ended by a goodbye or by silence
 //! ([`connection`]). A message is split into [fragments](fragment); at the other end [`reassembly`] puts it together
 //! or counts it as lost, and then both ends learn how many of its fragments arrived. Nothing is sent again but what opens
-//! and closes sessions. [`window`] bounds how much is on its way, [`endpoint`] has all connections of a port, and
+//! and closes sessions. [`window`] bounds how much is on its way, [`counting`] has the losses of datagrams, [`endpoint`] has all connections of a port, and
 //! [`packet`] describes the wire form.
 
 pub(crate) mod connection;
+pub(crate) mod counting;
 pub(crate) mod endpoint;
 mod entry;
 pub(crate) mod fragment;
@@ -17,6 +18,7 @@ pub(crate) mod packet;
 mod partial_message;
 pub(crate) mod reassembly;
 pub(crate) mod receiving;
+pub(crate) mod round_trip;
 pub(crate) mod sending;
 mod timers;
 pub(crate) mod window;

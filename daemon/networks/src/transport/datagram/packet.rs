@@ -9,15 +9,17 @@
 //! | 2 cookie | cloud | nonce 64, cookie 128 |
 //! | 3 open | edge | nonce 64, cookie 128, reply port 16, window 32, datagram 16, zeros up to a datagram |
 //! | 4 opened | cloud | nonce 64, connection 64, window 32, datagram 16, zeros up to a datagram |
-//! | 5 data | both | connection 64, sequence 64, tag 64, offset 32, total 32, checksum 32, stride 16, lifetime 16, bytes |
+//! | 5 data | both | connection 64, number 32, sequence 64, tag 64, offset 32, total 32, checksum 32, stride 16, lifetime 16, bytes |
 //! | 6 progress | both | connection 64, sequence 64, end 32 |
 //! | 7 lost | both | connection 64, sequence 64, received 32, total 32 |
 //! | 8 lost-known | both | connection 64, sequence 64, tag 64, total 32 |
-//! | 9 ping, 10 pong | both | connection 64, time 64, next sequence 64, settled sequence 64 |
+//! | 9 ping, 10 pong | both | connection 64, time 64, next sequence 64, settled sequence 64, next number 32, lost 64, duplicated 64, reordered 64 |
 //! | 11 bye | both | connection 64, next sequence 64 |
 //! | 12 bye-heard | both | connection 64 |
 //! | 13 path, 14 path-confirmed | both | connection 64, token 64 |
 //! | 15 reset | cloud | connection or nonce 64, reason 8 |
+
+use super::counting::ArrivalTotals;
 
 /// The version of this layout.
 pub(crate) const VERSION: u8 = 1;
@@ -26,7 +28,7 @@ pub(crate) const VERSION: u8 = 1;
 pub(crate) const HELLO_BYTES: usize = 64;
 
 /// Bytes of a data packet before the fragment's bytes.
-pub(crate) const DATA_HEADER_BYTES: usize = 1 + 8 + 8 + 8 + 4 + 4 + 4 + 2 + 2;
+pub(crate) const DATA_HEADER_BYTES: usize = 1 + 8 + 4 + 8 + 8 + 4 + 4 + 4 + 2 + 2;
 
 /// The bit of the kind that is set in what a cloud sends.
 const FROM_CLOUD: u8 = 0x80;
@@ -73,6 +75,21 @@ pub(crate) struct Fragment<'a> {
     pub(crate) bytes: &'a [u8],
 }
 
+/// A sign of life: how far an end has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct SignOfLife {
+    /// When the ping left, on its sender's clock; nanoseconds. A pong repeats it.
+    pub(crate) time: u64,
+    /// Messages with a lower number have left this end.
+    pub(crate) next: u64,
+    /// Messages of the other end with a lower number are settled here.
+    pub(crate) settled: u64,
+    /// The number of this end's next datagram with data, its low half.
+    pub(crate) number: u32,
+    /// What became of the other end's datagrams.
+    pub(crate) arrivals: ArrivalTotals,
+}
+
 /// Why a connection is refused or gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResetReason {
@@ -80,6 +97,8 @@ pub(crate) enum ResetReason {
     Unknown,
     /// The cloud has as many connections as it may have.
     Full,
+    /// Long datagrams of the cloud do not arrive, short ones do.
+    LongLost,
 }
 
 /// Every kind of packet.
@@ -89,12 +108,12 @@ pub(crate) enum Packet<'a> {
     Cookie { nonce: u64, cookie: Cookie },
     Open { nonce: u64, cookie: Cookie, reply_port: u16, terms: Terms },
     Opened { nonce: u64, connection: u64, terms: Terms },
-    Data { connection: u64, fragment: Fragment<'a> },
+    Data { connection: u64, number: u32, fragment: Fragment<'a> },
     Progress { connection: u64, sequence: u64, end: u32 },
     Lost { connection: u64, sequence: u64, received: u32, total: u32 },
     LostKnown { connection: u64, sequence: u64, tag: u64, total: u32 },
-    Ping { connection: u64, time: u64, next: u64, settled: u64 },
-    Pong { connection: u64, time: u64, next: u64, settled: u64 },
+    Ping { connection: u64, sign: SignOfLife },
+    Pong { connection: u64, sign: SignOfLife },
     Bye { connection: u64, next: u64 },
     ByeHeard { connection: u64 },
     Path { connection: u64, token: u64 },
@@ -145,6 +164,13 @@ impl<'a> Reader<'a> {
         Ok(Terms { window: self.u32()?, datagram: self.u16()? })
     }
 
+    fn sign_of_life(&mut self) -> Result<SignOfLife, InvalidPacket> {
+        let (time, next, settled, number) = (self.u64()?, self.u64()?, self.u64()?, self.u32()?);
+        let (lost, duplicated, reordered) = (self.u64()?, self.u64()?, self.u64()?);
+        let arrivals = ArrivalTotals { lost, duplicated, reordered };
+        Ok(SignOfLife { time, next, settled, number, arrivals })
+    }
+
     fn rest(&mut self) -> &'a [u8] {
         std::mem::take(&mut self.0)
     }
@@ -192,7 +218,10 @@ impl<'a> Packet<'a> {
                 reader.padding();
                 Ok(packet)
             }
-            (5, _) => Ok(Self::Data { connection: reader.u64()?, fragment: fragment(reader)? }),
+            (5, _) => {
+                let (connection, number) = (reader.u64()?, reader.u32()?);
+                Ok(Self::Data { connection, number, fragment: fragment(reader)? })
+            }
             (6, _) => {
                 Ok(Self::Progress { connection: reader.u64()?, sequence: reader.u64()?, end: reader.u32()? })
             }
@@ -205,12 +234,8 @@ impl<'a> Packet<'a> {
                 Ok(Self::LostKnown { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
             }
             (9 | 10, _) => {
-                let (connection, time) = (reader.u64()?, reader.u64()?);
-                let (next, settled) = (reader.u64()?, reader.u64()?);
-                Ok(match kind {
-                    9 => Self::Ping { connection, time, next, settled },
-                    _ => Self::Pong { connection, time, next, settled },
-                })
+                let (connection, sign) = (reader.u64()?, reader.sign_of_life()?);
+                Ok(if kind == 9 { Self::Ping { connection, sign } } else { Self::Pong { connection, sign } })
             }
             (11, _) => Ok(Self::Bye { connection: reader.u64()?, next: reader.u64()? }),
             (12, _) => Ok(Self::ByeHeard { connection: reader.u64()? }),
@@ -221,6 +246,7 @@ impl<'a> Packet<'a> {
                 let reason = match reader.u8()? {
                     1 => ResetReason::Unknown,
                     2 => ResetReason::Full,
+                    3 => ResetReason::LongLost,
                     _ => return Err(InvalidPacket::Kind),
                 };
                 Ok(Self::Reset { id, reason })
@@ -258,8 +284,8 @@ impl<'a> Packet<'a> {
                 put(&terms.window.to_be_bytes());
                 put(&terms.datagram.to_be_bytes());
             }
-            Self::Data { connection, fragment } => {
-                put(&data_header(connection, &fragment));
+            Self::Data { connection, number, fragment } => {
+                put(&data_header(connection, number, &fragment));
                 put(fragment.bytes);
             }
             Self::Progress { connection, sequence, end } => {
@@ -279,11 +305,12 @@ impl<'a> Packet<'a> {
                 put(&tag.to_be_bytes());
                 put(&total.to_be_bytes());
             }
-            Self::Ping { connection, time, next, settled }
-            | Self::Pong { connection, time, next, settled } => {
-                for number in [connection, time, next, settled] {
-                    put(&number.to_be_bytes());
-                }
+            Self::Ping { connection, sign } | Self::Pong { connection, sign } => {
+                let SignOfLife { time, next, settled, number, arrivals } = sign;
+                [connection, time, next, settled].iter().for_each(|field| put(&field.to_be_bytes()));
+                put(&number.to_be_bytes());
+                let ArrivalTotals { lost, duplicated, reordered } = arrivals;
+                [lost, duplicated, reordered].iter().for_each(|field| put(&field.to_be_bytes()));
             }
             Self::Bye { connection, next } => {
                 put(&connection.to_be_bytes());
@@ -299,6 +326,7 @@ impl<'a> Packet<'a> {
                 put(&[match reason {
                     ResetReason::Unknown => 1,
                     ResetReason::Full => 2,
+                    ResetReason::LongLost => 3,
                 }]);
             }
         }
@@ -344,21 +372,27 @@ impl<'a> Packet<'a> {
 }
 
 /// Appends a data packet without the fragment's bytes, which follow.
-pub(crate) fn write_data_header(from: Role, connection: u64, fragment: &Fragment<'_>, out: &mut Vec<u8>) {
-    Packet::Data { connection, fragment: Fragment { bytes: &[], ..*fragment } }.write(from, out);
+pub(crate) fn write_data_header(
+    from: Role,
+    (connection, number): (u64, u32),
+    fragment: &Fragment<'_>,
+    out: &mut Vec<u8>,
+) {
+    Packet::Data { connection, number, fragment: Fragment { bytes: &[], ..*fragment } }.write(from, out);
 }
 
 /// The fields of a data packet between its kind and the fragment's bytes.
-fn data_header(connection: u64, fragment: &Fragment<'_>) -> [u8; DATA_HEADER_BYTES - 1] {
+fn data_header(connection: u64, number: u32, fragment: &Fragment<'_>) -> [u8; DATA_HEADER_BYTES - 1] {
     let mut header = [0; DATA_HEADER_BYTES - 1];
     header[..8].copy_from_slice(&connection.to_be_bytes());
-    header[8..16].copy_from_slice(&fragment.sequence.to_be_bytes());
-    header[16..24].copy_from_slice(&fragment.tag.to_be_bytes());
-    header[24..28].copy_from_slice(&fragment.offset.to_be_bytes());
-    header[28..32].copy_from_slice(&fragment.total.to_be_bytes());
-    header[32..36].copy_from_slice(&fragment.checksum.to_be_bytes());
-    header[36..38].copy_from_slice(&fragment.stride.to_be_bytes());
-    header[38..].copy_from_slice(&fragment.lifetime_ms.to_be_bytes());
+    header[8..12].copy_from_slice(&number.to_be_bytes());
+    header[12..20].copy_from_slice(&fragment.sequence.to_be_bytes());
+    header[20..28].copy_from_slice(&fragment.tag.to_be_bytes());
+    header[28..32].copy_from_slice(&fragment.offset.to_be_bytes());
+    header[32..36].copy_from_slice(&fragment.total.to_be_bytes());
+    header[36..40].copy_from_slice(&fragment.checksum.to_be_bytes());
+    header[40..42].copy_from_slice(&fragment.stride.to_be_bytes());
+    header[42..].copy_from_slice(&fragment.lifetime_ms.to_be_bytes());
     header
 }
 
@@ -415,13 +449,15 @@ mod tests {
                 lifetime_ms: 13,
                 bytes,
             };
-            let data = both_ways(from, Packet::Data { connection, fragment });
+            let data = both_ways(from, Packet::Data { connection, number: 14, fragment });
             assert_eq!(data, DATA_HEADER_BYTES + bytes.len());
             both_ways(from, Packet::Progress { connection, sequence: 3, end: 4 });
             both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
             both_ways(from, Packet::LostKnown { connection, sequence: 3, tag: 1, total: 2 });
-            let ping = both_ways(from, Packet::Ping { connection, time: 1, next: 2, settled: 3 });
-            both_ways(from, Packet::Pong { connection, time: 1, next: 2, settled: 3 });
+            let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
+            let sign = SignOfLife { time: 1, next: 2, settled: 3, number: 4, arrivals };
+            let ping = both_ways(from, Packet::Ping { connection, sign });
+            both_ways(from, Packet::Pong { connection, sign });
             let bye = both_ways(from, Packet::Bye { connection, next: 2 });
             let heard = both_ways(from, Packet::ByeHeard { connection });
             both_ways(from, Packet::Path { connection, token: 2 });

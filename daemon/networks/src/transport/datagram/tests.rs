@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::handshake::{Dialled, Dialling};
-use super::packet::{Fragment, Packet, Role, Terms};
+use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
 use crate::transport::memory::MemoryBudget;
@@ -64,6 +64,8 @@ struct World {
     count: u64,
     arrivals: Vec<Arrival>,
     events: Vec<Event>,
+    /// Longest datagrams that pass, up and down.
+    max_bytes: (usize, usize),
 }
 
 impl World {
@@ -81,6 +83,7 @@ impl World {
             count: 0,
             arrivals: Vec::new(),
             events: Vec::new(),
+            max_bytes: (usize::MAX, usize::MAX),
         }
     }
 
@@ -94,8 +97,13 @@ impl World {
     }
 
     fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8]) {
-        let copies =
-            if self.chance(self.weather.loss) { 0 } else { 1 + u64::from(self.chance(self.weather.doubled)) };
+        let (up, down) = self.max_bytes;
+        let is_long = datagram.len() > if to_cloud { up } else { down };
+        let copies = if self.chance(self.weather.loss) || is_long {
+            0
+        } else {
+            1 + u64::from(self.chance(self.weather.doubled))
+        };
         for _ in 0..copies {
             let late = if self.chance(self.weather.reordered) { 15 } else { 5 };
             self.count += 1;
@@ -135,7 +143,7 @@ impl World {
             }
         }
         let mut out = PREFIX.to_vec();
-        if self.edge.is_none() && self.dialling.fill(&mut out, now) {
+        if self.edge.is_none() && self.dialling.fill(&mut out, now).expect("some pass") {
             self.carry(true, self.edge_address, &out);
         }
         if let Some(edge) = &mut self.edge {
@@ -326,7 +334,7 @@ fn invented_addresses_get_less_than_they_send_and_no_memory() {
         let packets = [
             Packet::Hello { version: 1, nonce: n, reply_port: 0 },
             Packet::Open { nonce: n, cookie, reply_port: 0, terms: TERMS },
-            Packet::Ping { connection: n, time: 0, next: n, settled: 0 },
+            Packet::Ping { connection: n, sign: SignOfLife { next: n, ..SignOfLife::default() } },
         ];
         for packet in packets {
             let mut body = Vec::new();
@@ -347,7 +355,7 @@ fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut Mon
     for _ in 0..2 {
         let mut out = Vec::new();
         *now = *now + Span::from_millis(1);
-        assert!(dialling.fill(&mut out, *now));
+        assert_eq!(dialling.fill(&mut out, *now), Ok(true));
         cloud.hear(source, None, &out, *now);
         let mut answer = Vec::new();
         while let Some((route, batch)) = cloud.fill(&mut answer, 10, *now) {
@@ -401,7 +409,7 @@ fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
             bytes: &[7; 1_000],
         };
         let mut body = Vec::new();
-        Packet::Data { connection, fragment }.write(Role::Edge, &mut body);
+        Packet::Data { connection, number: sequence as u32, fragment }.write(Role::Edge, &mut body);
         world.cloud.hear(stranger, None, &body, now);
     }
     assert!(world.cloud.held_bytes() <= 80 * 1_100, "{} bytes are held", world.cloud.held_bytes());
@@ -422,8 +430,47 @@ fn large_datagrams_that_do_not_pass_are_given_up() {
     for _ in 0..4 {
         let mut out = PREFIX.to_vec();
         now = dialling.next_timer().max(now);
-        assert!(dialling.fill(&mut out, now));
+        assert_eq!(dialling.fill(&mut out, now), Ok(true));
         lengths.push(out.len());
     }
     assert_eq!(lengths, [8_000, 8_000, 8_000, 1_200]);
+    let begin = now;
+    let error = loop {
+        now = dialling.next_timer();
+        dialling.hear(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
+        if let Err(error) = dialling.fill(&mut Vec::new(), now) {
+            break error.to_string();
+        }
+    };
+    assert!(now - begin < Span::from_seconds(10), "{}", now - begin);
+    assert!(error.contains("none of 1200 bytes") && error.contains("datagram_bytes"), "{error}");
+}
+
+#[test]
+fn connection_ends_when_path_stops_carrying_long_datagrams() {
+    for loses_upload in [true, false] {
+        let mut world = World::new(CALM, 1);
+        let id = world.open();
+        world.max_bytes = if loses_upload { (1_000, usize::MAX) } else { (usize::MAX, 1_000) };
+        for tag in 0..40 {
+            if world.edge.as_ref().is_some_and(Connection::is_closed) {
+                break;
+            }
+            world.send(Some(tag), &payload(4));
+            world.steps(50);
+            let answer = world.cloud.send(id, vec![payload(4).into()], Some(tag));
+            if answer.is_err() {
+                break;
+            }
+        }
+        world.steps(3_000);
+        let ended = world.events.iter().find_map(|event| match event {
+            Event::Gone(reason) => Some(reason.as_str()),
+            _ => None,
+        });
+        let reason = ended.expect("the connection ends");
+        assert!(reason.contains("long datagrams") && reason.contains("datagram_bytes"), "{reason}");
+        let is_gone = |arrival: &Arrival| matches!(arrival, Arrival::Gone(..));
+        assert_eq!(world.arrivals.iter().any(is_gone), !loses_upload, "{:?}", world.arrivals);
+    }
 }

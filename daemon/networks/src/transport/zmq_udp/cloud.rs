@@ -40,6 +40,9 @@ pub(crate) async fn bind(
     let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
     let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| failure(&error))?;
     let bound = socket.address();
+    if let Some(caveat) = socket.caveat() {
+        tracing::warn!(address = %bound, "{caveat}");
+    }
     let limits = EndpointLimits {
         connection: connection_limits(settings),
         reassembly: reassembly_limits(settings),

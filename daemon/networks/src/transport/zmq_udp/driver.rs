@@ -142,7 +142,15 @@ impl<M: Machine> Port<M> {
                     filled
                 }
             };
-            match self.socket.try_send(route, out, batch) {
+            let mut sent = self.socket.try_send(route, out, batch);
+            // Perhaps an address that is not this machine's any more: the system takes another.
+            if let Err(error) = &sent
+                && route.from.is_some()
+                && !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
+            {
+                sent = self.socket.try_send(Route { from: None, ..route }, out, batch);
+            }
+            match sent {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     *blocked = Some((route, batch));

@@ -2,22 +2,24 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
-use peernet_clock::MonoTime;
+use nix::errno::Errno;
+use peernet_clock::{MonoTime, Span};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 
 use super::driver::{Machine, Port, time_since};
 use super::radio::{self, PREFIX};
-use super::socket::{ReceiveBuffers, UdpPort};
+use super::socket::{ReceiveBuffers, UdpPort, any_address, source_address};
 use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
+use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
-use crate::transport::datagram::handshake::{Dialled as Answer, Dialling};
+use crate::transport::datagram::handshake::{Dialled as Answer, Dialling, PathTooSmall};
 use crate::transport::datagram::packet::{Packet, Role, Terms};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -35,11 +37,7 @@ pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Resul
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| unreachable(&error))?.next();
     let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
-    let any = match peer.ip() {
-        IpAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
-        IpAddr::V6(_) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
-    };
-    let socket = UdpPort::bind(SocketAddr::new(any, 0), socket_bytes(settings));
+    let socket = UdpPort::bind(SocketAddr::new(any_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable(&error))?;
     socket.report_errors().map_err(|error| unreachable(&error))?;
     let start = Instant::now();
@@ -54,8 +52,9 @@ pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Resul
         (reassembly_limits(settings), budget),
         now,
     );
-    let (port, arrivals) =
-        Port::serve(socket, EdgeEnd { peer, id, connection, garbage: VecDeque::new() }, start);
+    let (token, _) = uuid::Uuid::new_v4().as_u64_pair();
+    let machine = EdgeEnd { peer, id, connection, garbage: VecDeque::new(), token, asked: None };
+    let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
     Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }) })
 }
@@ -79,12 +78,17 @@ async fn open(
         let now = time_since(start, Instant::now());
         out.clear();
         out.extend_from_slice(PREFIX);
-        if dialling.fill(&mut out, now) {
+        let too_small = |error: PathTooSmall| DialFailure::Unreachable(error.to_string());
+        if dialling.fill(&mut out, now).map_err(too_small)? {
             let batch = Batch { segment: out.len(), count: 1 };
             match socket.try_send(route, &out, batch) {
                 // It is sent again if it does not arrive.
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                // Longer than the interface takes, whose MTU the system knows.
+                Err(error) if error.raw_os_error() == Some(Errno::EMSGSIZE as i32) => {
+                    dialling.shorten(now).map_err(too_small)?;
+                }
                 Err(error) => return Err(unreachable(&error)),
             }
         }
@@ -124,7 +128,14 @@ struct EdgeEnd {
     id: u64,
     connection: Connection,
     garbage: VecDeque<String>,
+    /// Proves that who repeats it receives what is sent to its address.
+    token: u64,
+    /// Another address that claims to be the cloud's, while the question to it waits to be sent, and when it was asked.
+    asked: Option<(SocketAddr, MonoTime, bool)>,
 }
+
+/// How often another address is asked whether it is the cloud's.
+const PATH_PAUSE: Span = Span::from_millis(100);
 
 /// Most of what makes no sense that waits to be told.
 const MAX_GARBAGE: usize = 64;
@@ -134,10 +145,21 @@ impl Machine for EdgeEnd {
 
     fn hear(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         // A RADIO socket sends from a port of its own.
-        if source.ip() != self.peer.ip() {
-            return;
-        }
+        let is_elsewhere = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
+            Ok(Packet::PathConfirmed { connection, token })
+                if is_elsewhere && (connection, token) == (self.id, self.token) =>
+            {
+                self.peer = SocketAddr::new(source.ip(), self.peer.port());
+                tracing::info!(peer = %self.peer, "the cloud has another address");
+            }
+            // Who knows the connection may be the cloud: it is asked, and nothing that it says counts before.
+            Ok(packet) if is_elsewhere && packet.connection() == Some(self.id) => {
+                if self.asked.is_none_or(|(_, at, _)| now - at >= PATH_PAUSE) {
+                    self.asked = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
+                }
+            }
+            _ if is_elsewhere => {}
             Ok(packet) if packet.connection() == Some(self.id) => self.connection.hear(packet, now),
             // An answer to the handshake that was sent twice, or what was meant for an earlier socket at this port.
             Ok(_) => {}
@@ -159,6 +181,13 @@ impl Machine for EdgeEnd {
     }
 
     fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
+        if let Some((to, _, waits @ true)) = &mut self.asked {
+            *waits = false;
+            let begin = out.len();
+            out.extend_from_slice(PREFIX);
+            Packet::Path { connection: self.id, token: self.token }.write(Role::Edge, out);
+            return Some((Route { to: *to, from: None }, Batch { segment: out.len() - begin, count: 1 }));
+        }
         let batch = self.connection.fill(out, most, now)?;
         Some((Route { to: self.peer, from: None }, batch))
     }
@@ -198,6 +227,25 @@ impl EdgeSender for UdpEdgeSender {
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         let deadline = options.deadline.map(|deadline| self.0.time(deadline));
         self.0.with(|end, _| end.connection.send(frames, options.tag, deadline))
+    }
+
+    fn addresses(&self) -> Option<ConnectionAddresses> {
+        let (port, peer) = (self.0.socket.address().port(), self.0.with(|end, _| end.peer));
+        match source_address(peer) {
+            Ok(ip) => Some(ConnectionAddresses { local: SocketAddr::new(ip, port), remote: peer }),
+            Err(error) => {
+                tracing::debug!(%error, %peer, "the system has no route to the cloud");
+                None
+            }
+        }
+    }
+
+    fn caveat(&self) -> Option<&str> {
+        self.0.socket.caveat()
+    }
+
+    fn statistics(&self) -> TransportStatistics {
+        self.0.with(|end, now| end.connection.statistics(now))
     }
 }
 

@@ -1,7 +1,7 @@
 //! A UDP socket that sends and receives many datagrams with one system call.
 
 use std::io::{self, IoSliceMut};
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use quinn_udp::{RecvMeta, Transmit, UdpSocketState};
 use socket2::{Domain, SockRef, Socket, Type};
@@ -24,6 +24,7 @@ pub(super) struct UdpPort {
     address: SocketAddr,
     /// Bytes of the kernel's receive buffer, its own overhead included.
     receive_buffer: usize,
+    caveat: Option<String>,
 }
 
 /// Memory for what is received.
@@ -38,6 +39,24 @@ impl ReceiveBuffers {
 impl std::fmt::Debug for UdpPort {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("UdpPort").field("address", &self.address).finish()
+    }
+}
+
+/// The address of this host from which datagrams go to a peer now. Sends nothing.
+///
+/// # Errors
+/// When there is no route to the peer.
+pub(super) fn source_address(peer: SocketAddr) -> io::Result<IpAddr> {
+    let socket = std::net::UdpSocket::bind((any_address(peer), 0))?;
+    socket.connect(peer)?;
+    Ok(socket.local_addr()?.ip())
+}
+
+/// Stands for all addresses of this host, of the kind that the peer has.
+pub(super) const fn any_address(peer: SocketAddr) -> IpAddr {
+    match peer {
+        SocketAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+        SocketAddr::V6(_) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
     }
 }
 
@@ -58,20 +77,20 @@ impl UdpPort {
         // Linux sets twice what is asked for, as its own overhead counts (socket(7)).
         let receive_buffer = options.recv_buffer_size()?;
         let address = socket.local_addr()?;
-        for (got, key) in
-            [(receive_buffer, "net.core.rmem_max"), (options.send_buffer_size()?, "net.core.wmem_max")]
-        {
-            if got / 2 < buffer_bytes {
-                tracing::warn!(
-                    %address,
-                    wanted_bytes = buffer_bytes,
-                    got_bytes = got / 2,
-                    "the system caps the buffers of UDP sockets: fast senders may lose messages; run `sysctl -w \
-                     {key}={buffer_bytes}` or set socket_buffer_bytes lower"
-                );
-            }
-        }
-        Ok(Self { socket, state, address, receive_buffer })
+        let buffers =
+            [("net.core.rmem_max", receive_buffer), ("net.core.wmem_max", options.send_buffer_size()?)];
+        let capped = buffers.into_iter().filter(|(_, got)| got / 2 < buffer_bytes);
+        let commands: Vec<String> =
+            capped.map(|(key, _)| format!("sysctl -w {key}={buffer_bytes}")).collect();
+        let caveat = (!commands.is_empty()).then(|| {
+            let got = receive_buffer / 2;
+            format!(
+                "the system caps the buffers of UDP sockets at {got} of {buffer_bytes} bytes, which slows large samples \
+                 down; run `{}`, or set socket_buffer_bytes lower",
+                commands.join(" && ")
+            )
+        });
+        Ok(Self { socket, state, address, receive_buffer, caveat })
     }
 
     /// Asks the system to say when nobody listens where something was sent to.
@@ -85,6 +104,11 @@ impl UdpPort {
     /// Where it is bound, with the real port.
     pub(super) const fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// What of the system slows it down, and what to do.
+    pub(super) fn caveat(&self) -> Option<&str> {
+        self.caveat.as_deref()
     }
 
     /// Bytes that may be on their way to it: a quarter of the kernel's buffer, in which small datagrams take up to

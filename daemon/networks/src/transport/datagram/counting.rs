@@ -1,0 +1,265 @@
+//! Counting the datagrams of one direction of a connection: how many arrived, twice, out of order or never.
+//!
+//! Every datagram with data has a number, the next one of its connection and direction; what is sent again gets a new one
+//! (packet numbers, RFC 9000 section 12.3). A number that is missing is waited for before it counts as lost, so that no
+//! total ever falls.
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::statistics::DatagramStatistics;
+
+/// A number that is missing for so long, and at most for twice as long, counts as lost.
+const WAIT: Span = Span::from_seconds(1);
+
+/// Numbers below the highest one of which it is remembered whether they arrived. One that comes later still is not
+/// counted: nobody can tell whether it came before.
+const REMEMBERED: u64 = 4_096;
+
+/// Totals that the receiving end of a direction tells its sending end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ArrivalTotals {
+    /// Datagrams that never arrived.
+    pub(crate) lost: u64,
+    /// Datagrams that arrived more than once.
+    pub(crate) duplicated: u64,
+    /// Datagrams that arrived after one that was sent later.
+    pub(crate) reordered: u64,
+}
+
+impl ArrivalTotals {
+    /// The larger of each: what was told earlier may arrive later.
+    pub(crate) fn max(self, other: Self) -> Self {
+        Self {
+            lost: self.lost.max(other.lost),
+            duplicated: self.duplicated.max(other.duplicated),
+            reordered: self.reordered.max(other.reordered),
+        }
+    }
+}
+
+/// Counts what arrives.
+#[derive(Debug)]
+pub(crate) struct ArrivalCounter {
+    /// All that arrived, what came twice included.
+    datagrams: u64,
+    totals: ArrivalTotals,
+    /// Numbers below were sent, as far as is known.
+    next: u64,
+    /// One bit for each of the remembered numbers, at its remainder.
+    present: Vec<u64>,
+    /// Numbers below have arrived or count as lost.
+    decided: u64,
+    /// Numbers below were sent before `since`, and are decided when the wait is over.
+    waiting: u64,
+    since: MonoTime,
+    /// Arrived numbers from `decided` to `waiting`, and from there on.
+    arrived: (u64, u64),
+}
+
+impl ArrivalCounter {
+    pub(crate) fn new(now: MonoTime) -> Self {
+        Self {
+            datagrams: 0,
+            totals: ArrivalTotals::default(),
+            next: 0,
+            present: vec![0; (REMEMBERED / 64) as usize],
+            decided: 0,
+            waiting: 0,
+            since: now,
+            arrived: (0, 0),
+        }
+    }
+
+    /// A datagram arrived; `number` is the low half of its number.
+    pub(crate) fn arrive(&mut self, number: u32, now: MonoTime) {
+        self.decide(now);
+        self.datagrams += 1;
+        let ahead = self.ahead(number);
+        if ahead >= 0 {
+            self.advance(ahead.unsigned_abs() + 1);
+            self.mark(self.next - 1);
+            self.arrived.1 += 1;
+            return;
+        }
+        let Some(number) = self.next.checked_add_signed(ahead) else { return };
+        if self.next - number > REMEMBERED {
+            return;
+        }
+        if !self.mark(number) {
+            self.totals.duplicated += 1;
+            return;
+        }
+        self.totals.reordered += 1;
+        if number >= self.waiting {
+            self.arrived.1 += 1;
+        } else if number >= self.decided {
+            self.arrived.0 += 1;
+        }
+    }
+
+    /// The other end has sent the numbers below this one, of which only the low half is known.
+    pub(crate) fn expect(&mut self, next: u32, now: MonoTime) {
+        self.decide(now);
+        self.advance(self.ahead(next).max(0).unsigned_abs());
+    }
+
+    /// So many more numbers were sent; none of them has arrived.
+    fn advance(&mut self, count: u64) {
+        self.next += count;
+        for number in self.next - count.min(REMEMBERED)..self.next {
+            let (word, bit) = place(number);
+            self.present[word] &= !bit;
+        }
+    }
+
+    /// Totals as the other end is told them.
+    pub(crate) fn totals(&mut self, now: MonoTime) -> ArrivalTotals {
+        self.decide(now);
+        self.totals
+    }
+
+    /// Totals as this end shows them.
+    pub(crate) fn statistics(&mut self, now: MonoTime) -> DatagramStatistics {
+        let ArrivalTotals { lost, duplicated, reordered } = self.totals(now);
+        DatagramStatistics {
+            datagrams: Some(self.datagrams),
+            lost: Some(lost),
+            duplicated: Some(duplicated),
+            reordered: Some(reordered),
+            // Only who sends knows.
+            retransmitted: None,
+        }
+    }
+
+    /// How far a number is above the next one; negative below. Nearer than half of all 32-bit numbers.
+    fn ahead(&self, number: u32) -> i64 {
+        i64::from(number.wrapping_sub(self.next as u32) as i32)
+    }
+
+    /// Notes that a remembered number arrived. Returns whether it had not before.
+    fn mark(&mut self, number: u64) -> bool {
+        let (word, bit) = place(number);
+        let is_new = self.present[word] & bit == 0;
+        self.present[word] |= bit;
+        is_new
+    }
+
+    /// Counts as lost what has been missing for long enough.
+    fn decide(&mut self, now: MonoTime) {
+        if now - self.since < WAIT {
+            return;
+        }
+        let (before, after) = self.arrived;
+        self.totals.lost += (self.waiting - self.decided).saturating_sub(before);
+        (self.decided, self.waiting) = (self.waiting, self.next);
+        (self.arrived, self.since) = ((after, 0), now);
+    }
+}
+
+/// Word and bit of a number among those that are remembered.
+const fn place(number: u64) -> (usize, u64) {
+    let at = number % REMEMBERED;
+    ((at / 64) as usize, 1 << (at % 64))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::default() + Span::from_millis(millis)
+    }
+
+    fn totals(lost: u64, duplicated: u64, reordered: u64) -> ArrivalTotals {
+        ArrivalTotals { lost, duplicated, reordered }
+    }
+
+    #[test]
+    fn missing_number_is_lost_after_wait_and_late_one_is_not() {
+        let mut counter = ArrivalCounter::new(at(0));
+        for number in [0, 1, 4, 5, 4] {
+            counter.arrive(number, at(10));
+        }
+        assert_eq!(counter.totals(at(900)), totals(0, 1, 0));
+        counter.arrive(2, at(950));
+        // The first look begins the wait for what was sent before it, the second ends it.
+        assert_eq!(counter.totals(at(1_000)), totals(0, 1, 1));
+        assert_eq!(counter.totals(at(2_000)), totals(1, 1, 1));
+        counter.arrive(3, at(2_100));
+        assert_eq!(counter.totals(at(9_000)), totals(1, 1, 2), "no total falls");
+        assert_eq!(counter.statistics(at(9_000)).datagrams, Some(7));
+    }
+
+    #[test]
+    fn lost_tail_is_counted_when_sender_tells_its_number() {
+        let mut counter = ArrivalCounter::new(at(0));
+        counter.arrive(0, at(0));
+        counter.expect(10, at(10));
+        counter.expect(3, at(10));
+        counter.totals(at(1_000));
+        assert_eq!(counter.totals(at(2_000)), totals(9, 0, 0));
+    }
+
+    #[test]
+    fn numbers_go_on_after_32_bits() {
+        let mut counter = ArrivalCounter::new(at(0));
+        for number in [i32::MAX as u32, u32::MAX - 1, u32::MAX, 0, 2] {
+            counter.arrive(number, at(0));
+        }
+        assert_eq!(counter.next, (1 << 32) + 3);
+        counter.arrive(1, at(0));
+        assert_eq!(counter.totals(at(0)), totals(0, 0, 1));
+    }
+
+    proptest! {
+        #[test]
+        fn totals_add_up(
+            loss in 0_u64..50, doubled in 0_u64..30, late in 0_usize..40, count in 1_u32..9_000, seed: u64,
+        ) {
+            let mut random = seed | 1;
+            let mut chance = |percent: u64| {
+                random ^= random << 13;
+                random ^= random >> 7;
+                random ^= random << 17;
+                random % 100 < percent
+            };
+            let (mut wire, mut lost) = (Vec::new(), 0);
+            for number in 0..count {
+                if chance(loss) {
+                    lost += 1;
+                    continue;
+                }
+                for _ in 0..=u8::from(chance(doubled)) {
+                    wire.push((number as usize + if chance(20) { late } else { 0 }, number));
+                }
+            }
+            wire.sort_by_key(|(when, _)| *when);
+            let mut counter = ArrivalCounter::new(at(0));
+            for (when, number) in &wire {
+                counter.arrive(*number, at(*when as i64 / 10));
+            }
+            counter.expect(count, at(1_000));
+            counter.totals(at(2_000));
+            let totals = counter.totals(at(3_000));
+            prop_assert_eq!(totals.lost, lost);
+            prop_assert_eq!(counter.datagrams, wire.len() as u64);
+            prop_assert_eq!(counter.datagrams + lost, u64::from(count) + totals.duplicated);
+            prop_assert!(late > 0 || totals.reordered == 0);
+        }
+
+        #[test]
+        fn any_numbers_are_counted_without_panic(numbers in proptest::collection::vec((any::<u32>(), any::<bool>()), 0..60)) {
+            let mut counter = ArrivalCounter::new(at(0));
+            let mut before = counter.totals(at(0));
+            for (now, (number, arrives)) in numbers.into_iter().enumerate() {
+                let now = at(now as i64 * 300);
+                if arrives { counter.arrive(number, now) } else { counter.expect(number, now) }
+                let totals = counter.totals(now);
+                prop_assert_eq!(totals.max(before), totals);
+                before = totals;
+            }
+        }
+    }
+}

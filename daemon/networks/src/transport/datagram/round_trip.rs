@@ -1,0 +1,67 @@
+//! The round trip of a connection's signs of life.
+
+use peernet_clock::{MonoTime, Span};
+
+use crate::statistics::TransportRoundTrip;
+
+/// The shortest round trip is that of the last one to two of these, as paths change.
+const MIN_PERIOD: Span = Span::from_seconds(150);
+
+/// Smooths measured round trips (RFC 6298, section 2).
+#[derive(Debug, Default)]
+pub(crate) struct RoundTripEstimator {
+    smoothed: Option<(Span, Span)>,
+    /// The shortest of this period and of the one before.
+    shortest: (Option<Span>, Option<Span>),
+    period_began: MonoTime,
+}
+
+impl RoundTripEstimator {
+    /// A sign of life was answered after so long.
+    pub(crate) fn measure(&mut self, trip: Span, now: MonoTime) {
+        if now - self.period_began >= MIN_PERIOD {
+            self.shortest = (None, self.shortest.0);
+            self.period_began = now;
+        }
+        self.shortest.0 = Some(self.shortest.0.map_or(trip, |shortest| shortest.min(trip)));
+        let nanos = trip.nanos();
+        let (smoothed, variation) = match self.smoothed {
+            None => (nanos, nanos / 2),
+            Some((smoothed, variation)) => {
+                let (smoothed, variation) = (smoothed.nanos(), variation.nanos());
+                let variation = variation + ((smoothed - nanos).abs() - variation) / 4;
+                (smoothed + (nanos - smoothed) / 8, variation)
+            }
+        };
+        self.smoothed = Some((Span::from_nanos(smoothed), Span::from_nanos(variation)));
+    }
+
+    /// What is known; `None` before the first answer.
+    pub(crate) fn estimate(&self) -> Option<TransportRoundTrip> {
+        let (smoothed, variation) = self.smoothed?;
+        let (this, before) = self.shortest;
+        Some(TransportRoundTrip { min: this.into_iter().chain(before).min(), smoothed, variation })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn estimate_smooths_and_forgets_old_minimum() {
+        let at = |seconds| MonoTime::default() + Span::from_seconds(seconds);
+        let (ms, mut estimator) = (Span::from_millis, RoundTripEstimator::default());
+        assert_eq!(estimator.estimate(), None);
+        estimator.measure(ms(8), at(0));
+        let first = TransportRoundTrip { min: Some(ms(8)), smoothed: ms(8), variation: ms(4) };
+        assert_eq!(estimator.estimate(), Some(first));
+        estimator.measure(ms(16), at(1));
+        let second = TransportRoundTrip { min: Some(ms(8)), smoothed: ms(9), variation: ms(5) };
+        assert_eq!(estimator.estimate(), Some(second));
+        estimator.measure(ms(16), at(200));
+        assert_eq!(estimator.estimate().and_then(|estimate| estimate.min), Some(ms(8)));
+        estimator.measure(ms(16), at(400));
+        assert_eq!(estimator.estimate().and_then(|estimate| estimate.min), Some(ms(16)));
+    }
+}
