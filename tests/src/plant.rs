@@ -14,6 +14,8 @@ pub struct Plant {
     pub api: Api,
     aggregator: Process,
     site: Site,
+    /// Of the address at which the cloud serves.
+    scheme: &'static str,
     /// Between the hosts.
     pub network: Network,
 }
@@ -24,10 +26,15 @@ const SERVE: u16 = 5551;
 impl Plant {
     /// Starts the aggregator and waits until it answers. The network is made in the site's folder.
     pub fn new(network: impl FnOnce(&Path) -> Network) -> Self {
+        Self::over("tcp", network)
+    }
+
+    /// The same, with samples over the network that a scheme selects.
+    pub fn over(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
         let site = Site::new();
         let network = network(site.folder());
         let (aggregator, api) = site.aggregator_for("0.0.0.0");
-        Self { api, aggregator, site, network }
+        Self { api, aggregator, site, scheme, network }
     }
 
     /// A folder for this plant's files.
@@ -38,7 +45,8 @@ impl Plant {
     /// Starts a cloud that echoes; `tables` are added to its configuration.
     pub fn cloud(&self, tables: &str) -> Process {
         let own = format!(
-            "[serve]\nlisten = \"tcp://0.0.0.0:{SERVE}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n"
+            "[serve]\nlisten = \"{}://0.0.0.0:{SERVE}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n",
+            self.scheme
         );
         self.configure("cloud", self.network.cloud(), &format!("{own}{tables}"));
         self.peernetd("cloud", self.network.cloud(), &[])
@@ -61,7 +69,7 @@ impl Plant {
 
     /// Where the cloud serves.
     pub fn peer(&self) -> String {
-        format!("tcp://{}:{SERVE}", self.network.cloud().address)
+        format!("{}://{}:{SERVE}", self.scheme, self.network.cloud().address)
     }
 
     fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {

@@ -107,6 +107,34 @@ impl Host {
         self.input(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
     }
 
+    /// Drops everything that arrives on the measured path, as if its cable were cut.
+    pub fn cut(&self) {
+        self.input(&["drop"]);
+    }
+
+    /// Drops longer packets that arrive on the measured path and tells nobody. Bytes, with the header of IP.
+    pub fn drop_longer(&self, bytes: u32) {
+        self.input(&["meta", "length", ">", &bytes.to_string(), "drop"]);
+    }
+
+    /// Gives the measured path's interface another address in place of its own, which has 28 bits of network.
+    pub fn move_to(&self, address: Ipv4Addr) {
+        let (old, new) = (format!("{}/28", self.address), format!("{address}/28"));
+        // In this order: the second address of a network goes with the first.
+        ip(&["-n", &self.namespace, "address", "delete", &old, "dev", DATA]);
+        ip(&["-n", &self.namespace, "address", "add", &new, "dev", DATA]);
+    }
+
+    /// Lets in again what was dropped on the measured path.
+    pub fn let_in(&self) {
+        self.run("nft", &["delete", "table", "inet", "test"]);
+    }
+
+    /// Sends no larger packets out of an interface. Bytes.
+    pub fn set_mtu(&self, interface: &str, bytes: u32) {
+        ip(&["-n", &self.namespace, "link", "set", interface, "mtu", &bytes.to_string()]);
+    }
+
     fn input(&self, rule: &[&str]) {
         self.run("nft", &["add", "table", "inet", "test"]);
         let chain = ["add", "chain", "inet", "test", "input"];

@@ -90,6 +90,20 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn wire(folder: &Path, up: Way, down: Way) -> Self {
+        // It keeps all packets in one order, those of both directions: what goes the quick way would wait for what goes
+        // the slow one. Only jitter needs that.
+        Self::wire_that_reorders(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
+    }
+
+    /// The same, and packets overtake each other where the delay varies.
+    ///
+    /// # Panics
+    /// As [`direct`](Self::direct).
+    pub fn reordering_wire(folder: &Path, up: Way, down: Way) -> Self {
+        Self::wire_that_reorders(folder, up, down, true)
+    }
+
+    fn wire_that_reorders(folder: &Path, up: Way, down: Way, reorders: bool) -> Self {
         let network = Self::hosts(false);
         let plug = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
@@ -108,9 +122,7 @@ impl Network {
         let (up_delay, down_delay) = (delay("LR", up), delay("RL", down));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
-        // It keeps all packets in one order, those of both directions: what goes the quick way would wait for what goes
-        // the slow one. Only jitter needs that.
-        let order: &[&str] = if up.jitter_ms + down.jitter_ms == 0 { &["--nofifo"] } else { &[] };
+        let order: &[&str] = if reorders { &["--nofifo"] } else { &[] };
         network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], order, &["--daemon"]].concat());
         network
     }

@@ -1,5 +1,6 @@
 //! What is sent and received on the connections of a link, from the kernel to the page.
 
+use peernet_tests::network::Way;
 use peernet_tests::{Network, Plant, Site};
 
 const CLOUD: &str = r#"
@@ -78,4 +79,46 @@ fn lossy_link_shows_retransmissions() {
     assert!(segments > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
     let address = plant.network.cloud().address;
     assert_eq!(connection["remote_address"], format!("{address}:5551").as_str());
+}
+
+#[test]
+fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let plant = Plant::over("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
+    let _cloud = plant.cloud("");
+    let load = "load = { mode = \"rate\", hz = 20.0 }";
+    let _edge = plant.edge(&plant.pipeline("offload", 20_000, load), &[]);
+    let connection = plant.api.until("/api/v1/links/edge~cloud~zmq-udp", |link| {
+        let connection = link["now"]["connections"].get(0)?;
+        let is_counted = ["up", "down"].iter().all(|direction| {
+            let counts =
+                ["lost_datagrams", "reordered_datagrams"].map(|name| connection[direction][name].as_u64());
+            counts.iter().all(|count| *count > Some(3))
+        });
+        (is_counted && connection["lost_messages"].as_u64()? > 3).then(|| connection.clone())
+    });
+    let (up, down) = (&connection["up"], &connection["down"]);
+    assert!(up["datagrams"].as_u64() > up["lost_datagrams"].as_u64().map(|lost| 10 * lost), "{connection}");
+    assert!(up["duplicated_datagrams"].is_u64() && up["retransmitted_datagrams"].is_u64(), "{connection}");
+    assert!(down["datagrams"].is_u64() && down["retransmitted_datagrams"].is_null(), "{connection}");
+    let trip = connection["transport_round_trip"]["smoothed_s"].as_f64();
+    assert!(trip.is_some_and(|trip| (0.03..1.0).contains(&trip)), "{connection}");
+    assert_eq!(connection["interface"]["name"], "data");
+    let remote = format!("{}:5551", plant.network.cloud().address);
+    assert_eq!(connection["remote_address"], remote.as_str());
+
+    let (_, page) = plant.api.get("/links/edge~cloud~zmq-udp").expect("the aggregator answers");
+    for text in [
+        "zmq-udp",
+        "by data, ",
+        "round trip of its packets ",
+        " lost on the way or with the connection",
+        remote.as_str(),
+    ] {
+        assert!(page.contains(text), "the page lacks {text:?}: {page}");
+    }
+    let (_, metrics) = plant.api.get("/metrics").expect("the aggregator answers");
+    let series = "peernet_link_lost_datagrams_total{edge=\"edge\",cloud=\"cloud\",network=\"zmq-udp\",pipeline=\"offload\",\
+                  direction=\"download\"} ";
+    assert!(metrics.contains(series), "{metrics}");
 }

@@ -6,6 +6,7 @@ mod chain;
 mod clocks;
 mod configuration;
 mod connections;
+mod datagrams;
 mod documentation;
 mod documented;
 mod durability;

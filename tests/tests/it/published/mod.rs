@@ -1,6 +1,7 @@
 //! The published commands, typed as the paper types them.
 
 mod commands;
+mod datagrams;
 mod ended;
 mod objects;
 mod refused;
@@ -40,7 +41,11 @@ struct Lab {
 impl Lab {
     /// Two machines and a cable.
     fn new() -> Self {
-        let network = Network::direct();
+        Self::between(Network::direct())
+    }
+
+    /// Two machines and what is between them.
+    fn between(network: Network) -> Self {
         let (edge, cloud) = (network.edge().address.to_string(), network.cloud().address.to_string());
         Self::with(
             Some(network),

@@ -1,0 +1,105 @@
+//! The published commands over datagrams, of which some are lost.
+
+use peernet_tests::Network;
+use peernet_tests::network::Way;
+
+use super::{Data, Lab};
+
+/// A sensor of payloads of all sizes, and a model that checks each before it sends it back.
+const PAYLOADS: &str = "\
+SIZES = [0, 1, 1_000, 60_000, 1_200_000, 20_000_000]
+
+def payload(size):
+    return (bytes(range(251)) * (size // 251 + 1))[:size]
+
+class Sensor:
+    def __init__(self):
+        self.count = 0
+
+    def sample(self):
+        size = SIZES[self.count % len(SIZES)]
+        self.count += 1
+        return payload(size)
+
+class Model:
+    def infer(self, sent):
+        if sent != payload(len(sent)):
+            raise ValueError('not what was sent')
+        return sent
+";
+
+fn numbers(data: &Data, name: &str) -> Vec<Option<f64>> {
+    data.column(name).into_iter().map(|cell| cell.parse().ok()).collect()
+}
+
+#[test]
+fn payloads_of_all_sizes_cross_datagrams_whole() {
+    const ITERATIONS: usize = 12;
+    let lab = Lab::new();
+    std::fs::write(lab.folder().join("payloads.py"), PAYLOADS).expect("writable");
+    let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
+    let server = lab.server(&format!("PEERNet --server --name cluster {both} --model-name payloads::Model"));
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin {both} --sensor-object payloads::Sensor --result-loc results"
+    ));
+    let (client, server) = (client.ended(), server.ended());
+    let data = lab.data("results");
+    let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
+    assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
+    // A lost one makes it an incomplete run; of a server only where the request was lost, not the answer.
+    assert_eq!(client.code(), if lost == 0 { 0 } else { 75 }, "{}", client.log);
+    assert!([0, client.code()].contains(&server.code()), "{}", server.log);
+    let sizes = [0.0, 1.0, 1e3, 6e4, 1.2e6, 2e7];
+    let (outcomes, sent, returned) =
+        (data.column("outcome"), numbers(&data, "upload-bytes"), numbers(&data, "download-bytes"));
+    for (row, size) in sizes.into_iter().cycle().take(ITERATIONS).enumerate() {
+        assert_eq!(sent[row], Some(size));
+        if outcomes[row] == "ok" {
+            assert_eq!(returned[row], Some(size));
+        } else {
+            // Nothing but a full buffer loses datagrams on this cable.
+            assert!(size > 1e5, "{size} bytes were lost: {}", client.log);
+        }
+    }
+    let record = lab.record("results");
+    assert_eq!(record["placement"]["network"], "zmq-udp", "{record:#}");
+}
+
+#[test]
+fn iterations_over_bad_path_are_answered_or_lost() {
+    const ITERATIONS: usize = 150;
+    let sockets = tempfile::tempdir().expect("the temporary folder is writable");
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let lab = Lab::between(Network::reordering_wire(sockets.path(), way(30), way(5)));
+    std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
+        .expect("writable");
+    let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
+    let server = lab.server(&format!("PEERNet --server --name cluster {both} --model-name echo"));
+    let client = lab.client(&format!(
+        "PEERNet --client --name jetson-orin {both} --sensor-type synthetic --text-size 5000 --result-loc results \
+         --config edge.toml"
+    ));
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
+    let data = lab.data("results");
+    let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
+    assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
+    assert!(answered > 75 && lost > 5, "{answered} answered, {lost} lost");
+    let reasons = data.column("reason").into_iter().zip(data.column("outcome"));
+    for (reason, outcome) in reasons {
+        assert!(outcome == "ok" || reason.contains("of 5 fragments arrived"), "{outcome}: {reason}");
+    }
+    // Both hosts have this machine's clock, but for what the edge's is wrong on purpose.
+    for (name, ahead, delay) in [("upload", -5.0, 0.03), ("download", 5.0, 0.005)] {
+        let [raw, lo, hi] = ["raw", "lo", "hi"].map(|what| numbers(&data, &format!("{name}-{what}")));
+        let mut compared = 0;
+        for ((raw, lo), hi) in raw.into_iter().zip(lo).zip(hi) {
+            let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };
+            let truth = raw - ahead;
+            assert!(truth >= delay - 0.004, "{name}: {truth}");
+            assert!(lo - 1e-7 <= truth && truth <= hi + 1e-7, "{name}: {truth} is not in [{lo}, {hi}]");
+            compared += 1;
+        }
+        assert!(compared > 50, "{name}: {compared}");
+    }
+}
