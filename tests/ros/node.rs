@@ -9,7 +9,7 @@
 #![expect(clippy::print_stdout, reason = "the tests read what it prints")]
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use bytes::Bytes;
@@ -40,7 +40,13 @@ async fn camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyho
     Ok(())
 }
 
-async fn relay(node: &Node, from: &str, to: &str, delay: Duration, drop: usize) -> anyhow::Result<()> {
+async fn relay(
+    node: &Node,
+    clock: &SharedClock,
+    [from, to]: [&str; 2],
+    delay: Duration,
+    drop: usize,
+) -> anyhow::Result<()> {
     let kind = TopicType::of::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
     let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
@@ -48,14 +54,14 @@ async fn relay(node: &Node, from: &str, to: &str, delay: Duration, drop: usize) 
     let mut taken = Vec::new();
     for number in 1.. {
         let message = subscriber.recv().await?;
-        let begun = Instant::now();
+        let begun = clock.mono();
         if drop > 0 && number % drop == 0 {
             continue;
         }
         // Timers of tokio are rounded up to whole milliseconds.
         std::thread::sleep(delay);
         publisher.publish(message.bytes)?;
-        taken.push(begun.elapsed().as_micros());
+        taken.push((clock.mono() - begun).nanos() / 1000);
         if taken.len() == REPORT {
             taken.sort_unstable();
             say(&format!("median {} us", taken[REPORT / 2]));
@@ -86,7 +92,7 @@ async fn main() -> anyhow::Result<()> {
     match (command.as_str(), rest.as_slice()) {
         ("camera", [topic, hz]) => camera(&node, &clock, topic, hz.parse()?).await,
         ("relay", [from, to, delay, drop]) => {
-            relay(&node, from, to, Duration::from_millis(delay.parse()?), drop.parse()?).await
+            relay(&node, &clock, [from, to], Duration::from_millis(delay.parse()?), drop.parse()?).await
         }
         ("talk", [topic]) => talk(&node, topic).await,
         _ => bail!("unknown command {command} with {} arguments", rest.len()),

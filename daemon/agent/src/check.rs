@@ -146,7 +146,7 @@ pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
             );
             report.add(format!("pipeline[{index}].limit.total"), text);
         }
-        for remark in pipeline.sensor.remarks() {
+        for remark in pipeline.sensor.iter().flat_map(SensorKind::remarks) {
             report.add(format!("pipeline[{index}].sensor"), remark);
         }
         for remark in pipeline.actuator.remarks() {
@@ -277,7 +277,7 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
     match RosVersion::resolve(observed.ros_version, |name| std::env::var(name).ok()) {
         Ok(RosVersion::Ros1) => {}
         Ok(RosVersion::Ros2) => {
-            report.add(key, "topics of ROS 2 cannot be observed; only those of ROS 1 can")
+            report.add(key, "topics of ROS 2 cannot be observed; only those of ROS 1 can");
         }
         Err(error) => report.add(key, error),
     }
