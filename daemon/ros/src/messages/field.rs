@@ -39,7 +39,7 @@ macro_rules! number_fields {
     )*};
 }
 
-number_fields!(u8, u32, i32, f64);
+number_fields!(u8, u32, u64, i32, f64);
 
 impl Field for bool {
     const MIN_BYTES: usize = 1;

@@ -7,6 +7,8 @@
 mod definition;
 mod field;
 mod geometry;
+mod multi_array;
+mod peernet;
 mod reader;
 mod sensor;
 mod standard;
@@ -17,9 +19,11 @@ mod writer;
 pub use definition::MessageDefinition;
 pub use field::Field;
 pub use geometry::{Quaternion, Vector3};
+pub use multi_array::{MultiArrayDimension, MultiArrayLayout, UInt8MultiArray};
+pub use peernet::{MessageInfo, SessionHello};
 pub use reader::{DecodeError, Reader};
 pub use sensor::{CompressedImage, Image, Imu, PointCloud2, PointField};
-pub use standard::{Header, MultiArrayDimension, MultiArrayLayout, StringMessage, Time, UInt8MultiArray};
+pub use standard::{Header, StringMessage, Time};
 pub use writer::{EncodeError, EncodedMessage, Writer};
 
 use bytes::Bytes;

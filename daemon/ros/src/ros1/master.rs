@@ -31,8 +31,17 @@ pub struct SystemState {
 impl SystemState {
     /// Returns the names of the nodes that publish a topic.
     pub fn publishers_of(&self, topic: &str) -> &[String] {
-        self.publishers.iter().find(|entry| entry.name == topic).map_or(&[], |entry| &entry.nodes)
+        nodes_of(&self.publishers, topic)
     }
+
+    /// Returns the names of the nodes that subscribe to a topic.
+    pub fn subscribers_of(&self, topic: &str) -> &[String] {
+        nodes_of(&self.subscribers, topic)
+    }
+}
+
+fn nodes_of<'a>(entries: &'a [NamedNodes], name: &str) -> &'a [String] {
+    entries.iter().find(|entry| entry.name == name).map_or(&[], |entry| &entry.nodes)
 }
 
 /// Asks the master for all topics with the names of their types, without being a node.

@@ -39,9 +39,10 @@ pub use master::{NamedNodes, SystemState, topic_types};
 pub use names::{NameError, NodeName};
 pub use node::Node;
 pub use outgoing::SendCounts;
-pub use publisher::{Published, Publisher, PublisherOptions, SubscriberStatus};
+pub use publisher::{Delivery, Published, Publisher, PublisherOptions, SubscriberStatus};
 pub use rpc::RpcError;
 pub use subscriber::{
-    PublisherInfo, PublisherState, PublisherStatus, ReceiveCounts, Subscriber, SubscriberOptions,
+    PublisherInfo, PublisherState, PublisherStatus, PublisherWatch, ReceiveCounts, Subscriber,
+    SubscriberOptions,
 };
 pub use tcpros::TopicType;

@@ -13,7 +13,7 @@ use tokio_util::task::TaskTracker;
 
 use super::acceptor;
 use super::address::advertised_host;
-use super::environment::{Environment, listen_address, uri_host};
+use super::environment::{Environment, RpcUri, listen_address, uri_host};
 use super::error::NodeError;
 use super::master::{MasterClient, SystemState};
 use super::names::NodeName;
@@ -79,6 +79,14 @@ impl Node {
     /// Returns the URI of the node's XML-RPC server.
     pub fn uri(&self) -> &str {
         &self.shared.uri
+    }
+
+    /// Returns the global name of a topic.
+    ///
+    /// # Errors
+    /// The name is not allowed.
+    pub fn resolve(&self, topic: &str) -> Result<String, NodeError> {
+        Ok(self.shared.names.resolve(topic)?)
     }
 
     /// Publishes a topic.
@@ -170,6 +178,23 @@ impl Node {
         self.shared.master.topic_types().await
     }
 
+    /// Returns those of some nodes that are running, without this one. The master also lists nodes that ended without telling
+    /// it. One of this node's name counts until this node has registered something.
+    ///
+    /// # Errors
+    /// The master does not answer.
+    pub async fn running_nodes(&self, nodes: &[String]) -> Result<Vec<String>, NodeError> {
+        let mut running = Vec::new();
+        for node in nodes {
+            let uri = self.shared.master.look_up_node(node).await?.filter(|uri| *uri != self.shared.uri);
+            let Some(uri) = uri.and_then(|uri| RpcUri::parse(&uri).ok()) else { continue };
+            if rpc::call(&uri, "getPid", vec![self.name().into()]).await.is_ok() {
+                running.push(node.clone());
+            }
+        }
+        Ok(running)
+    }
+
     /// Waits until the node has ended by itself, and returns the reason: another node has taken its name, or somebody
     /// asked it to shut down (`rosnode kill`).
     pub async fn ended(&self) -> NodeError {
@@ -177,12 +202,17 @@ impl Node {
         self.shared.closed()
     }
 
+    /// Ends the node at once, without telling the master.
+    pub fn close(&self) {
+        self.shared.close("it was closed".to_owned());
+    }
+
     /// Ends the node: messages that wait for subscribers are written within a second, and all topics are
     /// unregistered.
     ///
     /// # Errors
     /// The topics could not be unregistered; the master lists the node until `rosnode cleanup` removes it.
-    pub async fn shutdown(self) -> Result<(), NodeError> {
+    pub async fn shutdown(&self) -> Result<(), NodeError> {
         let shared = &self.shared;
         shared.close("it was shut down".to_owned());
         shared.tasks.close();
@@ -298,6 +328,8 @@ impl RegistrationGuard {
     /// Tells the master, and returns the URIs of the topic's publishers or subscribers.
     async fn register(&self) -> Result<Vec<String>, NodeError> {
         let Registration { role, topic, kind } = &self.registration;
+        // A master that was restarted knows the node again once this topic is registered: the loss of the others would not show.
+        registrar::check(&self.shared).await;
         let (register, _) = method_of(*role);
         let uris = self.shared.master.register(register, topic, kind, &self.shared.uri).await?;
         self.shared.registrations().add(self.registration.clone());

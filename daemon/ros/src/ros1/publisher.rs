@@ -32,6 +32,17 @@ pub struct Published {
     pub dropped: usize,
 }
 
+/// Result of publishing a message for one subscriber.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// It is sent, or waits in the subscriber's queue.
+    Taken,
+    /// The subscriber's queue was full: it does not get the message.
+    Full,
+    /// The subscriber is not connected.
+    Absent,
+}
+
 /// Connection to a subscriber, with what became of the messages for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SubscriberStatus {
@@ -74,6 +85,26 @@ impl Publisher {
             }
         }
         Ok(published)
+    }
+
+    /// As [`publish`](Self::publish), and returns what became of the message for the subscriber of one node.
+    ///
+    /// # Errors
+    /// As those of `publish`.
+    pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
+        let (message, prefix) = self.check(message.into())?;
+        let mut delivery = Delivery::Absent;
+        for connection in self.topic.take_message(&message, prefix) {
+            let offer = connection.offer(&message, prefix, true);
+            if *connection.subscriber == *node {
+                delivery = match offer {
+                    Offer::Taken => Delivery::Taken,
+                    Offer::Full => Delivery::Full,
+                    Offer::Closed => delivery,
+                };
+            }
+        }
+        Ok(delivery)
     }
 
     /// Publishes a message and waits until each subscriber's queue has taken it: nothing is dropped while a subscriber is

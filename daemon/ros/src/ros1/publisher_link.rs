@@ -196,12 +196,11 @@ impl PublisherLink {
         configure(&stream)?;
         stream.write_all(&topic.subscription.request().encode()).await?;
         let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-        let frame = read_frame(&mut stream, &mut buffer).await?.ok_or(LinkError::Closed)?;
+        let frame = read_frame(&mut stream, &mut buffer, None).await?.ok_or(LinkError::Closed)?;
         let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
         let (node, kind) = topic.subscription.accept(&header)?;
         let uri = Arc::clone(&self.uri);
         let (local, remote) = (stream.local_addr()?, stream.peer_addr()?);
-        buffer.set_max_frame_bytes(topic.options.max_message_bytes);
         Ok((stream, buffer, Arc::new(PublisherInfo { node, uri, kind, local, remote })))
     }
 
@@ -216,7 +215,7 @@ impl PublisherLink {
         self.state().counts.connections += 1;
         self.set_state(topic, PublisherState::Connected(Arc::clone(&publisher)));
         loop {
-            let bytes = match read_frame(&mut stream, &mut buffer).await {
+            let bytes = match read_frame(&mut stream, &mut buffer, Some(&topic.max_message_bytes)).await {
                 Ok(Some(bytes)) => bytes,
                 Ok(None) => return LinkError::Closed,
                 Err(error) => return LinkError::Broken(error),

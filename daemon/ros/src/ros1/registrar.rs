@@ -42,6 +42,20 @@ pub(super) async fn run(node: Arc<NodeShared>) {
     }
 }
 
+/// Asks the master whether it still knows the node. All topics are due for registration if it does not.
+pub(super) async fn check(node: &NodeShared) {
+    if !node.registrations().has_registered() {
+        return;
+    }
+    let call = MasterCall::LookUpNode;
+    let outcome = perform(node, &call).await;
+    let notice = node.registrations().handle_outcome(&call, outcome);
+    if let Some(notice) = notice {
+        report(node, notice);
+    }
+    node.wake_registrar.notify_one();
+}
+
 async fn perform(node: &NodeShared, call: &MasterCall) -> CallOutcome {
     let result = match call {
         MasterCall::LookUpNode => match node.master.look_up_node(&node.name).await {

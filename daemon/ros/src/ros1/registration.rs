@@ -153,9 +153,14 @@ impl Registrations {
         was_unreachable.then_some(Notice::MasterBack)
     }
 
+    /// Returns whether the master should know a registration of the node.
+    pub(super) fn has_registered(&self) -> bool {
+        self.entries.values().any(|status| *status == RegistrationStatus::Registered)
+    }
+
     /// Takes all registrations for missing, and returns whether there was one.
     fn mark_all_missing(&mut self) -> bool {
-        let had_registered = self.entries.values().any(|status| *status == RegistrationStatus::Registered);
+        let had_registered = self.has_registered();
         self.entries.retain(|_, status| *status != RegistrationStatus::Leaving);
         self.entries.values_mut().for_each(|status| *status = RegistrationStatus::Missing);
         had_registered

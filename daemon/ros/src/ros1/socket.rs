@@ -1,6 +1,7 @@
 //! Options of TCPROS sockets, and reading of frames.
 
 use std::io;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
 use socket2::{SockRef, TcpKeepalive};
@@ -23,12 +24,17 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_user_timeout(Some(USER_TIMEOUT))
 }
 
-/// Reads until a frame is complete; nothing if the peer has closed the connection before the next one began.
+/// Reads until a frame is complete; nothing if the peer has closed the connection before the next one began. The longest
+/// allowed length is looked up again whenever bytes have arrived, because it may change while the next frame is awaited.
 pub(super) async fn read_frame(
     stream: &mut TcpStream,
     buffer: &mut FrameBuffer,
+    max_frame_bytes: Option<&AtomicUsize>,
 ) -> io::Result<Option<Bytes>> {
     loop {
+        if let Some(max) = max_frame_bytes {
+            buffer.set_max_frame_bytes(max.load(Ordering::Relaxed));
+        }
         let frame = buffer.next_frame().map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
         if frame.is_some() {
             return Ok(frame);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::SharedClock;
@@ -124,6 +125,11 @@ impl Subscriber {
         }
     }
 
+    /// Takes the next message if one is there.
+    pub fn try_recv(&mut self) -> Option<ReceivedMessage> {
+        self.topic.queue.try_pop()
+    }
+
     /// Returns the publishers that the master knows, and those that are still connected. A caller that expects one can see
     /// that there are several, and which.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
@@ -133,6 +139,11 @@ impl Subscriber {
     /// Returns the sums over all publishers, with those that are gone.
     pub fn counts(&self) -> ReceiveCounts {
         self.topic.counts()
+    }
+
+    /// Changes the length in bytes of the longest message that is read, from the next message on.
+    pub fn set_max_message_bytes(&self, max: usize) {
+        self.topic.max_message_bytes.store(max, Ordering::Relaxed);
     }
 
     /// Waits until this number of publishers is connected.
@@ -156,6 +167,11 @@ impl Subscriber {
         }
     }
 
+    /// Returns a view of the publishers that can be used while a message is awaited.
+    pub fn publisher_watch(&self) -> PublisherWatch {
+        PublisherWatch(Arc::clone(&self.topic))
+    }
+
     /// Returns a future that ends when the state of a connection to a publisher has changed since the future was made.
     pub fn publishers_changed(&self) -> impl Future<Output = ()> + '_ {
         self.topic.changed.notified()
@@ -168,11 +184,28 @@ impl Drop for Subscriber {
     }
 }
 
+/// A view of the publishers of a topic that is subscribed to.
+#[derive(Clone, Debug)]
+pub struct PublisherWatch(Arc<SubscribedTopic>);
+
+impl PublisherWatch {
+    /// Returns the publishers as [`Subscriber::publishers`] does.
+    pub fn publishers(&self) -> Vec<PublisherStatus> {
+        self.0.publishers()
+    }
+
+    /// Returns a future that ends when the state of a connection to a publisher has changed since the future was made.
+    pub fn changed(&self) -> impl Future<Output = ()> + '_ {
+        self.0.changed.notified()
+    }
+}
+
 /// A topic that a node subscribes to.
 #[derive(Debug)]
 pub(super) struct SubscribedTopic {
     pub(super) subscription: Subscription,
-    pub(super) options: SubscriberOptions,
+    /// Longest message that is read. Bytes.
+    pub(super) max_message_bytes: AtomicUsize,
     pub(super) queue: IncomingQueue,
     pub(super) clock: SharedClock,
     pub(super) stop: CancellationToken,
@@ -199,7 +232,7 @@ impl SubscribedTopic {
     ) -> Self {
         Self {
             subscription,
-            options,
+            max_message_bytes: AtomicUsize::new(options.max_message_bytes),
             queue: IncomingQueue::new(options.queue, options.when_full),
             clock,
             stop,

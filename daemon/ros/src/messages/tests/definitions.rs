@@ -3,8 +3,8 @@
 use md5::{Digest, Md5};
 
 use crate::messages::{
-    CompressedImage, Header, Image, Imu, Message, MessageDefinition, PointCloud2, StringMessage,
-    UInt8MultiArray,
+    CompressedImage, Header, Image, Imu, Message, MessageDefinition, MessageInfo, PointCloud2, SessionHello,
+    StringMessage, UInt8MultiArray,
 };
 
 /// Constants first and then fields, each in order; a field of another message type has that type's sum in place of its
@@ -37,6 +37,8 @@ fn sums_are_those_of_the_definitions() {
         Imu::DEFINITION,
         PointCloud2::DEFINITION,
         UInt8MultiArray::DEFINITION,
+        SessionHello::DEFINITION,
+        MessageInfo::DEFINITION,
     ];
     for definition in all {
         assert_eq!(definition.md5, sum(definition), "{}", definition.name);
@@ -72,4 +74,6 @@ fn dds_types_follow_the_ros1_names() {
     check::<Imu>();
     check::<PointCloud2>();
     check::<UInt8MultiArray>();
+    check::<SessionHello>();
+    check::<MessageInfo>();
 }

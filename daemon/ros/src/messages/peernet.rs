@@ -1,0 +1,95 @@
+//! Types of PEERNet's own package `peernet_msgs`, which carry sessions over topics.
+
+use bytes::Bytes;
+
+use super::field::struct_field;
+use super::{Header, Message, MessageDefinition};
+
+/// `peernet_msgs/SessionHello`: an edge asks the cloud of a topic `/NAME/sessions` to connect to the topics of a pipeline.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SessionHello {
+    /// `frame_id` is the connection's random identifier, 32 hexadecimal digits.
+    pub header: Header,
+    /// Name of the edge's node.
+    pub node: String,
+    /// Identifier of the edge's host.
+    pub host: String,
+    /// Global name of the pipeline: its topics stand below it.
+    pub pipeline: String,
+}
+
+struct_field!(SessionHello { header: Header, node: String, host: String, pipeline: String });
+
+impl Message for SessionHello {
+    const DEFINITION: &'static MessageDefinition = &MessageDefinition {
+        name: "peernet_msgs/SessionHello",
+        md5: "ecb45007684a8caf9068606c041792bc",
+        text: "std_msgs/Header header\nstring node\nstring host\nstring pipeline\n",
+        dependencies: &[&Header::DEFINITION],
+    };
+    const DDS_TYPE: &'static str = "peernet_msgs::msg::dds_::SessionHello_";
+}
+
+/// `peernet_msgs/MessageInfo`: what travels beside the payload of a message, on the payload's topic with `_info` appended.
+///
+/// A payload message of the same `header.stamp` and `header.frame_id` belongs to it where [`has_payload`](Self::has_payload)
+/// says so. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension has both.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MessageInfo {
+    /// `frame_id` is the connection's identifier; `stamp` is the departure by the sender's wall clock, and increases.
+    pub header: Header,
+    /// One of the constants.
+    pub kind: u8,
+    /// Number of the message on this topic and connection, from 0.
+    pub sequence: u64,
+    /// Number of the request, 2⁶⁴ − 1 where the message belongs to none.
+    pub request: u64,
+    /// Whether frame 2 is the payload message's data instead of a part of [`frames`](Self::frames).
+    pub has_payload: bool,
+    /// Bytes of each frame of the message: header, tree, and the parts of the sample.
+    pub frame_lengths: Vec<u32>,
+    /// The frames one after another.
+    pub frames: Bytes,
+    /// Reason for the end of the connection.
+    pub reason: String,
+}
+
+struct_field!(MessageInfo {
+    header: Header,
+    kind: u8,
+    sequence: u64,
+    request: u64,
+    has_payload: bool,
+    frame_lengths: Vec<u32>,
+    frames: Bytes,
+    reason: String,
+});
+
+impl MessageInfo {
+    /// Kind of a message with frames.
+    pub const DATA: u8 = 0;
+    /// Kind that an edge repeats until it gets [`WELCOME`](Self::WELCOME).
+    pub const HELLO: u8 = 1;
+    /// Kind of the cloud's answer.
+    pub const WELCOME: u8 = 2;
+    /// Kind that says that the sender is still there.
+    pub const HEARTBEAT: u8 = 3;
+    /// Kind that says that the message of a request arrived only in part.
+    pub const LOST: u8 = 4;
+    /// Kind that ends the connection.
+    pub const GOODBYE: u8 = 5;
+    /// Value of [`request`](Self::request) without a request.
+    pub const NO_REQUEST: u64 = u64::MAX;
+}
+
+impl Message for MessageInfo {
+    const DEFINITION: &'static MessageDefinition = &MessageDefinition {
+        name: "peernet_msgs/MessageInfo",
+        md5: "34b1a9f5cde763a5a2029f3b5bfc8824",
+        text: "uint8 DATA=0\nuint8 HELLO=1\nuint8 WELCOME=2\nuint8 HEARTBEAT=3\nuint8 LOST=4\nuint8 GOODBYE=5\n\
+               std_msgs/Header header\nuint8 kind\nuint64 sequence\nuint64 request\nbool has_payload\n\
+               uint32[] frame_lengths\nuint8[] frames\nstring reason\n",
+        dependencies: &[&Header::DEFINITION],
+    };
+    const DDS_TYPE: &'static str = "peernet_msgs::msg::dds_::MessageInfo_";
+}
