@@ -24,6 +24,11 @@ pub(crate) enum AddressError {
 /// When it is neither.
 pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Address, AddressError> {
     let (scheme, rest) = text.split_once("://").unwrap_or((network.schemes()[0], text));
+    let is_named = |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
+    if NetworkKind::ALL.iter().any(is_named) {
+        // The port is not the listener's, and has a default of its own.
+        return format!("{scheme}://{rest}").parse().map_err(AddressError::Invalid);
+    }
     let is_zoned =
         rest.split_once('%').is_some_and(|(ip, _)| ip.trim_start_matches('[').parse::<Ipv6Addr>().is_ok());
     if is_zoned {
@@ -53,6 +58,7 @@ mod tests {
             ("tcp://cloud:7", "tcp://cloud:7"),
             ("::1", "tcp://[::1]:5551"),
             ("[fe80::1]:8", "tcp://[fe80::1]:8"),
+            ("ros1://robot/gpu", "ros1://robot:11311/gpu"),
         ] {
             assert_eq!(read(text).map(|peer| peer.to_string()).as_deref(), Ok(address));
         }

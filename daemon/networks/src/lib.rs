@@ -23,5 +23,5 @@ pub use settings::{InvalidSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,
-    NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure, datagram, zmtp,
+    NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure, UnknownAddress, datagram, zmtp,
 };

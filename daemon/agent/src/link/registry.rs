@@ -95,7 +95,7 @@ impl Links {
             id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
             network: NetworkName::from(address.network()),
-            host: address.host(),
+            host: cloud_host(session, address),
             probes: accepted.probes,
             instance: accepted.instance,
             clock: session.peer_clock(),
@@ -189,6 +189,12 @@ impl Drop for Attached {
             open.remove(&self.link.peer);
         }
     }
+}
+
+/// The host that answers probes. Where names are looked up, the address is that of another program.
+fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
+    let connected = address.listener_name().and_then(|_| session.statistics_reader().addresses());
+    connected.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }
 
 /// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew, and

@@ -1,7 +1,7 @@
 //! The ports at which peers' probes are answered.
 
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
@@ -82,6 +82,10 @@ fn bind(
 }
 
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
+    if listen.listener_name().is_some() {
+        // Host and port are those of a program that knows the name; peers come on any interface.
+        return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
+    }
     let host = listen.host();
     let mut found = tokio::net::lookup_host((host.as_str(), port)).await?;
     found.next().ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, format!("{host} has no address")))

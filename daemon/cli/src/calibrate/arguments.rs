@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [rehearsal] hold here, too.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp or zmq-udp; ros is not there yet [default: that of the address; of a host, zmq-tcp].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the address; of a host, zmq-tcp].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.

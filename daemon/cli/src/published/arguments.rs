@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     /// This device's name in the network configuration.
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
-    /// Kind of network: zmq-tcp or zmq-udp; ros is not there yet [default: that of the server's address in the network
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: that of the server's address in the network
     /// configuration; of a host name, zmq-tcp].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,

@@ -8,7 +8,7 @@ use crate::output::complain;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_logger::Slug;
-use peernet_networks::{Address, NetworkKind};
+use peernet_networks::{Address, NetworkKind, UnknownAddress};
 use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -21,6 +21,8 @@ struct File {
     devices: BTreeMap<String, String>,
     server: Option<String>,
     start_port: Option<u16>,
+    /// 1 or 2, for the network `ros`.
+    ros_version: Option<u64>,
     #[serde(flatten)]
     other: BTreeMap<String, IgnoredAny>,
 }
@@ -30,6 +32,8 @@ struct File {
 enum DeviceError {
     #[error("{at:?} is no address of the device {name}: {source}")]
     Address { at: String, name: String, source: AddressError },
+    #[error("no address of the device {name}: {source}")]
+    Unknown { name: String, source: UnknownAddress },
     #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
     PortZero(String),
 }
@@ -40,7 +44,7 @@ impl File {
         if !read.other.is_empty() {
             let keys: Vec<&str> = read.other.keys().map(String::as_str).collect();
             complain(format_args!(
-                "{file}: passing over {}; there is devices, server and start_port",
+                "{file}: passing over {}; there is devices, server, start_port and ros_version",
                 keys.join(", ")
             ));
         }
@@ -49,6 +53,11 @@ impl File {
 
     /// Where the device `name` listens, which is said to be `at`: on this network if that is not an address.
     fn address(&self, name: &str, at: &str, network: NetworkKind) -> Result<Address, DeviceError> {
+        // Where names are looked up, a host alone says nothing.
+        let found = if at.contains("://") { None } else { network.find_listener(name, self.ros_version) };
+        if let Some(found) = found {
+            return found.map_err(|source| DeviceError::Unknown { name: name.to_owned(), source });
+        }
         let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT), network);
         let invalid = |source| DeviceError::Address { at: at.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
@@ -174,6 +183,20 @@ server: cluster
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:6000");
+    }
+
+    #[test]
+    fn listeners_with_names_are_those_of_devices() {
+        let network = NetworkKind::ALL.iter().copied().find(|kind| kind.has_named_listeners());
+        let text = format!("{PUBLISHED}ros_version: 1\n");
+        let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
+        assert_eq!(devices.address.listener_name(), Some("cluster"));
+        let text = text.replace("cluster.lab.example", "ros1://robot:7/gpu");
+        let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
+        assert_eq!(devices.address.to_string(), "ros1://robot:7/gpu");
+        let text = format!("{PUBLISHED}ros_version: 3\n");
+        let error = Devices::parse(&text, "net.yaml", network).expect_err("no such version").to_string();
+        assert!(error.contains("ros_version") && error.contains("cluster"), "{error}");
     }
 
     #[test]

@@ -32,10 +32,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     home.house(&mut config)?;
     let ready = Ready::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
-    let port = devices.address.port();
     let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
-        Failure::new(exit, error.context(format!("cannot serve at port {port}, the start_port of {file}")))
+        Failure::new(exit, error.context(format!("cannot serve at {}", place(&devices.address, &file))))
     })?;
     if serving.answered() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
         complain(serving.summary());
@@ -53,9 +52,21 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     }
 }
 
+/// What of the network configuration says where to serve.
+fn place(address: &Address, file: &impl std::fmt::Display) -> String {
+    match address.listener_name() {
+        None => format!("port {}, the start_port of {file}", address.port()),
+        Some(_) => format!("{address}, as {file} and the environment say"),
+    }
+}
+
 /// All interfaces of this machine, at the port of the network configuration: its name for this device may be one that
 /// only the others know it by.
 fn everywhere(address: &Address) -> Address {
+    if address.listener_name().is_some() {
+        // Host and port are those of a program that knows the name.
+        return address.clone();
+    }
     let ip = match address.host().trim_matches(['[', ']']).parse() {
         Ok(IpAddr::V6(_)) => IpAddr::V6(Ipv6Addr::UNSPECIFIED),
         _ => IpAddr::V4(Ipv4Addr::UNSPECIFIED),

@@ -124,7 +124,7 @@ impl Listener {
         clock: SharedClock,
     ) -> Result<Self, BindError> {
         let settings = settings.clamped();
-        let bound = address.network().bind(address, &settings, ports).await;
+        let bound = address.network().bind(address, &settings, ports, &clock).await;
         let bound = bound.map_err(|failure| match failure {
             BindFailure::InUse => BindError::InUse(address.clone()),
             BindFailure::Denied => BindError::Denied(address.clone()),

@@ -89,7 +89,7 @@ impl Session {
     ) -> Result<Self, OpenError> {
         let settings = settings.clamped();
         let counters = Counters::default();
-        let opening = Box::pin(handshake(address, hello, &settings, &counters));
+        let opening = Box::pin(handshake(address, hello, &settings, &clock, &counters));
         let (dialled, accepted) = opening.await?;
         Ok(Self::start(dialled, accepted, &settings, clock, counters))
     }

@@ -1,5 +1,6 @@
 //! Opening a session: connect, say hello, wait for the answer.
 
+use peernet_clock::SharedClock;
 use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
@@ -7,7 +8,7 @@ use super::client::{Opened, opened};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialled, EdgeArrival, SendOptions};
+use crate::transport::{DialFailure, Dialled, Dialler, EdgeArrival, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Why a session could not be opened.
@@ -65,12 +66,14 @@ pub(crate) async fn handshake(
     address: &Address,
     hello: SessionHello,
     settings: &SessionSettings,
+    clock: &SharedClock,
     counters: &Counters,
 ) -> Result<(Dialled, Accepted), OpenError> {
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
-    let dialled = timeout_at(deadline, address.network().dial(address, settings)).await;
+    let dialler = Dialler { hello: &hello, clock };
+    let dialled = timeout_at(deadline, address.network().dial(address, settings, &dialler)).await;
     let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
         // Not how long: the system may have been asked for less time than the settings allow.

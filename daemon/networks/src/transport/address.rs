@@ -12,13 +12,46 @@ use super::NetworkKind;
 /// The address of a peer or of a listener: `tcp://host:port`. Its scheme selects the network.
 ///
 /// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on every
-/// interface; port 0 lets the system choose one.
+/// interface; port 0 lets the system choose one. Where peers find each other by way of a third program, as in
+/// `ros1://master:11311/name`, host and port are that program's, and a name tells the listeners apart.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
     scheme: Scheme,
     host: Host,
     port: u16,
+    /// Name of the listener; only where the network's [`AddressForm`] has one.
+    name: Option<String>,
+}
+
+/// How the addresses of a network are written after `scheme://`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum AddressForm {
+    /// `host:port` of the listener.
+    HostPort,
+    /// `host:port/name`: where the listener's name is looked up, and that name.
+    Named {
+        /// Port where none is given.
+        port: u16,
+        /// Name where none is given.
+        name: &'static str,
+        /// Returns the address of a listener of which only the name is known, by the environment of this process.
+        find: fn(&str, Option<u64>) -> Result<String, UnknownAddress>,
+    },
+}
+
+/// Nothing says where a listener is looked up of which only the name is known.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct UnknownAddress(pub(crate) String);
+
+impl AddressForm {
+    const fn text(self) -> &'static str {
+        match self {
+            Self::HostPort => "host:port",
+            Self::Named { .. } => "host:port/name",
+        }
+    }
 }
 
 /// What stands before `://`, and the network that it selects.
@@ -94,6 +127,9 @@ pub enum AddressProblem {
     /// The port is too large a number.
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
+    /// The listener's name cannot be part of the name of a topic.
+    #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]
+    InvalidListenerName(String),
 }
 
 /// A network that was named beside an address of another one.
@@ -114,13 +150,13 @@ pub struct NoEventStream(pub Address);
 impl Address {
     /// The address of an IP address and a port: `tcp://…`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
-        Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port }
+        Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
     }
 
     /// The same network at an IP address and a port.
     #[must_use]
-    pub const fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
-        Self { scheme: self.scheme, host: Host::Ip(ip), port }
+    pub fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
+        Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
     /// The network that the scheme selects.
@@ -165,6 +201,11 @@ impl Address {
         self.port
     }
 
+    /// The name of the listener, where host and port are not its own but those of a program that knows it.
+    pub fn listener_name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
     /// Whether only this machine can reach a listener at this address.
     pub fn is_loopback(&self) -> bool {
         match &self.host {
@@ -198,6 +239,22 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
     let Some(scheme) = Scheme::find(scheme) else {
         return Err(AddressProblem::UnknownScheme(scheme.to_owned()));
     };
+    let form = scheme.network.address_form();
+    let (rest, name) = match form {
+        AddressForm::HostPort => (rest, None),
+        AddressForm::Named { name: default, .. } => {
+            let (rest, name) = rest.split_once('/').unwrap_or((rest, ""));
+            (rest, Some(parse_name(if name.is_empty() { default } else { name })?))
+        }
+    };
+    let with_port;
+    let rest = match form {
+        AddressForm::Named { port, .. } if !has_port(rest) => {
+            with_port = format!("{rest}:{port}");
+            &with_port
+        }
+        _ => rest,
+    };
     let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
         let (host, after) = bracketed.split_once(']').ok_or(AddressProblem::NoClosingBracket)?;
         let ip: Ipv6Addr = host.parse().map_err(|_| AddressProblem::InvalidIpv6(host.to_owned()))?;
@@ -211,7 +268,19 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
         return Err(AddressProblem::InvalidPort(port.to_owned()));
     }
     let port = port.parse().map_err(|_| AddressProblem::PortTooLarge(port.to_owned()))?;
-    Ok(Address { scheme, host, port })
+    Ok(Address { scheme, host, port, name })
+}
+
+fn has_port(authority: &str) -> bool {
+    authority.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'))
+}
+
+/// The name of a listener, which becomes part of the name of a topic.
+fn parse_name(name: &str) -> Result<String, AddressProblem> {
+    let is_name = name.starts_with(|first: char| first.is_ascii_alphabetic())
+        && name.len() <= 63
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+    if is_name { Ok(name.to_owned()) } else { Err(AddressProblem::InvalidListenerName(name.to_owned())) }
 }
 
 /// How addresses are written, for messages: `tcp://host:port`.
@@ -221,8 +290,11 @@ fn forms() -> String {
 
 /// How addresses of these networks are written.
 fn forms_of(networks: &[NetworkKind]) -> String {
-    let schemes = networks.iter().flat_map(|network| network.schemes());
-    let forms: BTreeSet<String> = schemes.map(|scheme| format!("{scheme}://host:port")).collect();
+    let form = |network: &NetworkKind| {
+        let after = network.address_form().text();
+        network.schemes().iter().map(move |scheme| format!("{scheme}://{after}"))
+    };
+    let forms: BTreeSet<String> = networks.iter().flat_map(form).collect();
     forms.into_iter().collect::<Vec<_>>().join(" or ")
 }
 
@@ -252,7 +324,8 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}://{}", self.scheme(), self.authority())
+        write!(f, "{}://{}", self.scheme(), self.authority())?;
+        self.name.as_ref().map_or(Ok(()), |name| write!(f, "/{name}"))
     }
 }
 
@@ -321,15 +394,31 @@ mod tests {
                 assert_eq!(address.check_network(Some(*network)), Ok(()));
                 assert_eq!(address.check_network(None), Ok(()));
                 let bound = address.at_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7);
-                assert_eq!(bound.to_string(), format!("{scheme}://127.0.0.1:7"));
+                let name = address.listener_name().map_or_else(String::new, |name| format!("/{name}"));
+                assert_eq!(bound.to_string(), format!("{scheme}://127.0.0.1:7{name}"));
             }
         }
         assert_eq!(Address::of_ip(IpAddr::V4(Ipv4Addr::LOCALHOST), 7).to_string(), "tcp://127.0.0.1:7");
     }
 
+    #[test]
+    fn named_listeners_have_default_port_and_name() {
+        for (text, address) in [
+            ("ros1://robot", "ros1://robot:11311/peernet"),
+            ("ros1://robot:7/", "ros1://robot:7/peernet"),
+            ("ros1://[::1]/gpu_1", "ros1://[::1]:11311/gpu_1"),
+            ("ros1://10.0.0.1:11311/gpu", "ros1://10.0.0.1:11311/gpu"),
+        ] {
+            assert_eq!(text.parse::<Address>().expect(text).to_string(), address);
+        }
+        for wrong in ["ros1://", "ros1:///gpu", "ros1://robot/a-b", "ros1://robot/a/b", "tcp://robot:7/gpu"] {
+            assert!(wrong.parse::<Address>().is_err(), "{wrong}");
+        }
+    }
+
     proptest! {
         #[test]
-        fn no_text_can_panic_and_what_parses_reads_back(text in "(tcp://)?[a-z0-9.:\\[\\]-]{0,24}") {
+        fn no_text_can_panic_and_what_parses_reads_back(text in "((tcp|ros1)://)?[a-z0-9./:\\[\\]-]{0,24}") {
             if let Ok(address) = text.parse::<Address>() {
                 prop_assert_eq!(address.to_string().parse::<Address>(), Ok(address));
             }

@@ -6,12 +6,13 @@ mod address;
 mod address_group;
 pub mod datagram;
 mod memory;
+mod ros;
 mod tcp_info;
 mod zmq_tcp;
 mod zmq_udp;
 pub mod zmtp;
 
-pub use address::{Address, InvalidAddress, NetworkMismatch, NoEventStream};
+pub use address::{Address, InvalidAddress, NetworkMismatch, NoEventStream, UnknownAddress};
 pub use address_group::AddressGroup;
 
 use std::fmt;
@@ -22,11 +23,14 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use futures::future::BoxFuture;
+use peernet_clock::SharedClock;
 use peernet_stream::NetworkName;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
+use self::address::AddressForm;
 use crate::SessionSettings;
+use crate::message::SessionHello;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
 /// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`. A network whose addresses have one of
@@ -54,6 +58,11 @@ macro_rules! networks {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
             }
 
+            /// How the addresses of its peers are written after the scheme.
+            pub(crate) const fn address_form(self) -> AddressForm {
+                match self { $(Self::$variant => $module::ADDRESS_FORM),* }
+            }
+
             /// Binds a socket at an address of this network and closes it again. Blocks.
             ///
             /// # Errors
@@ -66,8 +75,9 @@ macro_rules! networks {
                 self,
                 address: &Address,
                 settings: &SessionSettings,
+                dialler: &Dialler<'_>,
             ) -> Result<Dialled, DialFailure> {
-                match self { $(Self::$variant => $module::dial(address, settings).await),* }
+                match self { $(Self::$variant => $module::dial(address, settings, dialler).await),* }
             }
 
             pub(crate) async fn bind(
@@ -75,8 +85,9 @@ macro_rules! networks {
                 address: &Address,
                 settings: &SessionSettings,
                 ports: NonZeroUsize,
+                clock: &SharedClock,
             ) -> Result<Bound, BindFailure> {
-                match self { $(Self::$variant => $module::bind(address, settings, ports).await),* }
+                match self { $(Self::$variant => $module::bind(address, settings, ports, clock).await),* }
             }
         }
     };
@@ -89,6 +100,31 @@ networks! {
     ZmqTcp = "zmq-tcp" at "tcp" in zmq_tcp;
     /// RADIO and DISH datagrams over UDP, of which some may be lost.
     ZmqUdp = "zmq-udp" at "udp" in zmq_udp;
+    /// Topics of ROS, which other programs of ROS can see.
+    Ros = "ros" at "ros1" in ros;
+}
+
+impl NetworkKind {
+    /// Whether listeners of this network are found by their names, not at a host and a port of their own.
+    pub fn has_named_listeners(self) -> bool {
+        matches!(self.address_form(), AddressForm::Named { .. })
+    }
+
+    /// Returns the address of a listener of which only the name is known, by the environment variables of this process and
+    /// the version of ROS; `None` where listeners are not found by their names.
+    ///
+    /// # Errors
+    /// When nothing that can be used says where names are looked up.
+    pub fn find_listener(
+        self,
+        name: &str,
+        ros_version: Option<u64>,
+    ) -> Option<Result<Address, UnknownAddress>> {
+        let AddressForm::Named { find, .. } = self.address_form() else { return None };
+        let read =
+            |text: String| text.parse().map_err(|error: InvalidAddress| UnknownAddress(error.to_string()));
+        Some(find(name, ros_version).and_then(read))
+    }
 }
 
 impl fmt::Display for NetworkKind {
@@ -145,6 +181,12 @@ impl fmt::Display for MessageLoss {
             total => write!(f, "{} of {total} fragments arrived", self.received),
         }
     }
+}
+
+/// Who opens a connection, and by which clock.
+pub(crate) struct Dialler<'a> {
+    pub(crate) hello: &'a SessionHello,
+    pub(crate) clock: &'a SharedClock,
 }
 
 /// The edge's end of one connection. It is never re-established: a session lives and dies with it.
@@ -300,14 +342,22 @@ mod tests {
         use std::io;
         use std::num::NonZeroUsize;
 
-        use super::super::{Address, BindFailure, Bound, DialFailure, Dialled};
+        use peernet_clock::SharedClock;
+
+        use super::super::{Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler};
         use crate::SessionSettings;
+
+        pub(super) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
         pub(super) fn try_bind(_: &Address) -> io::Result<()> {
             Ok(())
         }
 
-        pub(super) async fn dial(address: &Address, _: &SessionSettings) -> Result<Dialled, DialFailure> {
+        pub(super) async fn dial(
+            address: &Address,
+            _: &SessionSettings,
+            _: &Dialler<'_>,
+        ) -> Result<Dialled, DialFailure> {
             Err(DialFailure::Unreachable(address.to_string()))
         }
 
@@ -315,6 +365,7 @@ mod tests {
             _: &Address,
             _: &SessionSettings,
             _: NonZeroUsize,
+            _: &SharedClock,
         ) -> Result<Bound, BindFailure> {
             Err(BindFailure::NotLocal)
         }
@@ -328,7 +379,9 @@ mod tests {
 
         use serde::{Deserialize, Serialize};
 
-        use super::super::{Address, BindFailure, Bound, DialFailure, Dialled};
+        use peernet_clock::SharedClock;
+
+        use super::super::{Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler};
         use super::nowhere;
         use crate::SessionSettings;
 
@@ -342,11 +395,15 @@ mod tests {
     }
 
     use std::num::NonZeroUsize;
+    use std::sync::Arc;
 
+    use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+    use peernet_logger::HostId;
     use registered::NetworkKind;
 
-    use super::{Address, BindFailure, DialFailure};
-    use crate::SessionSettings;
+    use super::{Address, AddressForm, BindFailure, DialFailure, Dialler};
+    use crate::message::SessionHello;
+    use crate::{SESSION_VERSIONS, SessionSettings};
 
     #[tokio::test]
     async fn one_name_may_stand_for_several_schemes() {
@@ -355,10 +412,22 @@ mod tests {
         assert_eq!(schemes.collect::<Vec<_>>(), expected);
         let (address, settings): (Address, _) =
             ("tcp://a:1".parse().expect("an address"), SessionSettings::default());
-        let dialled = NetworkKind::Robot.dial(&address, &settings).await;
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")));
+        let hello = SessionHello {
+            versions: SESSION_VERSIONS,
+            host: HostId::random(),
+            name: "robot".parse().expect("a name"),
+            clock: clock.identity().clone(),
+            pipeline: "line".parse().expect("a name"),
+            model: None,
+            device: None,
+        };
+        let dialler = Dialler { hello: &hello, clock: &clock };
+        let dialled = NetworkKind::Robot.dial(&address, &settings, &dialler).await;
         assert!(matches!(dialled, Err(DialFailure::Unreachable(where_to)) if where_to == "tcp://a:1"));
-        let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN).await;
+        let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN, &clock).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));
         assert!(NetworkKind::Robot.try_bind(&address).is_ok());
+        assert!(matches!(NetworkKind::Robot.address_form(), AddressForm::HostPort));
     }
 }

@@ -9,6 +9,7 @@ use std::num::NonZeroUsize;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
+use peernet_clock::SharedClock;
 use zeromq::message::MAX_INLINE_PAYLOAD;
 use zeromq::options::WorkloadProfile;
 use zeromq::{
@@ -19,13 +20,16 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure, SendOptions,
+    AddressForm, Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
+    Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::{Address, SessionSettings};
+
+/// How addresses are written.
+pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
 /// Payload frames from this size on are read from the kernel straight into a buffer of their own.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
@@ -94,7 +98,11 @@ fn reason_text(reason: &DisconnectReason) -> String {
 }
 
 /// Connects to a cloud's port.
-pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Result<Dialled, DialFailure> {
+pub(crate) async fn dial(
+    address: &Address,
+    settings: &SessionSettings,
+    _dialler: &Dialler<'_>,
+) -> Result<Dialled, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
     let mut monitor = socket.monitor();
@@ -221,6 +229,7 @@ pub(crate) async fn bind(
     address: &Address,
     settings: &SessionSettings,
     ports: NonZeroUsize,
+    _clock: &SharedClock,
 ) -> Result<Bound, BindFailure> {
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();

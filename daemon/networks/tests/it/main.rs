@@ -8,6 +8,8 @@ mod handshake;
 mod hostile;
 mod limits;
 mod requests;
+mod ros;
+mod ros_master;
 mod shutdown;
 mod statistics;
 mod support;

@@ -1,6 +1,7 @@
 //! An edge and a cloud on loopback, and a limit on how long anything may take.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -13,11 +14,13 @@ use peernet_networks::{
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
 
+use crate::ros_master::RosMaster;
+
 /// Far more than anything here needs; a test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Makes tests of a function that takes a [`NetworkKind`]: one for each network.
-macro_rules! over_every_network {
+/// Makes tests of a function that takes a [`NetworkKind`]: one for each network whose listeners have ports of their own.
+macro_rules! over_every_port {
     ($($name:ident),*) => {$(
         mod $name {
             #[tokio::test]
@@ -32,11 +35,37 @@ macro_rules! over_every_network {
         }
     )*};
 }
+pub(crate) use over_every_port;
+
+/// Makes tests of a function that takes a [`NetworkKind`]: one for each network.
+macro_rules! over_every_network {
+    ($($name:ident),*) => {$(
+        mod $name {
+            #[tokio::test]
+            async fn zmq_tcp() {
+                super::$name(peernet_networks::NetworkKind::ZmqTcp).await;
+            }
+
+            #[tokio::test]
+            async fn zmq_udp() {
+                super::$name(peernet_networks::NetworkKind::ZmqUdp).await;
+            }
+
+            #[tokio::test]
+            async fn ros1() {
+                super::$name(peernet_networks::NetworkKind::Ros).await;
+            }
+        }
+    )*};
+}
 pub(crate) use over_every_network;
 
-/// A free port of this machine.
+/// A free port of this machine, or a free name at a master of ROS 1.
 pub(crate) fn any_port(network: NetworkKind) -> String {
-    format!("{}://127.0.0.1:0", network.schemes()[0])
+    match network {
+        NetworkKind::Ros => RosMaster::shared().address(),
+        _ => format!("{}://127.0.0.1:0", network.schemes()[0]),
+    }
 }
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
@@ -51,13 +80,20 @@ pub(crate) fn settings() -> SessionSettings {
     SessionSettings { open_timeout_ms: 10_000, ..SessionSettings::default() }
 }
 
+/// A number that no other call returns.
+pub(crate) fn next_number() -> usize {
+    static NUMBERS: AtomicUsize = AtomicUsize::new(1);
+    NUMBERS.fetch_add(1, Ordering::Relaxed)
+}
+
 pub(crate) fn hello() -> SessionHello {
     SessionHello {
         versions: SESSION_VERSIONS,
         host: HostId::random(),
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),
-        pipeline: "line".parse().expect("a name"),
+        // A pipeline of its own for each session, because topics of ROS are named after it.
+        pipeline: format!("line-{}", next_number()).parse().expect("a name"),
         model: Some("echo".parse().expect("a name")),
         device: None,
     }

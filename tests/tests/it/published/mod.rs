@@ -5,6 +5,7 @@ mod datagrams;
 mod ended;
 mod objects;
 mod refused;
+mod ros;
 mod streamed;
 
 use std::path::{Path, PathBuf};
@@ -36,6 +37,8 @@ struct Lab {
     folder: TempDir,
     /// Two machines; without it both are this one.
     network: Option<Network>,
+    /// Where the master of ROS is.
+    ros_master: Option<String>,
 }
 
 impl Lab {
@@ -64,7 +67,7 @@ impl Lab {
         std::fs::write(folder.path().join("net_config.yaml"), configuration).expect("writable");
         let published = folder.path().join("PEERNet");
         std::os::unix::fs::symlink(program("peernet"), published).expect("writable");
-        Self { folder, network }
+        Self { folder, network, ros_master: None }
     }
 
     fn folder(&self) -> &Path {
@@ -88,12 +91,13 @@ impl Lab {
         let (program, folder) = (self.folder().join("PEERNet"), self.folder());
         let library = onnxruntime().join("libonnxruntime.so").display().to_string();
         let state = self.folder().join("state").display().to_string();
-        let environment = [
+        let mut environment = vec![
             ("ORT_DYLIB_PATH", &*library),
             ("PEERNET_PYTHON", "/usr/bin/python3"),
             // Nothing is left in the home of whoever tests.
             ("XDG_STATE_HOME", &*state),
         ];
+        environment.extend(self.ros_master.as_deref().map(|uri| ("ROS_MASTER_URI", uri)));
         match host {
             Some(host) => host.start(&program, &arguments, folder, &environment),
             None => Process::start(&program, &arguments, folder, &environment),

@@ -21,7 +21,7 @@ fn a_wrong_command_line_is_refused() {
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml";
     refused(&lab, &format!("{client} --iterations 0"), 64, &["at least 1"]);
     refused(&lab, &format!("{client} --iterations -5"), 64, &["at least 1"]);
-    refused(&lab, &format!("{client} --iterations 5 --network ros"), 64, &["not there yet", "zmq-tcp"]);
+    refused(&lab, &format!("{client} --iterations 5 --network pgm"), 64, &["there is", "zmq-tcp", "ros"]);
     refused(&lab, &format!("{client} --iterations 5 --network carrier-pigeon"), 64, &["zmq-tcp"]);
     refused(&lab, &format!("{client} --iterations 5"), 64, &["--dataset-loc"]);
     refused(&lab, &format!("{client} --iterations 5 --sensor-type external"), 64, &["--sensor-object"]);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::BoxFuture;
-use peernet_clock::{MonoTime, Span};
+use peernet_clock::{MonoTime, SharedClock, Span};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
@@ -34,6 +34,7 @@ pub(crate) async fn bind(
     address: &Address,
     settings: &SessionSettings,
     ports: NonZeroUsize,
+    _clock: &SharedClock,
 ) -> Result<Bound, BindFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| BindFailure::Other(error.to_string()))?.next();

@@ -24,7 +24,7 @@ use crate::transport::datagram::packet::{Packet, Role, Terms};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialled, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
+    DialFailure, Dialled, Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
     SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -33,7 +33,11 @@ use crate::{Address, SessionSettings};
 const UNFINISHED_MESSAGES: u64 = 4;
 
 /// Opens a virtual connection to a cloud's port.
-pub(crate) async fn dial(address: &Address, settings: &SessionSettings) -> Result<Dialled, DialFailure> {
+pub(crate) async fn dial(
+    address: &Address,
+    settings: &SessionSettings,
+    _dialler: &Dialler<'_>,
+) -> Result<Dialled, DialFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| unreachable(&error))?.next();
     let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;

@@ -17,6 +17,7 @@ use peernet_clock::Span;
 
 use self::radio::MAX_DATAGRAM_BYTES;
 use self::socket::UdpPort;
+use super::AddressForm;
 use super::datagram::MIN_DATAGRAM_BYTES;
 use super::datagram::connection::ConnectionLimits;
 use super::datagram::packet::Terms;
@@ -24,6 +25,9 @@ use super::datagram::reassembly::ReassemblyLimits;
 use super::datagram::sending::QueueLimits;
 use crate::SessionSettings;
 use crate::message::MAX_FRAMES;
+
+/// How addresses are written.
+pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
 /// Bytes of the lengths of a message's frames.
 const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;

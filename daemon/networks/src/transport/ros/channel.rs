@@ -1,0 +1,270 @@
+//! One end of a virtual connection on topics of ROS 1: its state machine, and what it publishes.
+
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_ros::messages::{Message, MessageInfo, WireForm};
+use peernet_ros::ros1::{Delivery, Node, Publisher, PublisherInfo, PublisherOptions, QueueLimits};
+use peernet_sample::Description;
+use tokio::sync::Notify;
+use tokio::time::{Instant, sleep};
+
+use super::connection::{Connection, ConnectionLimits};
+use super::frames::{self, PAYLOAD_FRAME};
+use super::payload::{self, PayloadType};
+use crate::SessionSettings;
+use crate::message::{Header, Outcome};
+use crate::statistics::{ConnectionAddresses, DatagramStatistics, TransportStatistics};
+use crate::transport::memory::MemoryBudget;
+use crate::transport::tcp_info::tcp_statistics;
+use crate::transport::{SendFailure, SendOptions};
+
+/// Longest wait for the other half of a message: both may be under way on a slow link.
+const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
+
+/// Time between two attempts to open a topic while the master is away.
+pub(super) const MASTER_RETRY: Duration = Duration::from_secs(1);
+
+/// Bytes of a companion beside its frames.
+pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
+
+/// Bounds of a connection.
+pub(super) fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
+    ConnectionLimits {
+        max_message_bytes: settings.max_message_bytes,
+        max_incomplete: settings.max_in_flight as usize + 16,
+        pairing_timeout: PAIRING_TIMEOUT,
+        heartbeat_interval: settings.heartbeat_interval().into(),
+        heartbeat_timeout: settings.heartbeat_timeout().into(),
+    }
+}
+
+/// Bytes of the longest message on a topic.
+pub(super) fn largest_message(settings: &SessionSettings) -> usize {
+    usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(INFO_OVERHEAD_BYTES)
+}
+
+/// Bounds of the queue of a topic: every request in flight has a place, and what opens, keeps and closes a connection.
+pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
+    QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: largest_message(settings) }
+}
+
+/// One end of a connection, as senders and its task share it.
+#[derive(Debug)]
+pub(super) struct Channel {
+    pub(super) node: Arc<Node>,
+    pub(super) clock: SharedClock,
+    start: Instant,
+    state: Mutex<Connection>,
+    info: Publisher,
+    queue: QueueLimits,
+    payload_topic: String,
+    /// Set when the first message with a payload was sent; what travels before the topic is there stays in the companion.
+    payload: OnceLock<(PayloadType, Publisher)>,
+    /// The type that the payload topic is to have.
+    pub(super) wanted: OnceLock<PayloadType>,
+    /// The task has something to do.
+    pub(super) wake: Notify,
+    /// The node at the other end, once it is known, and the connection from it.
+    peer: OnceLock<Arc<PublisherInfo>>,
+}
+
+/// What a message says of its first payload part and of its departure.
+struct Described {
+    part: Description,
+    departure: i64,
+}
+
+impl Channel {
+    pub(super) fn new(
+        (node, clock): (Arc<Node>, SharedClock),
+        id: String,
+        settings: &SessionSettings,
+        budget: Arc<MemoryBudget>,
+        (info, payload_topic): (Publisher, String),
+    ) -> Self {
+        let connection = Connection::new(id, connection_limits(settings), budget, MonoTime::default());
+        Self {
+            node,
+            clock,
+            start: Instant::now(),
+            state: Mutex::new(connection),
+            info,
+            queue: queue_limits(settings),
+            payload_topic,
+            payload: OnceLock::new(),
+            wanted: OnceLock::new(),
+            wake: Notify::new(),
+            peer: OnceLock::new(),
+        }
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Connection> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The time of the state machine.
+    pub(super) fn now(&self) -> MonoTime {
+        MonoTime::default() + Span::from(self.start.elapsed())
+    }
+
+    /// The moment of a time of the state machine.
+    pub(super) fn instant(&self, time: MonoTime) -> Instant {
+        self.start + (time - MonoTime::default()).to_duration()
+    }
+
+    /// The node at the other end; messages of others are not taken.
+    pub(super) fn peer(&self) -> Option<&Arc<PublisherInfo>> {
+        self.peer.get()
+    }
+
+    /// Sets the node at the other end; the first one stays.
+    pub(super) fn set_peer(&self, peer: Arc<PublisherInfo>) {
+        self.peer.get_or_init(|| peer);
+    }
+
+    /// Publishes a companion without frames, for whoever subscribes.
+    pub(super) fn announce(&self, kind: u8) {
+        let info = self.lock().begin(kind, self.clock.wall().unix_nanos(), self.now());
+        self.publish_for_all(&info);
+    }
+
+    /// Says goodbye.
+    pub(super) fn say_goodbye(&self, reason: &str) {
+        let info = self.lock().begin(MessageInfo::GOODBYE, self.clock.wall().unix_nanos(), self.now());
+        self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..info });
+    }
+
+    fn publish_for_all(&self, info: &MessageInfo) {
+        let published = info.encode(WireForm::Ros1).map_err(|error| error.to_string());
+        let published =
+            published.and_then(|message| self.info.publish(message).map_err(|error| error.to_string()));
+        if let Err(error) = published {
+            tracing::debug!(
+                topic = self.info.topic(),
+                error,
+                "a message about a connection was not published"
+            );
+        }
+    }
+
+    /// Sends heartbeats and notices that are due.
+    pub(super) fn send_notices(&self) {
+        loop {
+            let notice = self.lock().next_notice(self.clock.wall().unix_nanos(), self.now());
+            match notice {
+                Some(notice) => self.publish_for_all(&notice),
+                None => return,
+            }
+        }
+    }
+
+    /// Publishes a message: its first payload part on the payload topic where that fits and is there, all else on the
+    /// companions' topic.
+    pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
+        let gone = |reason: String| SendFailure::Gone(reason);
+        let peer = self.peer.get().ok_or_else(|| gone("the connection is not open".into()))?;
+        let described = message.get(PAYLOAD_FRAME).and_then(|_| describe(message.first()?));
+        let wall = self.clock.wall().unix_nanos();
+        let departure = described.as_ref().map_or(wall, |described| described.departure);
+        // Held until both are published, so that both topics have the messages in the order of their stamps.
+        let mut state = self.lock();
+        if state.is_closed() {
+            return Err(gone("the connection is closed".into()));
+        }
+        let mut info = state.begin(MessageInfo::DATA, departure, self.now());
+        info.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
+        let has_payload = match (&described, message.get(PAYLOAD_FRAME)) {
+            (Some(described), Some(data)) => {
+                self.publish_payload(&info, &described.part, data, &peer.node)?
+            }
+            _ => false,
+        };
+        if !frames::pack(&mut info, message, has_payload) {
+            return Err(gone("a frame has 4 GiB or more".into()));
+        }
+        let info = info.encode(WireForm::Ros1).map_err(|error| gone(error.to_string()))?;
+        match self.info.publish_to(&peer.node, info).map_err(|error| gone(error.to_string()))? {
+            Delivery::Taken => Ok(()),
+            Delivery::Full => Err(SendFailure::Full),
+            Delivery::Absent => Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic()))),
+        }
+    }
+
+    /// Publishes the first payload part. Returns whether the peer gets it this way.
+    fn publish_payload(
+        &self,
+        info: &MessageInfo,
+        part: &Description,
+        data: &Bytes,
+        peer: &str,
+    ) -> Result<bool, SendFailure> {
+        let kind = PayloadType::of(part, data.len());
+        let Some((published, publisher)) = self.payload.get() else {
+            self.wanted.get_or_init(|| kind);
+            self.wake.notify_one();
+            return Ok(false);
+        };
+        if *published != kind {
+            return Ok(false);
+        }
+        // A value that this version of ROS cannot say travels in the companion.
+        let Ok(message) = payload::encode(WireForm::Ros1, &info.header, part, data) else { return Ok(false) };
+        match publisher.publish_to(peer, message) {
+            Ok(Delivery::Taken) => Ok(true),
+            Ok(Delivery::Full) => Err(SendFailure::Full),
+            Ok(Delivery::Absent) => Ok(false),
+            Err(error) => Err(SendFailure::Gone(error.to_string())),
+        }
+    }
+
+    /// Opens the payload topic, again and again while the master is away.
+    pub(super) async fn publish_payload_topic(&self, kind: PayloadType) {
+        let options = PublisherOptions { is_latching: false, queue: self.queue };
+        let (topic, mut is_told) = (&*self.payload_topic, false);
+        while !self.lock().is_closed() {
+            match self.node.publish(topic, kind.topic_type(), options).await {
+                Ok(publisher) => {
+                    self.payload.get_or_init(|| (kind, publisher));
+                    return;
+                }
+                Err(error) if !is_told => {
+                    tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");
+                    is_told = true;
+                }
+                Err(_) => {}
+            }
+            sleep(MASTER_RETRY).await;
+        }
+    }
+
+    /// Both ends of the connection on which the peer's companions arrive.
+    pub(super) fn addresses(&self) -> Option<ConnectionAddresses> {
+        let peer = self.peer.get()?;
+        Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
+    }
+
+    /// What is known beside whole messages. The round trip is that of the connection of the peer's companions.
+    pub(super) fn statistics(&self) -> TransportStatistics {
+        let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
+        let lost = Some(self.lock().missed());
+        let received = DatagramStatistics { lost, ..DatagramStatistics::default() };
+        TransportStatistics { sent: DatagramStatistics::default(), received, round_trip }
+    }
+}
+
+/// Reads what a message's header says of the first payload part.
+fn describe(header: &Bytes) -> Option<Described> {
+    let (departure, sample) = match Header::decode(header).ok()? {
+        Header::Request(request) => (Some(request.departure), request.sample),
+        Header::Reply(reply) => match reply.outcome {
+            Outcome::Answer(sample) => (reply.departure, sample),
+            _ => return None,
+        },
+        _ => return None,
+    };
+    let part = sample.parts.into_iter().next()?;
+    Some(Described { part, departure: departure?.sent.unix_nanos() })
+}

@@ -1,0 +1,195 @@
+//! The cloud's end of all connections of one name.
+
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::BoxFuture;
+use peernet_clock::SharedClock;
+use peernet_ros::messages::{Message, SessionHello, WireForm};
+use peernet_ros::ros1::{
+    Node, NodeError, ReceivedMessage, Subscriber, SubscriberOptions, TopicType, WhenFull,
+};
+use tokio::sync::mpsc;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use super::edge::end_node;
+use super::environment;
+use super::names::{cloud_node, sessions_topic};
+use super::peers::{Delivery, Peers, Standing};
+use crate::descriptors::DescriptorShare;
+use crate::transport::memory::MemoryBudget;
+use crate::transport::{
+    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    SendOptions,
+};
+use crate::{Address, SessionSettings};
+
+/// Arrivals that wait to be received.
+const QUEUED_ARRIVALS: usize = 64;
+
+/// Largest request for a connection. Bytes.
+const MAX_HELLO_BYTES: usize = 64 * 1024;
+
+/// Topics that a connection takes: each is a TCP connection.
+const SOCKETS_OF_CONNECTION: usize = 5;
+
+/// Serves the address's name at its master.
+pub(crate) async fn bind(
+    address: &Address,
+    settings: &SessionSettings,
+    ports: NonZeroUsize,
+    clock: &SharedClock,
+) -> Result<Bound, BindFailure> {
+    let other = |error: NodeError| BindFailure::Other(error.to_string());
+    let environment = environment(address).map_err(|error| BindFailure::Other(error.to_string()))?;
+    let name = address.listener_name().unwrap_or_default();
+    let node = Node::new(&environment, &cloud_node(name), SharedClock::clone(clock)).await.map_err(other)?;
+    let topic = sessions_topic(name);
+    if let Some(taken) = other_cloud(&node, &topic).await.map_err(other)? {
+        end_node(&node, settings.close_timeout()).await;
+        return Err(BindFailure::Other(format!(
+            "node {taken} serves the name {name} at this ROS master already; stop it, or end the address with another name"
+        )));
+    }
+    let options = SubscriberOptions {
+        when_full: WhenFull::Drop,
+        max_message_bytes: MAX_HELLO_BYTES,
+        ..Default::default()
+    };
+    let sessions = node.subscribe(&topic, TopicType::of::<SessionHello>(), options).await.map_err(other)?;
+    let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
+    let (stop, abort, tasks) = (CancellationToken::new(), CancellationToken::new(), TaskTracker::new());
+    let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
+    let node = Arc::new(node);
+    let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
+    let peers = Peers::new(
+        (Arc::clone(&node), SharedClock::clone(clock)),
+        (settings.clone(), budget, max),
+        deliveries,
+        (stop.clone(), abort.clone(), tasks.clone()),
+    );
+    let peers = Arc::new(peers);
+    tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, (stop.clone(), abort.clone())));
+    let sender = Box::new(RosCloudSender(peers));
+    let receiver = Box::new(RosCloudReceiver { node, arrivals, stop, abort, tasks });
+    Ok(Bound { address: address.clone(), sender, receiver })
+}
+
+/// A running node, other than the own one, that serves the name. Nodes that only watch the topic are none, and of one with
+/// the own name the master knows the newer only.
+async fn other_cloud(node: &Node, topic: &str) -> Result<Option<String>, NodeError> {
+    let state = node.system_state().await?;
+    let own = super::names::base_name(node.name());
+    let is_cloud = |other: &&String| super::names::base_name(other) == own;
+    let clouds: Vec<String> = state.subscribers_of(topic).iter().filter(is_cloud).cloned().collect();
+    Ok(node.running_nodes(&clouds).await?.pop())
+}
+
+/// Opens a connection for each edge that asks.
+async fn accept(
+    peers: Arc<Peers>,
+    node: Arc<Node>,
+    mut sessions: Subscriber,
+    (stop, abort): (CancellationToken, CancellationToken),
+) {
+    loop {
+        tokio::select! {
+            () = stop.cancelled() => return,
+            () = abort.cancelled() => return,
+            message = sessions.recv() => match message {
+                Ok(message) => hear(&peers, message),
+                Err(error) => {
+                    tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
+                    abort.cancel();
+                    return;
+                }
+            },
+        }
+    }
+}
+
+fn hear(peers: &Arc<Peers>, message: ReceivedMessage) {
+    let ReceivedMessage { bytes, publisher, .. } = message;
+    match SessionHello::decode(WireForm::Ros1, bytes) {
+        // A node asks for itself only.
+        Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
+        Ok(hello) => {
+            tracing::debug!(
+                node = &*publisher.node,
+                claimed = hello.node,
+                "a node asked in the name of another"
+            );
+        }
+        Err(error) => {
+            tracing::debug!(node = &*publisher.node, %error, "a request for a connection cannot be read")
+        }
+    }
+}
+
+#[derive(Debug)]
+struct RosCloudSender(Arc<Peers>);
+
+impl CloudSender for RosCloudSender {
+    fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
+        match self.0.channel(peer.connection) {
+            Some(channel) => channel.send(&frames, options),
+            None => Err(SendFailure::Gone("the connection is closed".into())),
+        }
+    }
+
+    fn greet(&self, connection: ConnectionId) {
+        self.0.set_standing(connection, Standing::Greeted);
+    }
+
+    fn admit(&self, connection: ConnectionId) {
+        self.0.set_standing(connection, Standing::Admitted);
+    }
+
+    fn demote(&self, connection: ConnectionId) {
+        self.0.set_standing(connection, Standing::Unadmitted);
+    }
+}
+
+#[derive(Debug)]
+struct RosCloudReceiver {
+    node: Arc<Node>,
+    arrivals: mpsc::Receiver<Delivery>,
+    stop: CancellationToken,
+    abort: CancellationToken,
+    tasks: TaskTracker,
+}
+
+impl Drop for RosCloudReceiver {
+    fn drop(&mut self) {
+        self.abort.cancel();
+        self.node.close();
+    }
+}
+
+impl CloudReceiver for RosCloudReceiver {
+    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
+        Box::pin(async {
+            tokio::select! {
+                biased;
+                delivery = self.arrivals.recv() => delivery.map(|(arrival, _reserved)| arrival),
+                () = self.abort.cancelled() => None,
+            }
+        })
+    }
+
+    fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
+        Box::pin(async move {
+            self.arrivals.close();
+            while self.arrivals.try_recv().is_ok() {}
+            self.stop.cancel();
+            self.tasks.close();
+            if timeout(linger, self.tasks.wait()).await.is_err() {
+                self.abort.cancel();
+            }
+            end_node(&self.node, linger).await;
+        })
+    }
+}

@@ -1,0 +1,142 @@
+//! Two ends of a connection, without topics between them.
+
+use proptest::prelude::*;
+
+use super::*;
+
+const LIMITS: ConnectionLimits = ConnectionLimits {
+    max_message_bytes: 1_000,
+    max_incomplete: 4,
+    pairing_timeout: Span::from_seconds(30),
+    heartbeat_interval: Span::from_seconds(1),
+    heartbeat_timeout: Span::from_seconds(5),
+};
+
+fn end() -> Connection {
+    Connection::new("ab".into(), LIMITS, MemoryBudget::new(10_000), MonoTime::default())
+}
+
+fn at(seconds: i64) -> MonoTime {
+    MonoTime::default() + Span::from_seconds(seconds)
+}
+
+/// A message of three frames as it leaves: its companion and its payload.
+fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
+    let mut info = MessageInfo { request, ..end.begin(MessageInfo::DATA, wall, at(0)) };
+    let payload = Bytes::from_static(b"payload");
+    let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
+    assert!(frames::pack(&mut info, &frames, true));
+    (info, payload)
+}
+
+#[test]
+fn stamps_increase_when_wall_clock_is_set_back() {
+    let mut end = end();
+    let stamps = [5_000, 4_000, 4_000, i64::MIN, i64::MAX, 9_000];
+    let stamps = stamps.map(|wall| end.begin(MessageInfo::HEARTBEAT, wall, at(0)).header.stamp.as_nanos());
+    assert_eq!(stamps, [5_000, 5_001, 5_002, 5_003, 5_004, 9_000]);
+}
+
+#[test]
+fn message_without_payload_is_told_to_its_sender() {
+    let (mut near, mut far) = (end(), end());
+    let (lost, _) = message(&mut near, 7, 10);
+    let (info, payload) = message(&mut near, 8, 20);
+    far.hear_info(lost, at(0));
+    far.hear_info(info.clone(), at(0));
+    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    let Some(Event::Incomplete(loss)) = far.next_event() else { panic!("the first is lost") };
+    assert_eq!(loss.tag, Some(7));
+    let Some(Event::Message(frames, _)) = far.next_event() else { panic!("the second is whole") };
+    assert_eq!(frames.concat(), b"headertreepayload");
+    let notice = far.next_notice(0, at(0)).expect("the sender is told");
+    near.hear_info(notice, at(0));
+    let Some(Event::Lost(loss)) = near.next_event() else { panic!("the sender knows") };
+    assert_eq!(loss.tag, Some(7));
+}
+
+#[test]
+fn heartbeats_keep_connection_and_silence_ends_it() {
+    let (mut near, mut far) = (end(), end());
+    for second in 1..20 {
+        let heartbeat = near.next_notice(0, at(second)).expect("one each second");
+        far.hear_info(heartbeat, at(second));
+        far.tick(at(second));
+        assert!(near.next_notice(0, at(second)).is_none() && far.next_event().is_none());
+    }
+    assert_eq!(far.missed(), 0);
+    far.tick(at(24));
+    assert!(matches!(far.next_event(), Some(Event::Gone(_))) && far.next_timer().is_none());
+}
+
+#[test]
+fn missing_companions_are_counted() {
+    let (mut near, mut far) = (end(), end());
+    for number in 0..5 {
+        let info = near.begin(MessageInfo::HEARTBEAT, 0, at(0));
+        if number != 2 && number != 3 {
+            far.hear_info(info, at(0));
+        }
+    }
+    assert_eq!(far.missed(), 2);
+}
+
+#[test]
+fn goodbye_ends_connection_with_its_reason() {
+    let (mut near, mut far) = (end(), end());
+    let goodbye = near.begin(MessageInfo::GOODBYE, 0, at(0));
+    far.hear_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
+    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
+    assert!(far.next_notice(0, at(100)).is_none());
+}
+
+#[derive(Clone, Debug)]
+enum Fate {
+    Arrives,
+    LosesPayload,
+    LosesInfo,
+}
+
+proptest! {
+    #[test]
+    fn every_message_arrives_once_or_is_lost(
+        fates in proptest::collection::vec(
+            prop_oneof![5 => Just(Fate::Arrives), 1 => Just(Fate::LosesPayload), 1 => Just(Fate::LosesInfo)], 0..40),
+        lag in 0_usize..3,
+    ) {
+        let (mut near, mut far) = (end(), end());
+        let (mut infos, mut payloads) = (VecDeque::new(), VecDeque::new());
+        for (request, fate) in fates.iter().enumerate() {
+            let (info, payload) = message(&mut near, request as u64, 0);
+            let stamp = info.header.stamp.as_nanos();
+            infos.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
+            payloads.push_back((!matches!(fate, Fate::LosesPayload)).then_some((stamp, payload)));
+        }
+        // Payloads come some messages behind their companions.
+        let mut behind = lag;
+        while !infos.is_empty() || !payloads.is_empty() {
+            if let Some(Some(info)) = infos.pop_front() {
+                far.hear_info(info, at(0));
+            }
+            if behind > 0 && !infos.is_empty() {
+                behind -= 1;
+            } else if let Some(Some((stamp, payload))) = payloads.pop_front() {
+                far.hear_payload(stamp, payload, at(0));
+            }
+        }
+        // Neither heartbeats nor the deadline of halves may be missed in between.
+        far.heard_at = at(40);
+        far.tick(at(40));
+        let (mut arrived, mut incomplete) = (0, 0);
+        while let Some(event) = far.next_event() {
+            match event {
+                Event::Message(..) => arrived += 1,
+                Event::Incomplete(_) => incomplete += 1,
+                other => prop_assert!(false, "{other:?}"),
+            }
+        }
+        let whole = fates.iter().filter(|fate| matches!(fate, Fate::Arrives)).count();
+        prop_assert_eq!((arrived, arrived + incomplete), (whole, fates.len()));
+        prop_assert_eq!(far.budget.held(), 0);
+    }
+}

@@ -1,0 +1,114 @@
+//! The frames of a message in its companion and its payload message.
+
+use bytes::{Bytes, BytesMut};
+use peernet_ros::messages::MessageInfo;
+
+use crate::message::MAX_FRAMES;
+use crate::transport::Frames;
+
+/// Number of the frame that may travel as a payload message: the first part of the sample.
+pub(super) const PAYLOAD_FRAME: usize = 2;
+
+/// Puts frames into a companion, without the one that travels as a payload message. Returns whether their lengths can be
+/// said.
+pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
+    let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
+    let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };
+    let packed = frames.iter().enumerate().filter(|(at, _)| !(has_payload && *at == PAYLOAD_FRAME));
+    let packed: Vec<&Bytes> = packed.map(|(_, frame)| frame).collect();
+    info.frames = match packed[..] {
+        [only] => only.clone(),
+        _ => {
+            let mut joined = BytesMut::with_capacity(packed.iter().map(|frame| frame.len()).sum());
+            packed.iter().for_each(|frame| joined.extend_from_slice(frame));
+            joined.freeze()
+        }
+    };
+    info.frame_lengths = lengths;
+    info.has_payload = has_payload;
+    true
+}
+
+/// Why a companion and its payload are no message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum FramesError {
+    #[error("a message of {0} frames, more than {MAX_FRAMES}")]
+    TooMany(usize),
+    #[error("a message of {bytes} bytes, more than max_message_bytes allows, {most}")]
+    TooLarge { bytes: u64, most: u64 },
+    #[error("frames of other lengths than the message says")]
+    Lengths,
+}
+
+/// Returns the bytes of all frames, as a companion says.
+pub(super) fn announced_bytes(info: &MessageInfo) -> u64 {
+    info.frame_lengths.iter().map(|length| u64::from(*length)).sum()
+}
+
+/// Checks what a companion says of its frames.
+pub(super) fn check(info: &MessageInfo, most: u64) -> Result<(), FramesError> {
+    if info.frame_lengths.len() > MAX_FRAMES {
+        return Err(FramesError::TooMany(info.frame_lengths.len()));
+    }
+    let bytes = announced_bytes(info);
+    if bytes > most {
+        return Err(FramesError::TooLarge { bytes, most });
+    }
+    let elsewhere = match (info.has_payload, info.frame_lengths.get(PAYLOAD_FRAME)) {
+        (false, _) => 0,
+        (true, Some(length)) => u64::from(*length),
+        (true, None) => return Err(FramesError::Lengths),
+    };
+    if info.frames.len() as u64 == bytes - elsewhere { Ok(()) } else { Err(FramesError::Lengths) }
+}
+
+/// Returns the frames of a companion that was checked, and of its payload.
+pub(super) fn unpack(info: &MessageInfo, payload: Option<&Bytes>) -> Result<Frames, FramesError> {
+    let mut rest = info.frames.clone();
+    let frame = |(at, length): (usize, &u32)| {
+        let length = usize::try_from(*length).map_err(|_| FramesError::Lengths)?;
+        match payload.filter(|_| at == PAYLOAD_FRAME) {
+            Some(payload) if payload.len() == length => Ok(payload.clone()),
+            Some(_) => Err(FramesError::Lengths),
+            None if length <= rest.len() => Ok(rest.split_to(length)),
+            None => Err(FramesError::Lengths),
+        }
+    };
+    info.frame_lengths.iter().enumerate().map(frame).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn frames_are_unpacked_as_packed(
+            frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..20), 0..6),
+            wants_payload: bool,
+        ) {
+            let frames: Frames = frames.into_iter().map(Bytes::from).collect();
+            let has_payload = wants_payload && frames.len() > PAYLOAD_FRAME;
+            let mut info = MessageInfo::default();
+            prop_assert!(pack(&mut info, &frames, has_payload));
+            prop_assert_eq!(check(&info, 1_000), Ok(()));
+            let payload = has_payload.then(|| frames[PAYLOAD_FRAME].clone());
+            prop_assert_eq!(unpack(&info, payload.as_ref()), Ok(frames));
+        }
+
+        #[test]
+        fn no_claim_can_panic(
+            lengths in proptest::collection::vec(any::<u32>(), 0..80),
+            frames in proptest::collection::vec(any::<u8>(), 0..40),
+            has_payload: bool,
+        ) {
+            let info = MessageInfo { frame_lengths: lengths, frames: frames.into(), has_payload, ..MessageInfo::default() };
+            let payload = Bytes::from_static(b"payload");
+            if check(&info, 1_000).is_ok() {
+                let _ = unpack(&info, has_payload.then_some(&payload));
+            }
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! `ros`: messages on topics of ROS, which other programs of ROS can see.
+//!
+//! An edge asks on the topic `/NAME/sessions` for a connection to the topics of its pipeline. Then both talk on
+//! `PIPELINE/request_info` and `PIPELINE/response_info`, whose messages have the frames of ours; the first part of a sample
+//! travels on `PIPELINE/request` or `PIPELINE/response` as a message of a type that tools know, once the other end has
+//! subscribed to it. [`connection`] and [`pairing`] have the protocol without I/O; [`channel`] and [`serving`] are one end of a
+//! connection, which [`edge`] and [`cloud`] open.
+
+mod channel;
+mod cloud;
+mod connection;
+mod edge;
+mod frames;
+mod names;
+mod pairing;
+mod payload;
+mod peers;
+mod serving;
+mod version;
+
+pub(crate) use cloud::bind;
+pub(crate) use edge::dial;
+
+use std::io;
+
+use peernet_ros::ros1::{Environment, EnvironmentError, RpcUri};
+
+use super::AddressForm;
+use crate::Address;
+
+/// How addresses are written: where the master is, and the name of the cloud.
+pub(crate) const ADDRESS_FORM: AddressForm =
+    AddressForm::Named { port: 11311, name: "peernet", find: version::find };
+
+/// Ports are the system's choice: there is nothing to try.
+pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {
+    Ok(())
+}
+
+/// Returns the settings of ROS: the address has the master, and environment variables have the rest.
+fn environment(address: &Address) -> Result<Environment, EnvironmentError> {
+    let master = RpcUri::parse(&format!("http://{}", address.authority()))?;
+    Ok(Environment { master, ..Environment::from_process()? })
+}

@@ -1,0 +1,72 @@
+//! Names of nodes and topics.
+
+/// Node of the cloud with a name, without namespace.
+pub(super) fn cloud_node(name: &str) -> String {
+    format!("peernet_{name}")
+}
+
+/// Topic on which edges ask the cloud with a name for a connection.
+pub(super) fn sessions_topic(name: &str) -> String {
+    format!("/{name}/sessions")
+}
+
+/// First part of the names of an edge's nodes for a pipeline, without namespace; the identifier of the connection follows.
+pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
+    format!("peernet_{}_{}_", allowed(host), allowed(pipeline))
+}
+
+/// Returns a text with what names of ROS lack replaced by underscores.
+pub(super) fn allowed(text: &str) -> String {
+    let replace = |char: char| if char.is_ascii_alphanumeric() { char } else { '_' };
+    let replaced: String = text.chars().map(replace).collect();
+    match replaced.starts_with(|first: char| first.is_ascii_alphabetic()) {
+        true => replaced,
+        false => format!("p{replaced}"),
+    }
+}
+
+/// Last part of a global name.
+pub(super) fn base_name(name: &str) -> &str {
+    name.rsplit_once('/').map_or(name, |(_, base)| base)
+}
+
+/// The topics of a pipeline in one direction.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct TopicPair {
+    /// Topic of the payloads.
+    pub(super) payload: String,
+    /// Topic of what travels beside them.
+    pub(super) info: String,
+}
+
+impl TopicPair {
+    /// From the edge to the cloud.
+    pub(super) fn request(pipeline: &str) -> Self {
+        Self::of(pipeline, "request")
+    }
+
+    /// From the cloud to the edge.
+    pub(super) fn response(pipeline: &str) -> Self {
+        Self::of(pipeline, "response")
+    }
+
+    fn of(pipeline: &str, direction: &str) -> Self {
+        let payload = format!("{pipeline}/{direction}");
+        Self { info: format!("{payload}_info"), payload }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_have_only_what_ros_allows() {
+        assert_eq!(allowed("quality-control.2"), "quality_control_2");
+        assert_eq!(allowed("2nd"), "p2nd");
+        assert_eq!(edge_node_prefix("jetson-orin", "line"), "peernet_jetson_orin_line_");
+        assert_eq!(base_name("/robot/peernet_gpu"), cloud_node("gpu"));
+        let topics = TopicPair::request("/robot/line");
+        assert_eq!((&*topics.payload, &*topics.info), ("/robot/line/request", "/robot/line/request_info"));
+    }
+}

@@ -1,0 +1,197 @@
+//! Puts each payload together with its companion, without I/O.
+//!
+//! Both travel on topics of their own, each in order. What waits for its partner is lost for certain when a later message
+//! arrives on the partner's topic; a deadline ends the waiting where none does.
+
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+use peernet_ros::messages::MessageInfo;
+
+use crate::transport::MessageLoss;
+use crate::transport::memory::Reservation;
+
+/// Halves of messages that wait for the other half, by their stamps.
+#[derive(Debug)]
+pub(super) struct Pairing {
+    waiting: BTreeMap<i64, Waiting>,
+    max_waiting: usize,
+    timeout: Span,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    half: Half,
+    deadline: MonoTime,
+    reserved: Reservation,
+}
+
+/// One half of a message.
+#[derive(Debug)]
+pub(super) enum Half {
+    Info(Box<MessageInfo>),
+    Payload(Bytes),
+}
+
+/// A whole message.
+#[derive(Debug)]
+pub(super) struct Pair {
+    pub(super) info: Box<MessageInfo>,
+    pub(super) payload: Bytes,
+    pub(super) reserved: [Reservation; 2],
+}
+
+impl Half {
+    fn is_info(&self) -> bool {
+        matches!(self, Self::Info(_))
+    }
+
+    /// The loss of the message that this half is of.
+    fn loss(&self) -> MessageLoss {
+        let tag = match self {
+            Self::Info(info) => request_of(info),
+            Self::Payload(_) => None,
+        };
+        MessageLoss { tag, received: 1, total: 2 }
+    }
+}
+
+/// The request that a message belongs to.
+pub(super) fn request_of(info: &MessageInfo) -> Option<u64> {
+    (info.request != MessageInfo::NO_REQUEST).then_some(info.request)
+}
+
+impl Pairing {
+    pub(super) fn new(max_waiting: usize, timeout: Span) -> Self {
+        Self { waiting: BTreeMap::new(), max_waiting, timeout }
+    }
+
+    /// Takes a half that arrived. Returns the message if it is whole now.
+    pub(super) fn add(
+        &mut self,
+        stamp: i64,
+        half: Half,
+        reserved: Reservation,
+        now: MonoTime,
+        lost: &mut Vec<MessageLoss>,
+    ) -> Option<Pair> {
+        self.settle(stamp, half.is_info(), lost);
+        match self.waiting.remove(&stamp) {
+            Some(other) if other.half.is_info() != half.is_info() => {
+                let reserved = [other.reserved, reserved];
+                match (other.half, half) {
+                    (Half::Info(info), Half::Payload(payload))
+                    | (Half::Payload(payload), Half::Info(info)) => {
+                        return Some(Pair { info, payload, reserved });
+                    }
+                    _ => return None,
+                }
+            }
+            // Sent twice with one stamp; which of them is meant nobody can tell.
+            Some(other) => lost.push(other.half.loss()),
+            None => {}
+        }
+        self.waiting.insert(stamp, Waiting { half, deadline: now + self.timeout, reserved });
+        if self.waiting.len() > self.max_waiting
+            && let Some((_, oldest)) = self.waiting.pop_first()
+        {
+            lost.push(oldest.half.loss());
+        }
+        None
+    }
+
+    /// A message without a payload arrived on the companions' topic.
+    pub(super) fn skip(&mut self, stamp: i64, lost: &mut Vec<MessageLoss>) {
+        self.settle(stamp, true, lost);
+    }
+
+    /// Ends the waiting of earlier halves for a partner on the topic on which a message with this stamp arrived.
+    fn settle(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
+        let in_vain = |at: &i64, waiting: &mut Waiting| *at < stamp && waiting.half.is_info() != is_info;
+        lost.extend(self.waiting.extract_if(.., in_vain).map(|(_, waiting)| waiting.half.loss()));
+    }
+
+    /// Ends the waiting of halves whose time is over.
+    pub(super) fn expire(&mut self, now: MonoTime, lost: &mut Vec<MessageLoss>) {
+        let is_over = |_: &i64, waiting: &mut Waiting| waiting.deadline <= now;
+        lost.extend(self.waiting.extract_if(.., is_over).map(|(_, waiting)| waiting.half.loss()));
+    }
+
+    /// When the next half's time is over.
+    pub(super) fn next_timer(&self) -> Option<MonoTime> {
+        self.waiting.values().map(|waiting| waiting.deadline).min()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::memory::MemoryBudget;
+
+    struct Bench {
+        pairing: Pairing,
+        budget: std::sync::Arc<MemoryBudget>,
+        lost: Vec<MessageLoss>,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let pairing = Pairing::new(3, Span::from_seconds(1));
+            Self { pairing, budget: MemoryBudget::new(100), lost: Vec::new() }
+        }
+
+        fn add(&mut self, stamp: i64, half: Half) -> Option<Pair> {
+            let mut reserved = Reservation::empty(&self.budget);
+            reserved.set(&self.budget, 10).expect("there is room");
+            self.pairing.add(stamp, half, reserved, MonoTime::default(), &mut self.lost)
+        }
+
+        fn info(&mut self, stamp: i64) -> Option<Pair> {
+            let request = u64::try_from(stamp).expect("positive");
+            self.add(stamp, Half::Info(Box::new(MessageInfo { request, ..MessageInfo::default() })))
+        }
+
+        fn payload(&mut self, stamp: i64) -> Option<Pair> {
+            self.add(stamp, Half::Payload(Bytes::from_static(b"x")))
+        }
+    }
+
+    fn loss(tag: Option<u64>) -> MessageLoss {
+        MessageLoss { tag, received: 1, total: 2 }
+    }
+
+    #[test]
+    fn halves_are_joined_in_either_order() {
+        let mut bench = Bench::new();
+        assert!(bench.payload(1).is_none() && bench.info(2).is_none());
+        assert_eq!(bench.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
+        assert!(bench.payload(2).is_some());
+        assert!(bench.payload(3).is_none());
+        let pair = bench.info(3).expect("whole");
+        assert_eq!((&pair.payload[..], pair.info.request), (&b"x"[..], 3));
+        drop(pair);
+        assert_eq!((bench.budget.held(), bench.lost.len()), (0, 1));
+    }
+
+    #[test]
+    fn later_payload_ends_waiting_for_earlier_one() {
+        let mut bench = Bench::new();
+        assert!(bench.info(1).is_none() && bench.info(2).is_none());
+        assert!(bench.payload(2).is_some());
+        assert_eq!(bench.lost, [loss(Some(1))]);
+    }
+
+    #[test]
+    fn waiting_is_bounded_in_number_and_time() {
+        let mut bench = Bench::new();
+        for stamp in 1..=4 {
+            assert!(bench.info(stamp).is_none());
+        }
+        assert_eq!(bench.lost, [loss(Some(1))]);
+        let end = bench.pairing.next_timer().expect("three wait");
+        bench.pairing.expire(end, &mut bench.lost);
+        assert_eq!((bench.lost.len(), bench.budget.held()), (4, 0));
+        assert_eq!(bench.pairing.next_timer(), None);
+    }
+}

@@ -1,0 +1,327 @@
+//! The connections of a cloud.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::SharedClock;
+use peernet_ros::messages::{MessageInfo, SessionHello};
+use peernet_ros::ros1::{
+    Node, NodeError, PublisherInfo, PublisherOptions, Subscriber, SubscriberOptions, TopicType, WhenFull,
+};
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, sleep, sleep_until};
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::{AbortOnDropHandle, TaskTracker};
+
+use super::channel::{Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, largest_message, queue_limits};
+use super::connection::Event;
+use super::names::TopicPair;
+use super::serving::{Directive, Serving, Sink};
+use crate::SessionSettings;
+use crate::transport::memory::{MemoryBudget, Reservation};
+use crate::transport::{Arrival, ConnectionId, Peer};
+
+/// Largest companion before a session. Bytes.
+const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
+
+/// What is handed up, with the memory that it holds.
+pub(super) type Delivery = (Arrival, Vec<Reservation>);
+
+/// What a connection's sessions entitle it to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Standing {
+    Unadmitted,
+    Greeted,
+    Admitted,
+}
+
+/// All connections of a cloud.
+#[derive(Debug)]
+pub(super) struct Peers {
+    node: Arc<Node>,
+    clock: SharedClock,
+    settings: SessionSettings,
+    budget: Arc<MemoryBudget>,
+    max_connections: usize,
+    table: Mutex<Table>,
+    deliveries: mpsc::Sender<Delivery>,
+    stop: CancellationToken,
+    abort: CancellationToken,
+    tasks: TaskTracker,
+}
+
+#[derive(Debug, Default)]
+struct Table {
+    next: u64,
+    /// By the global names of their pipelines.
+    entries: BTreeMap<String, Arc<Entry>>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    connection: ConnectionId,
+    id: String,
+    host: String,
+    /// From the time when the topics are open until the connection has ended.
+    channel: Mutex<Option<Arc<Channel>>>,
+    standing: watch::Sender<Standing>,
+    abort: CancellationToken,
+    ended: CancellationToken,
+}
+
+impl Entry {
+    fn channel(&self) -> MutexGuard<'_, Option<Arc<Channel>>> {
+        self.channel.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Peers {
+    pub(super) fn new(
+        (node, clock): (Arc<Node>, SharedClock),
+        (settings, budget, max_connections): (SessionSettings, Arc<MemoryBudget>, usize),
+        deliveries: mpsc::Sender<Delivery>,
+        (stop, abort, tasks): (CancellationToken, CancellationToken, TaskTracker),
+    ) -> Self {
+        let table = Mutex::default();
+        Self { node, clock, settings, budget, max_connections, table, deliveries, stop, abort, tasks }
+    }
+
+    fn table(&self) -> MutexGuard<'_, Table> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn entry(&self, connection: ConnectionId) -> Option<Arc<Entry>> {
+        self.table().entries.values().find(|entry| entry.connection == connection).cloned()
+    }
+
+    pub(super) fn channel(&self, connection: ConnectionId) -> Option<Arc<Channel>> {
+        self.entry(connection)?.channel().clone()
+    }
+
+    pub(super) fn set_standing(&self, connection: ConnectionId, standing: Standing) {
+        if let Some(entry) = self.entry(connection) {
+            entry.standing.send_replace(standing);
+        }
+    }
+
+    /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
+    pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &Arc<PublisherInfo>) {
+        let mut table = self.table();
+        let id = hello.header.frame_id;
+        let earlier = table.entries.get(&hello.pipeline).cloned();
+        if let Some(entry) = &earlier {
+            if entry.id == id {
+                return;
+            }
+            if entry.host != hello.host {
+                let (pipeline, node) = (&*hello.pipeline, &*edge.node);
+                tracing::warn!(
+                    pipeline,
+                    node,
+                    "another host uses the topics of this pipeline; the node gets no connection until that one has ended: give \
+                     one of the pipelines another name, or set ROS_NAMESPACE to a namespace of each robot"
+                );
+                return;
+            }
+        } else if table.entries.len() >= self.max_connections {
+            tracing::warn!(
+                node = &*edge.node,
+                most = self.max_connections,
+                "no connection for a ROS node: there are too many; raise the limit of open files (LimitNOFILE)"
+            );
+            return;
+        }
+        let connection = ConnectionId(table.next);
+        table.next += 1;
+        let entry = Arc::new(Entry {
+            connection,
+            id,
+            host: hello.host,
+            channel: Mutex::default(),
+            standing: watch::Sender::new(Standing::Unadmitted),
+            abort: self.abort.child_token(),
+            ended: CancellationToken::new(),
+        });
+        table.entries.insert(hello.pipeline.clone(), Arc::clone(&entry));
+        drop(table);
+        if let Some(earlier) = &earlier {
+            earlier.abort.cancel();
+        }
+        let (peers, edge) = (Arc::clone(self), Arc::clone(edge));
+        self.tasks.spawn(async move {
+            if let Some(earlier) = earlier {
+                // Its topics have the same names.
+                earlier.ended.cancelled().await;
+            }
+            if let Err(error) = peers.serve(&entry, &hello.pipeline, &edge).await {
+                tracing::warn!(%error, node = &*edge.node, "no connection for a ROS node");
+            }
+            peers.forget(&hello.pipeline, &entry);
+            // The next connection publishes the same topics.
+            entry.channel().take();
+            entry.ended.cancel();
+            // The connection may have ended by itself, which was told then; telling it twice does no harm.
+            let gone = Arrival::Gone(entry.connection, "the connection has ended".to_owned());
+            let _ = peers.deliveries.send((gone, Vec::new())).await;
+        });
+    }
+
+    /// Removes a connection that has ended, unless another has its topics already.
+    fn forget(&self, pipeline: &str, entry: &Arc<Entry>) {
+        let mut table = self.table();
+        if table.entries.get(pipeline).is_some_and(|current| Arc::ptr_eq(current, entry)) {
+            table.entries.remove(pipeline);
+        }
+    }
+
+    async fn serve(
+        self: &Arc<Self>,
+        entry: &Arc<Entry>,
+        pipeline: &str,
+        edge: &Arc<PublisherInfo>,
+    ) -> Result<(), NodeError> {
+        let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
+        let (kind, queue) = (TopicType::of::<MessageInfo>(), queue_limits(&self.settings));
+        let options = PublisherOptions { is_latching: false, queue };
+        let publisher = self.node.publish(&response.info, kind.clone(), options).await?;
+        let options =
+            SubscriberOptions { queue, when_full: WhenFull::Wait, max_message_bytes: MAX_UNADMITTED_BYTES };
+        let info = self.node.subscribe(&request.info, kind, options).await?;
+        let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
+        let budget = Arc::clone(&self.budget);
+        let sending = (publisher, response.payload);
+        let channel = Arc::new(Channel::new(shared, entry.id.clone(), &self.settings, budget, sending));
+        channel.set_peer(Arc::clone(edge));
+        *entry.channel() = Some(Arc::clone(&channel));
+        let sink = CloudSink {
+            peers: Arc::clone(self),
+            peer: Peer { connection: entry.connection, address: Some(edge.remote) },
+            standing: entry.standing.subscribe(),
+            deadline: Some(Instant::now() + self.settings.hello_timeout()),
+            payload_topic: request.payload,
+            subscribing: None,
+        };
+        let serving = Serving {
+            channel,
+            info,
+            payload: None,
+            sink,
+            deliveries: self.deliveries.clone(),
+            stop: self.stop.clone(),
+            abort: entry.abort.clone(),
+        };
+        serving.run("the cloud shuts down").await;
+        Ok(())
+    }
+}
+
+/// The cloud's side of one connection.
+struct CloudSink {
+    peers: Arc<Peers>,
+    peer: Peer,
+    standing: watch::Receiver<Standing>,
+    /// When the connection ends if it has no session.
+    deadline: Option<Instant>,
+    payload_topic: String,
+    /// The payload topic, once a session was accepted.
+    subscribing: Option<AbortOnDropHandle<Subscriber>>,
+}
+
+impl Sink for CloudSink {
+    type Delivery = Delivery;
+
+    fn take(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
+        let connection = self.peer.connection;
+        let (arrival, reserved) = match event {
+            Event::Hello => {
+                channel.announce(MessageInfo::WELCOME);
+                return None;
+            }
+            Event::Welcome => return None,
+            Event::Message(frames, reserved) => (Arrival::Message(self.peer.clone(), frames), reserved),
+            Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
+            Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
+            Event::Garbage(problem) => (Arrival::Garbage(self.address(), problem), Vec::new()),
+            Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
+        };
+        Some((arrival, reserved))
+    }
+
+    async fn wait(&mut self) -> Directive {
+        let deadline = self.deadline;
+        let too_late = async move {
+            match deadline {
+                Some(deadline) => sleep_until(deadline).await,
+                None => std::future::pending().await,
+            }
+        };
+        let subscribed = async {
+            match &mut self.subscribing {
+                Some(subscribing) => subscribing.await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            result = subscribed => {
+                self.subscribing = None;
+                match result {
+                    Ok(subscriber) => Directive::Admit(Box::new(subscriber)),
+                    Err(error) => Directive::End(error.to_string()),
+                }
+            }
+            changed = self.standing.changed() => {
+                let standing = *self.standing.borrow_and_update();
+                match changed {
+                    Ok(()) => self.follow(standing),
+                    Err(_) => Directive::End("the connection was closed here".to_owned()),
+                }
+            }
+            () = too_late => Directive::End("no session was opened in time".to_owned()),
+        }
+    }
+}
+
+impl CloudSink {
+    fn address(&self) -> Option<SocketAddr> {
+        self.peer.address
+    }
+
+    fn follow(&mut self, standing: Standing) -> Directive {
+        let settings = &self.peers.settings;
+        self.deadline = (standing == Standing::Unadmitted).then(|| Instant::now() + settings.hello_timeout());
+        if standing != Standing::Admitted {
+            return Directive::LimitInfo(MAX_UNADMITTED_BYTES);
+        }
+        let max_message_bytes = largest_message(settings);
+        if !self.payload_topic.is_empty() {
+            let topic = std::mem::take(&mut self.payload_topic);
+            let node = Arc::clone(&self.peers.node);
+            let options = SubscriberOptions {
+                queue: queue_limits(settings),
+                when_full: WhenFull::Wait,
+                max_message_bytes,
+            };
+            // It asks the master, which may be away; what arrives meanwhile is in the companions.
+            let subscribing = tokio::spawn(async move { subscribe(&node, &topic, options).await });
+            self.subscribing = Some(AbortOnDropHandle::new(subscribing));
+        }
+        Directive::LimitInfo(max_message_bytes)
+    }
+}
+
+/// Subscribes to a payload topic, again and again while the master is away.
+async fn subscribe(node: &Node, topic: &str, options: SubscriberOptions) -> Subscriber {
+    let mut is_told = false;
+    loop {
+        match node.subscribe(topic, TopicType::any(), options).await {
+            Ok(subscriber) => return subscriber,
+            Err(error) if !is_told => {
+                tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");
+                is_told = true;
+            }
+            Err(_) => {}
+        }
+        sleep(MASTER_RETRY).await;
+    }
+}

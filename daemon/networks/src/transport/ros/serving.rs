@@ -1,0 +1,229 @@
+//! The task of one end of a virtual connection: receives from its topics and keeps its time.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_ros::messages::{Message, MessageInfo, WireForm};
+use peernet_ros::ros1::{NodeError, PublisherState, PublisherWatch, ReceivedMessage, Subscriber};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until};
+use tokio_util::sync::CancellationToken;
+
+use super::channel::Channel;
+use super::connection::Event;
+use super::payload;
+
+/// Where the events of a connection go.
+pub(super) trait Sink: Send {
+    /// What is handed up.
+    type Delivery: Send;
+
+    /// Makes an event into what is handed up, if it is.
+    fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
+
+    /// Waits for something that only this side knows of.
+    fn wait(&mut self) -> impl Future<Output = Directive> + Send;
+}
+
+/// What a side wants of its connection's task.
+pub(super) enum Directive {
+    /// Receive payloads, and longer companions.
+    Admit(Box<Subscriber>),
+    /// Another limit for companions. Bytes.
+    LimitInfo(usize),
+    /// End the connection.
+    End(String),
+}
+
+/// A task's parts.
+pub(super) struct Serving<S: Sink> {
+    pub(super) channel: Arc<Channel>,
+    pub(super) info: Subscriber,
+    pub(super) payload: Option<Subscriber>,
+    pub(super) sink: S,
+    pub(super) deliveries: mpsc::Sender<S::Delivery>,
+    /// Ends the connection with a goodbye.
+    pub(super) stop: CancellationToken,
+    /// Ends it without one.
+    pub(super) abort: CancellationToken,
+}
+
+enum Step {
+    Info(Result<ReceivedMessage, NodeError>),
+    Payload(Result<ReceivedMessage, NodeError>),
+    Directive(Directive),
+    Other,
+}
+
+impl<S: Sink> Serving<S> {
+    /// Runs until the connection has ended and all events were handed up.
+    pub(super) async fn run(self, goodbye: &str) {
+        let channel = Arc::clone(&self.channel);
+        self.drive(goodbye).await;
+        channel.lock().end("the connection was closed here".to_owned());
+    }
+
+    async fn drive(mut self, goodbye: &str) {
+        let publishers = self.info.publisher_watch();
+        let mut waiting = VecDeque::new();
+        let mut foreign = BTreeSet::new();
+        let mut was_connected = false;
+        loop {
+            self.send_due();
+            self.collect(&mut waiting);
+            while !waiting.is_empty()
+                && let Ok(permit) = self.deliveries.try_reserve()
+                && let Some(delivery) = waiting.pop_front()
+            {
+                permit.send(delivery);
+            }
+            if self.channel.lock().is_closed() && waiting.is_empty() {
+                return;
+            }
+            // Made before looking, so that nothing that happens in between is missed.
+            let changed = publishers.changed();
+            if is_connected(&publishers, &self.channel) {
+                was_connected = true;
+            } else if was_connected && !self.channel.lock().is_closed() {
+                // What it published before it left is there, with its reason perhaps.
+                while let Some(message) = self.info.try_recv() {
+                    self.take(Step::Info(Ok(message)), &mut foreign);
+                }
+                let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
+                self.channel.lock().end(format!("node {peer} has left topic {}", self.info.topic()));
+                continue;
+            }
+            let next = self.channel.lock().next_timer().map(|next| self.channel.instant(next));
+            let is_idle = waiting.is_empty();
+            let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
+            let step = tokio::select! {
+                biased;
+                () = abort.cancelled() => return,
+                () = stop.cancelled(), if !channel.lock().is_closed() => {
+                    channel.say_goodbye(goodbye);
+                    return;
+                }
+                permit = deliveries.reserve(), if !is_idle => {
+                    match permit {
+                        Ok(permit) => if let Some(delivery) = waiting.pop_front() {
+                            permit.send(delivery);
+                        },
+                        // Nobody receives any more.
+                        Err(_) => waiting.clear(),
+                    }
+                    Step::Other
+                }
+                // What is not taken stays in the topic's queue, and then with the publisher.
+                message = info.recv(), if is_idle => Step::Info(message),
+                message = receive(payload), if is_idle => Step::Payload(message),
+                directive = sink.wait() => Step::Directive(directive),
+                () = channel.wake.notified() => {
+                    if let Some(kind) = channel.wanted.get() {
+                        let (channel, kind) = (Arc::clone(channel), *kind);
+                        tokio::spawn(async move { channel.publish_payload_topic(kind).await });
+                    }
+                    Step::Other
+                }
+                () = changed => Step::Other,
+                () = sleep_until(next.unwrap_or_else(Instant::now)), if next.is_some() => Step::Other,
+            };
+            self.take(step, &mut foreign);
+        }
+    }
+
+    fn take(&mut self, step: Step, foreign: &mut BTreeSet<Arc<str>>) {
+        match step {
+            Step::Info(Ok(message)) => {
+                if self.is_of_peer(&message, foreign) {
+                    self.hear_info(message.bytes);
+                }
+            }
+            Step::Payload(Ok(message)) => {
+                if self.is_of_peer(&message, foreign) {
+                    self.hear_payload(&message);
+                }
+            }
+            Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
+            Step::Directive(Directive::Admit(payload)) => self.payload = Some(*payload),
+            Step::Directive(Directive::LimitInfo(bytes)) => self.info.set_max_message_bytes(bytes),
+            Step::Directive(Directive::End(reason)) => self.channel.lock().end(reason),
+            Step::Other => {}
+        }
+    }
+
+    /// Whether a message is of the node at the other end. Others are named once.
+    fn is_of_peer(&self, message: &ReceivedMessage, foreign: &mut BTreeSet<Arc<str>>) -> bool {
+        let Some(peer) = self.channel.peer() else { return true };
+        let node = &message.publisher.node;
+        if peer.node == *node {
+            return true;
+        }
+        if foreign.len() < MAX_FOREIGN && foreign.insert(Arc::clone(node)) {
+            tracing::warn!(
+                topic = self.info.topic(),
+                session_node = &*peer.node,
+                second_publisher = &**node,
+                "the topics of a pipeline have a second publisher, whose messages are dropped: stop that node, or give the \
+                 pipeline another name"
+            );
+        }
+        false
+    }
+
+    fn hear_info(&self, bytes: Bytes) {
+        let now = self.channel.now();
+        let mut state = self.channel.lock();
+        match MessageInfo::decode(WireForm::Ros1, bytes) {
+            // Of an earlier connection between the same nodes, or of a later one.
+            Ok(info) if info.header.frame_id != state.id() => {}
+            Ok(info) => state.hear_info(info, now),
+            Err(error) => tracing::debug!(%error, "a companion cannot be read"),
+        }
+    }
+
+    fn hear_payload(&self, message: &ReceivedMessage) {
+        let kind = &message.publisher.kind.name;
+        let decoded = payload::decode(WireForm::Ros1, kind, message.bytes.clone());
+        let now = self.channel.now();
+        let mut state = self.channel.lock();
+        match decoded {
+            Ok((connection, _, _)) if connection != state.id() => {}
+            Ok((_, stamp, payload)) => state.hear_payload(stamp, payload, now),
+            Err(error) => tracing::debug!(%error, "a payload cannot be read"),
+        }
+    }
+
+    fn send_due(&self) {
+        let now = self.channel.now();
+        self.channel.lock().tick(now);
+        self.channel.send_notices();
+    }
+
+    fn collect(&mut self, waiting: &mut VecDeque<S::Delivery>) {
+        loop {
+            // Bound, so that the lock is free again before the event is taken.
+            let event = self.channel.lock().next_event();
+            let Some(event) = event else { return };
+            waiting.extend(self.sink.take(&self.channel, event));
+        }
+    }
+}
+
+/// Most second publishers that are named.
+const MAX_FOREIGN: usize = 16;
+
+async fn receive(subscriber: &mut Option<Subscriber>) -> Result<ReceivedMessage, NodeError> {
+    match subscriber {
+        Some(subscriber) => subscriber.recv().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Whether the peer's companions arrive.
+fn is_connected(publishers: &PublisherWatch, channel: &Channel) -> bool {
+    let Some(peer) = channel.peer() else { return false };
+    let is_peer =
+        |state: &PublisherState| matches!(state, PublisherState::Connected(info) if info.node == peer.node);
+    publishers.publishers().iter().any(|publisher| is_peer(&publisher.state))
+}

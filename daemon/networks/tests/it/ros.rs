@@ -1,0 +1,242 @@
+//! What sessions over topics of ROS 1 have of their own.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_networks::{CloseReason, Incoming, Listener, NetworkKind, OpenError, Session};
+use peernet_ros::messages::{CompressedImage, Message, MessageInfo, StringMessage, WireForm};
+use peernet_ros::ros1::{
+    Environment, Node, PublisherOptions, RpcUri, SubscriberOptions, TopicType, WhenFull,
+};
+use peernet_sample::{Description, MediaType, PixelFormat, Sample};
+
+use crate::ros_master::RosMaster;
+use crate::support::{Cloud, PATIENCE, accepted, clock, echo, hello, log, open, settings, within};
+
+/// A node of another program.
+async fn foreign_node(master: &RosMaster, name: &str) -> Node {
+    let environment = Environment {
+        master: RpcUri::parse(&master.uri()).expect("a URI"),
+        advertised_host: Some("127.0.0.1".to_owned()),
+        namespace: "/".to_owned(),
+    };
+    Node::new(&environment, name, clock()).await.expect("the master answers")
+}
+
+/// The topic of a session's requests.
+fn request_topic(pipeline: &str) -> String {
+    format!("/{}/request", pipeline.replace('-', "_"))
+}
+
+async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
+    let pending = tokio::spawn({
+        let (session, sample) = (session.clone(), sample.clone());
+        async move { session.request(log(), &sample, PATIENCE).await }
+    });
+    let incoming = cloud.next_request().await;
+    assert_eq!(incoming.sample, sample);
+    incoming.reply.send(incoming.log, Ok(incoming.sample));
+    within(pending).await.expect("no panic").result.expect("an answer")
+}
+
+/// A session whose pipeline has a known name.
+async fn session(cloud: &mut Cloud) -> (Session, String) {
+    let (address, hello) = (cloud.address(), hello());
+    let pipeline = hello.pipeline.to_string();
+    let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+    assert!(cloud.next_open().await.accept(accepted(cloud.host)));
+    (within(edge).await.expect("no panic").expect("accepted"), pipeline)
+}
+
+#[tokio::test]
+async fn payloads_of_all_sizes_and_types_come_back_identical() {
+    for description in [
+        Description::bytes(),
+        Description::unshaped(MediaType::Jpeg),
+        Description::pixels(PixelFormat::Rgb8, 400, 1_000),
+    ] {
+        let mut cloud = Cloud::over(NetworkKind::Ros).await;
+        let (session, _) = session(&mut cloud).await;
+        for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_000] {
+            let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
+            let sample = Sample::of(description.clone(), bytes);
+            assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
+        }
+        let statistics = session.statistics();
+        assert_eq!((statistics.sent.messages, statistics.received.messages), (8, 8));
+        assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
+        assert!(statistics.round_trip.is_some());
+    }
+}
+
+#[tokio::test]
+async fn other_programs_see_pictures_as_their_own_type() {
+    let master = RosMaster::start();
+    let mut cloud = Cloud::start_at(&master.address(), settings()).await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let viewer = foreign_node(&master, "viewer").await;
+    let kind = TopicType::of::<CompressedImage>();
+    let mut pictures = viewer
+        .subscribe(&request_topic(&pipeline), kind, SubscriberOptions::default())
+        .await
+        .expect("registered");
+    let picture = Sample::of(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
+    // The first pictures travel in the companions, until the topic is there.
+    let seen = loop {
+        exchange(&mut cloud, &session, picture.clone()).await;
+        let seen = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
+        if let Ok(message) = seen {
+            break CompressedImage::decode(WireForm::Ros1, message.expect("the node runs").bytes)
+                .expect("an image");
+        }
+    };
+    assert_eq!((&*seen.format, &seen.data[..]), ("jpeg", &picture.parts[0].bytes[..]));
+    assert!(seen.header.stamp.sec > 1_000_000_000, "the departure is in the header");
+    assert_eq!(session.statistics().lost_messages, 0);
+}
+
+// The master is restarted on this thread, which takes its time.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn sessions_go_on_while_master_is_restarted() {
+    let mut master = RosMaster::start();
+    let mut cloud = Cloud::start_at(&master.address(), settings()).await;
+    let (first, _) = session(&mut cloud).await;
+    master.restart();
+    echo(&mut cloud, &first, "connections need no master").await;
+    // The cloud registers again within five seconds.
+    let address = cloud.address();
+    let second = tokio::spawn(async move {
+        loop {
+            match open(&address, hello(), settings()).await {
+                Ok(session) => return session,
+                Err(OpenError::Unreachable { .. }) => tokio::time::sleep(Duration::from_millis(100)).await,
+                Err(error) => panic!("{error}"),
+            }
+        }
+    });
+    assert!(cloud.next_open().await.accept(accepted(cloud.host)));
+    let second = within(second).await.expect("no panic");
+    echo(&mut cloud, &second, "the new master knows the cloud").await;
+    echo(&mut cloud, &first, "still there").await;
+}
+
+#[tokio::test]
+async fn master_that_is_away_is_named() {
+    let mut master = RosMaster::start();
+    let address = master.address().parse().expect("an address");
+    master.kill();
+    let error = open(&address, hello(), settings()).await.expect_err("no master").to_string();
+    assert!(error.contains("no ROS master answers") && error.contains("start roscore"), "{error}");
+    let error =
+        Listener::bind(&address, settings(), hello().host, clock()).await.expect_err("no master").to_string();
+    assert!(error.contains("no ROS master answers") && error.contains(&address.to_string()), "{error}");
+}
+
+#[tokio::test]
+async fn new_connection_of_same_pipeline_replaces_earlier_one() {
+    let mut cloud = Cloud::over(NetworkKind::Ros).await;
+    let hello = hello();
+    let mut earlier: Option<Session> = None;
+    for _ in 0..3 {
+        let (address, hello) = (cloud.address(), hello.clone());
+        let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+        let request = loop {
+            match cloud.next().await {
+                Incoming::Open(request) => break request,
+                Incoming::Closed { .. } => {}
+                Incoming::Request(request) => panic!("expected a hello, not {request:?}"),
+            }
+        };
+        assert!(request.accept(accepted(cloud.host)));
+        let session = within(edge).await.expect("no panic").expect("accepted");
+        if let Some(earlier) = earlier {
+            assert!(matches!(within(earlier.closed()).await, CloseReason::Broken(_)));
+        }
+        echo(&mut cloud, &session, "the new one works").await;
+        earlier = Some(session);
+    }
+}
+
+#[tokio::test]
+async fn name_that_another_cloud_has_is_refused() {
+    let cloud = Cloud::over(NetworkKind::Ros).await;
+    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
+    let error = again.expect_err("the name is taken").to_string();
+    assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
+}
+
+#[tokio::test]
+async fn topic_of_another_publisher_or_type_is_refused() {
+    let master = RosMaster::start();
+    let cloud = Cloud::start_at(&master.address(), settings()).await;
+    let node = foreign_node(&master, "rosbag").await;
+    for (ending, kind, said) in [
+        ("_info", TopicType::of::<MessageInfo>(), "node /rosbag publishes topic"),
+        ("", TopicType::of::<StringMessage>(), "node /rosbag publishes topic"),
+    ] {
+        let hello = hello();
+        let topic = format!("{}{ending}", request_topic(hello.pipeline.as_str()));
+        let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
+        let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
+        assert!(error.contains(said) && error.contains(&topic) && error.contains("ROS_NAMESPACE"), "{error}");
+    }
+    let hello = hello();
+    let topic = format!("/{}/response_info", hello.pipeline.as_str().replace('-', "_"));
+    let kind = TopicType::of::<StringMessage>();
+    let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
+    let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
+    assert!(error.contains("std_msgs/String") && error.contains(&topic), "{error}");
+}
+
+#[tokio::test]
+async fn messages_of_second_publishers_are_dropped() {
+    let master = RosMaster::start();
+    let mut cloud = Cloud::start_at(&master.address(), settings()).await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let node = foreign_node(&master, "stranger").await;
+    let topic = format!("{}_info", request_topic(&pipeline));
+    let publisher = node
+        .publish(&topic, TopicType::of::<MessageInfo>(), PublisherOptions::default())
+        .await
+        .expect("registered");
+    within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
+    let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
+    for _ in 0..100 {
+        publisher.publish(goodbye.encode(WireForm::Ros1).expect("can be written")).expect("the node runs");
+    }
+    publisher.publish(Bytes::from_static(b"nonsense")).expect("the node runs");
+    echo(&mut cloud, &session, "the session goes on").await;
+}
+
+#[tokio::test]
+async fn connection_without_session_ends_after_hello_timeout() {
+    let hasty = peernet_networks::SessionSettings { hello_timeout_ms: 200, ..settings() };
+    let mut cloud = Cloud::start_at(&RosMaster::shared().address(), hasty).await;
+    let address = cloud.address();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    cloud.next_open().await.refuse("no");
+    assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
+    let (session, _) = session(&mut cloud).await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    echo(&mut cloud, &session, "an open session is not ended").await;
+    within(cloud.listener.close()).await;
+    assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
+}
+
+#[tokio::test]
+async fn program_that_only_watches_and_is_slow_delays_nothing() {
+    let master = RosMaster::start();
+    let mut cloud = Cloud::start_at(&master.address(), settings()).await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let viewer = foreign_node(&master, "viewer").await;
+    let options = SubscriberOptions { when_full: WhenFull::Wait, ..SubscriberOptions::default() };
+    let watching =
+        viewer.subscribe(&request_topic(&pipeline), TopicType::any(), options).await.expect("registered");
+    // It never takes a message.
+    for _ in 0..100 {
+        let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
+        exchange(&mut cloud, &session, sample).await;
+    }
+    assert_eq!(session.statistics().lost_messages, 0);
+    drop(watching);
+}

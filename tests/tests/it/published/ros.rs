@@ -1,0 +1,83 @@
+//! The two commands over topics of ROS 1.
+
+use std::path::Path;
+
+use peernet_tests::{Process, free_port, root};
+
+use super::{Lab, picture};
+
+/// A master of ROS 1, and a lab whose programs know it.
+fn lab() -> (Lab, Process, u16) {
+    let port = free_port();
+    let uri = format!("http://127.0.0.1:{port}");
+    (Lab { ros_master: Some(uri), ..Lab::here() }, master(port), port)
+}
+
+fn master(port: u16) -> Process {
+    let script = root().join("tests/ros1/master.py").display().to_string();
+    let arguments = [script, port.to_string(), "stay".to_owned()];
+    let master = Process::start(Path::new("python3"), &arguments, &root(), &[]);
+    master.wait_for("ready");
+    master
+}
+
+const SERVER: &str = "PEERNet --server --name cluster --network ros --network-config net_config.yaml";
+const CLIENT: &str = "PEERNet --client --name jetson-orin --network ros --network-config net_config.yaml";
+
+#[test]
+fn published_commands_work_over_ros() {
+    let (lab, _master, port) = lab();
+    std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
+    let server = lab.server(&format!("{SERVER} --model-name dummy --device cuda:6 --iterations 12"));
+    let client =
+        lab.client(&format!("{CLIENT} --dataset-loc sample-image.JPEG --iterations 12 --result-loc results"));
+    let (client, server) = (client.ended(), server.ended());
+    assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
+    let address = format!("ros1://127.0.0.1:{port}/cluster");
+    assert!(server.log.contains(&address) && server.log.contains("12 answers"), "{}", server.log);
+    let data = lab.data("results");
+    assert_eq!((data.outcomes("ok"), data.rows.len()), (12, 12));
+    let pixels = f64::from(1280 * 960 * 3);
+    assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes == pixels));
+    let (upload, low, high) = (data.numbers("upload"), data.numbers("upload-lo"), data.numbers("upload-hi"));
+    assert!(upload.iter().zip(low).zip(high).all(|((value, low), high)| low <= *value && *value <= high));
+}
+
+#[test]
+fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
+    let (lab, ros_master, port) = lab();
+    let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
+    server.wait_for("serving dummy");
+    let client = lab.client(&format!(
+        "{CLIENT} --sensor-type synthetic --text-size 1200000 --iterations 150 --result-loc results"
+    ));
+    server.wait_for("1 session");
+    ros_master.kill();
+    let ros_master = master(port);
+    server.kill();
+    let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
+    let client = client.ended();
+    assert_eq!(client.code(), 75, "what was under way is lost: {}", client.log);
+    let data = lab.data("results");
+    assert_eq!(data.rows.len(), 150);
+    assert!(
+        data.outcomes("lost") >= 1 && data.outcomes("ok") + data.outcomes("lost") == 150,
+        "{}",
+        client.log
+    );
+    assert_eq!(server.stop().code(), 130);
+    drop(ros_master);
+}
+
+#[test]
+fn missing_master_is_named_with_next_step() {
+    let (lab, ros_master, port) = lab();
+    ros_master.kill();
+    let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));
+    let ended = client.ended();
+    assert_eq!(ended.code(), 69, "{}", ended.log);
+    let uri = format!("http://127.0.0.1:{port}");
+    for part in ["no ROS master answers", &uri, "start roscore", "ROS_MASTER_URI"] {
+        assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+    }
+}
