@@ -40,9 +40,19 @@ impl Ros1System {
         self.master.take().map(Process::kill);
     }
 
+    /// Where the master is.
+    pub fn uri(&self) -> String {
+        format!("http://127.0.0.1:{}", self.port)
+    }
+
+    /// The master's port.
+    pub const fn port(&self) -> u16 {
+        self.port
+    }
+
     /// The environment variables of programs that take part in the system.
     pub fn environment(&self) -> [(&'static str, String); 2] {
-        [("ROS_MASTER_URI", format!("http://127.0.0.1:{}", self.port)), ("ROS_IP", "127.0.0.1".to_owned())]
+        [("ROS_MASTER_URI", self.uri()), ("ROS_IP", "127.0.0.1".to_owned())]
     }
 
     /// Starts a node of `tests/ros/node.rs` and waits until it publishes.

@@ -2,8 +2,8 @@
 # The published commands over the network `ros`, with the rosmaster of Debian and rostopic as a viewer.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
-cargo build --release --locked --package peernetd --bin peernet
-peernet="$(realpath "${CARGO_TARGET_DIR:-target}/release/peernet")"
+tests/interop/build.sh
+peernet="$(realpath "${CARGO_TARGET_DIR:-target}/debug/peernet")"
 picture="$PWD/models/quality-control/pictures/part-0001.jpg"
 folder="$(mktemp -d)"
 trap 'kill $(jobs -p) 2>/dev/null || true; wait; rm -rf "$folder"' EXIT

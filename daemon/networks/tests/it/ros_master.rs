@@ -1,9 +1,9 @@
 //! A master of ROS 1 in a process of its own.
 
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use crate::support::next_number;
 
@@ -22,24 +22,25 @@ impl RosMaster {
     }
 
     pub(crate) fn start() -> Self {
-        Self::start_at(0)
+        let unused = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
+        Self::start_at(unused.expect("a port is free").port())
     }
 
     fn start_at(port: u16) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/ros1/master.py");
-        let mut process = Command::new("python3")
-            .arg(script)
-            .arg(port.to_string())
-            // It ends when its input does.
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
+        let process = Command::new("rosmaster")
+            .args(["--core", "-p", &port.to_string()])
+            .env("ROS_HOME", std::env::temp_dir())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
             .spawn()
-            .expect("python3 is there");
-        let mut line = String::new();
-        let output = process.stdout.take().expect("piped");
-        BufReader::new(output).read_line(&mut line).expect("it says that it is ready");
-        let port = line.trim().strip_prefix("ready ").and_then(|port| port.parse().ok()).expect("its port");
-        Self { process, port }
+            .expect("rosmaster is there: deploy/install-tools.sh test");
+        let mut master = Self { process, port };
+        while TcpStream::connect(("127.0.0.1", port)).is_err() {
+            let ended = master.process.try_wait().expect("it is a child");
+            assert!(ended.is_none(), "rosmaster ended: {ended:?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        master
     }
 
     /// Kills it, and starts one at the same port that knows nothing.

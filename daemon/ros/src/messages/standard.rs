@@ -1,7 +1,5 @@
 //! Times and the types of `std_msgs`.
 
-use bytes::Bytes;
-
 use super::field::struct_field;
 use super::{DecodeError, EncodeError, Field, Message, MessageDefinition, Reader, WireForm, Writer};
 

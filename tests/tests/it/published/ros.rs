@@ -1,24 +1,13 @@
 //! The two commands over topics of ROS 1.
 
-use std::path::Path;
-
-use peernet_tests::{Process, free_port, root};
+use peernet_tests::Ros1System;
 
 use super::{Lab, picture};
 
 /// A master of ROS 1, and a lab whose programs know it.
-fn lab() -> (Lab, Process, u16) {
-    let port = free_port();
-    let uri = format!("http://127.0.0.1:{port}");
-    (Lab { ros_master: Some(uri), ..Lab::here() }, master(port), port)
-}
-
-fn master(port: u16) -> Process {
-    let script = root().join("tests/ros1/master.py").display().to_string();
-    let arguments = [script, port.to_string(), "stay".to_owned()];
-    let master = Process::start(Path::new("python3"), &arguments, &root(), &[]);
-    master.wait_for("ready");
-    master
+fn lab() -> (Lab, Ros1System) {
+    let system = Ros1System::new();
+    (Lab { ros_master: Some(system.uri()), ..Lab::here() }, system)
 }
 
 const SERVER: &str = "PEERNet --server --name cluster --network ros --network-config net_config.yaml";
@@ -26,14 +15,14 @@ const CLIENT: &str = "PEERNet --client --name jetson-orin --network ros --networ
 
 #[test]
 fn published_commands_work_over_ros() {
-    let (lab, _master, port) = lab();
+    let (lab, system) = lab();
     std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
     let server = lab.server(&format!("{SERVER} --model-name dummy --device cuda:6 --iterations 12"));
     let client =
         lab.client(&format!("{CLIENT} --dataset-loc sample-image.JPEG --iterations 12 --result-loc results"));
     let (client, server) = (client.ended(), server.ended());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    let address = format!("ros1://127.0.0.1:{port}/cluster");
+    let address = format!("ros1://127.0.0.1:{}/cluster", system.port());
     assert!(server.log.contains(&address) && server.log.contains("12 answers"), "{}", server.log);
     let data = lab.data("results");
     assert_eq!((data.outcomes("ok"), data.rows.len()), (12, 12));
@@ -45,15 +34,15 @@ fn published_commands_work_over_ros() {
 
 #[test]
 fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
-    let (lab, ros_master, port) = lab();
+    let (lab, mut system) = lab();
     let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
     server.wait_for("serving dummy");
     let client = lab.client(&format!(
         "{CLIENT} --sensor-type synthetic --text-size 1200000 --iterations 150 --result-loc results"
     ));
     server.wait_for("1 session");
-    ros_master.kill();
-    let ros_master = master(port);
+    system.kill_master();
+    system.start_master();
     server.kill();
     let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
     let client = client.ended();
@@ -66,18 +55,16 @@ fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
         client.log
     );
     assert_eq!(server.stop().code(), 130);
-    drop(ros_master);
 }
 
 #[test]
 fn missing_master_is_named_with_next_step() {
-    let (lab, ros_master, port) = lab();
-    ros_master.kill();
+    let (lab, mut system) = lab();
+    system.kill_master();
     let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));
     let ended = client.ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
-    let uri = format!("http://127.0.0.1:{port}");
-    for part in ["no ROS master answers", &uri, "start roscore", "ROS_MASTER_URI"] {
+    for part in ["no ROS master answers", &system.uri(), "start roscore", "ROS_MASTER_URI"] {
         assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
     }
 }

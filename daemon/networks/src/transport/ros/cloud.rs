@@ -124,7 +124,7 @@ fn hear(peers: &Arc<Peers>, message: ReceivedMessage) {
             );
         }
         Err(error) => {
-            tracing::debug!(node = &*publisher.node, %error, "a request for a connection cannot be read")
+            tracing::debug!(node = &*publisher.node, %error, "a request for a connection cannot be read");
         }
     }
 }

@@ -50,18 +50,19 @@ pub(crate) async fn dial(
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
     let environment = environment(address).map_err(|error| DialFailure::Unreachable(error.to_string()))?;
     let name = format!("{prefix}{}", &id[..8]);
-    let node =
-        Node::new(&environment, &name, SharedClock::clone(dialler.clock)).await.map_err(unreachable)?;
+    let node = Node::new(&environment, &name, SharedClock::clone(dialler.clock))
+        .await
+        .map_err(|error| unreachable(&error))?;
     // However dialling ends, the master is told.
     let node = NodeGuard { node: Arc::new(node), patience: settings.close_timeout() };
-    let pipeline = node.resolve(&allowed(hello.pipeline.as_str())).map_err(unreachable)?;
+    let pipeline = node.resolve(&allowed(hello.pipeline.as_str())).map_err(|error| unreachable(&error))?;
     let topics = Topics {
         cloud: address.listener_name().unwrap_or_default().to_owned(),
         request: TopicPair::request(&pipeline),
         response: TopicPair::response(&pipeline),
     };
     topics.check(&node, &prefix, address).await?;
-    let opened = topics.open(&node, settings).await.map_err(unreachable)?;
+    let opened = topics.open(&node, settings).await.map_err(|error| unreachable(&error))?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(INCOMPLETE_MESSAGES));
     let clock = SharedClock::clone(dialler.clock);
     let sending = (opened.request_info, topics.request.payload);
@@ -90,7 +91,7 @@ pub(crate) async fn dial(
     Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver) })
 }
 
-fn unreachable(error: NodeError) -> DialFailure {
+fn unreachable(error: &NodeError) -> DialFailure {
     DialFailure::Unreachable(error.to_string())
 }
 
@@ -112,11 +113,11 @@ struct Opened {
 impl Topics {
     /// Checks with the master that the cloud is there, and that nobody else uses the pipeline's topics.
     async fn check(&self, node: &Node, own_prefix: &str, address: &Address) -> Result<(), DialFailure> {
-        let state = node.system_state().await.map_err(unreachable)?;
+        let state = node.system_state().await.map_err(|error| unreachable(&error))?;
         let sessions = sessions_topic(&self.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&self.cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
-        if node.running_nodes(&clouds).await.map_err(unreachable)?.is_empty() {
+        if node.running_nodes(&clouds).await.map_err(|error| unreachable(&error))?.is_empty() {
             return Err(DialFailure::Unreachable(format!(
                 "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
                  this master and name",
@@ -127,14 +128,16 @@ impl Topics {
         let is_foreign = |node: &&String| !base_name(node).starts_with(own_prefix);
         for topic in [&self.request.info, &self.request.payload] {
             let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
-            if let Some(other) = node.running_nodes(&others).await.map_err(unreachable)?.first() {
+            if let Some(other) =
+                node.running_nodes(&others).await.map_err(|error| unreachable(&error))?.first()
+            {
                 return Err(DialFailure::Unreachable(format!(
                     "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
                      ROS_NAMESPACE to a namespace of this robot"
                 )));
             }
         }
-        let types = node.topic_types().await.map_err(unreachable)?;
+        let types = node.topic_types().await.map_err(|error| unreachable(&error))?;
         let expected = MessageInfo::DEFINITION.name;
         for topic in [&self.request.info, &self.response.info] {
             let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
@@ -180,12 +183,12 @@ async fn welcome(
                 hello.header.frame_id = channel.lock().id().to_owned();
                 let message = hello.encode(WireForm::Ros1);
                 let message = message.map_err(|error| DialFailure::Unreachable(error.to_string()))?;
-                sessions.publish(message).map_err(unreachable)?;
+                sessions.publish(message).map_err(|error| unreachable(&error))?;
                 next = Instant::now() + interval;
                 interval = (interval * 2).min(MAX_HELLO_INTERVAL);
             }
             message = response_info.recv() => {
-                let message = message.map_err(unreachable)?;
+                let message = message.map_err(|error| unreachable(&error))?;
                 let Ok(info) = MessageInfo::decode(WireForm::Ros1, message.bytes) else { continue };
                 if info.header.frame_id != channel.lock().id() {
                     continue;
