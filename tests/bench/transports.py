@@ -77,6 +77,7 @@ def _rospy(arena: Arena, shared: Shared, shape: Shape) -> Slice:
 CONTENDERS: dict[str, Callable[[Arena, Shared, Shape], Slice]] = {
     "zmq-tcp": lambda arena, _, shape: contenders.peernet(arena, shape),
     "zmq-udp": lambda arena, _, shape: contenders.peernet(arena, shape, f"udp://{arena.cloud.address}:{UDP_PORT}"),
+    "ros1": lambda arena, shared, shape: contenders.peernet(arena, shape, f"ros1://{shared.master}/cloud"),
     "bare TCP": lambda arena, _, shape: contenders.bare_tcp(arena, shape),
     "bare UDP": lambda arena, _, shape: contenders.bare_udp(arena, shape),
     "rospy": _rospy,

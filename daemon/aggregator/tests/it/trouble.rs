@@ -229,7 +229,7 @@ async fn a_spool_that_lost_batches_leaves_a_gap_and_a_copied_one_is_refused() {
     assert!(matches!(raw.wire.greet(&greeting).await, ToAgent::Welcome { .. }));
     // The gap is stored with the first batch of the host.
     raw.send_next().await;
-    raw.expect(Reply::Ack(8)).await;
+    raw.until_stored_over_requests(8).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await, 1);
     // The owner of a stream is known across restarts.
     bed.stop().await;

@@ -21,7 +21,7 @@ fn check_version(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<(), UnknownAddress> {
-    let unknown = |error: VersionError| UnknownAddress(error.to_string());
+    let unknown = |error: VersionError| UnknownAddress(format!("ros_version: {error}"));
     // A number that no byte holds is no version either.
     let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
     match RosVersion::resolve(given.transpose().map_err(unknown)?, variable) {
@@ -32,7 +32,7 @@ fn check_version(
              start a master (roscore), or use another network"
                 .to_owned(),
         )),
-        Err(error) => Err(unknown(error)),
+        Err(error) => Err(UnknownAddress(error.to_string())),
     }
 }
 
