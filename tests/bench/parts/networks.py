@@ -25,8 +25,6 @@ AIMS = (
     ("zmq-tcp", "bare TCP", 0.9),
     ("zmq-udp", "bare UDP", 0.7),
     ("ros1", "rospy", 2.0),
-    ("ros1", "roslibrust", 1.0),
-    ("ros2", "rustdds", 0.9),
 )
 
 
@@ -90,9 +88,10 @@ def _link(section: Section, link: Link, quick: bool) -> None:
             print(f"  {link.name}: repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
     for bytes_, result in results.items():
         _table(section, link, bytes_, result)
+    if link.bits_per_second:
+        # The link sets the rate of all.
+        return
     for contender, other, least in AIMS:
-        if not {contender, other} <= set(names):
-            continue
         for bytes_, result in results.items():
             share = ratio(result.rates(contender), result.rates(other))
             promise = f"{link.name}, {size(bytes_)}: {contender} ≥ {least:g} × {other}"
