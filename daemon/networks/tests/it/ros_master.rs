@@ -27,20 +27,22 @@ impl RosMaster {
     }
 
     fn start_at(port: u16) -> Self {
-        let process = Command::new("rosmaster")
-            .args(["--core", "-p", &port.to_string()])
+        // The shell ends it when its own input does: with this process, whatever ends that.
+        let process = Command::new("sh")
+            .args(["-c", "rosmaster --core -p \"$0\" & read -r _; kill -9 $!; wait", &port.to_string()])
             .env("ROS_HOME", std::env::temp_dir())
+            .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
-            .expect("rosmaster is there: deploy/install-tools.sh test");
-        let mut master = Self { process, port };
+            .expect("there is a shell");
+        let mut tries = 0;
         while TcpStream::connect(("127.0.0.1", port)).is_err() {
-            let ended = master.process.try_wait().expect("it is a child");
-            assert!(ended.is_none(), "rosmaster ended: {ended:?}");
+            tries += 1;
+            assert!(tries < 1_500, "no rosmaster after 30 s: deploy/install-tools.sh test");
             std::thread::sleep(Duration::from_millis(20));
         }
-        master
+        Self { process, port }
     }
 
     /// Kills it, and starts one at the same port that knows nothing.
@@ -50,7 +52,7 @@ impl RosMaster {
     }
 
     pub(crate) fn kill(&mut self) {
-        self.process.kill().expect("it runs");
+        drop(self.process.stdin.take());
         self.process.wait().expect("it is a child");
     }
 
@@ -66,8 +68,8 @@ impl RosMaster {
 
 impl Drop for RosMaster {
     fn drop(&mut self) {
-        // It may have been killed.
-        let _ = self.process.kill();
+        drop(self.process.stdin.take());
+        // Nobody is left to tell.
         let _ = self.process.wait();
     }
 }
