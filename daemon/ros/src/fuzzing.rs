@@ -44,12 +44,17 @@ pub fn any_connection(data: &[u8]) {
         kind: TopicType::of::<StringMessage>(),
     };
     let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
-    for piece in data.chunks(usize::from(step) + 1) {
-        buffer.input().put_slice(piece);
-        assert!(buffer.input().capacity() <= 4 * MAX_FRAME_BYTES, "{} bytes", buffer.input().capacity());
+    let mut rest = data;
+    while !rest.is_empty() {
+        let mut input = buffer.input().expect("there is no limit");
+        let count = rest.len().min(usize::from(step) + 1).min(input.remaining_mut());
+        input.put_slice(&rest[..count]);
+        rest = &rest[count..];
+        let capacity = input.get_ref().capacity();
+        assert!(capacity <= 4 * MAX_FRAME_BYTES, "{capacity} bytes");
         loop {
             let frame = match buffer.next_frame() {
-                Ok(Some(frame)) => frame,
+                Ok(Some((frame, _))) => frame,
                 Ok(None) => break,
                 Err(_) => return,
             };

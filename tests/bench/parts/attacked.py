@@ -23,7 +23,7 @@ BYTES_PER_SECOND = 2_000_000
 # Longer than PEERNet waits for a hello.
 LIFE_S = 6
 # The ports of PEERNet, and those of a process that reads and discards.
-PORTS = {"events": 5550, "data": 5551, "http": 8040, "probes": 8620}
+PORTS = {"events": 5550, "data": 5551, "udp-data": 5552, "http": 8040, "probes": 8620}
 DISCARD_PORTS = {name: port + 10_000 for name, port in PORTS.items()}
 ATTACK = Path(__file__).parent.parent / "peers/attack.py"
 
@@ -125,7 +125,7 @@ def _cloud(it: Plant, cloud: Host) -> str:
         state_dir = "{it.folder}/cloud"
         aggregator = "tcp://{cloud.address}:{PORTS["events"]}"
         [serve]
-        listen = "tcp://0.0.0.0:{PORTS["data"]}"
+        listen = ["tcp://0.0.0.0:{PORTS["data"]}", "udp://0.0.0.0:{PORTS["udp-data"]}"]
         [[model]]
         name = "echo"
         kind = "echo"

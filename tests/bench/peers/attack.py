@@ -311,7 +311,8 @@ async def discard(arguments: argparse.Namespace) -> None:
     for port in (arguments.events, arguments.data, arguments.http):
         await asyncio.start_server(read, arguments.address, port, backlog=1_024)
     loop = asyncio.get_running_loop()
-    await loop.create_datagram_endpoint(asyncio.DatagramProtocol, local_addr=(arguments.address, arguments.probes))
+    for port in filter(None, (arguments.probes, arguments.udp_data)):
+        await loop.create_datagram_endpoint(asyncio.DatagramProtocol, local_addr=(arguments.address, port))
     print("discarding", flush=True)
     await asyncio.Event().wait()
 

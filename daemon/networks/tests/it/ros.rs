@@ -210,14 +210,14 @@ async fn messages_of_second_publishers_are_dropped() {
 
 #[tokio::test]
 async fn connection_without_session_ends_after_hello_timeout() {
-    let hasty = peernet_networks::SessionSettings { hello_timeout_ms: 200, ..settings() };
+    let hasty = peernet_networks::SessionSettings { hello_timeout_ms: 2_000, ..settings() };
     let mut cloud = Cloud::start_at(&RosMaster::shared().address(), hasty).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no");
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
     let (session, _) = session(&mut cloud).await;
-    tokio::time::sleep(Duration::from_millis(500)).await;
+    tokio::time::sleep(Duration::from_millis(2_500)).await;
     echo(&mut cloud, &session, "an open session is not ended").await;
     within(cloud.listener.close()).await;
     assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));

@@ -79,7 +79,7 @@ async fn shake_hands(
 ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
     configure(stream)?;
     let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-    let frame = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
+    let (frame, _) = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
     match answer(node, &frame) {
         Ok(answer) => Ok(answer),
         Err(error) => {

@@ -8,10 +8,11 @@ use peernet_clock::Stamp;
 use tokio::sync::Notify;
 
 use super::limits::QueueLimits;
+use super::memory::MessageMemory;
 use super::subscriber::PublisherInfo;
 
 /// A message of a topic.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct ReceivedMessage {
     /// The message as it was sent, to be read with [`Message::decode`](crate::messages::Message::decode).
     pub bytes: Bytes,
@@ -19,6 +20,8 @@ pub struct ReceivedMessage {
     pub publisher: Arc<PublisherInfo>,
     /// Time at which its last byte was read.
     pub received: Stamp,
+    /// What it takes of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory).
+    pub memory: MessageMemory,
 }
 
 /// Policy for a message that finds the queue full.

@@ -196,7 +196,7 @@ impl PublisherLink {
         configure(&stream)?;
         stream.write_all(&topic.subscription.request().encode()).await?;
         let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-        let frame = read_frame(&mut stream, &mut buffer, None).await?.ok_or(LinkError::Closed)?;
+        let (frame, _) = read_frame(&mut stream, &mut buffer, None).await?.ok_or(LinkError::Closed)?;
         let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
         let (node, kind) = topic.subscription.accept(&header)?;
         let uri = Arc::clone(&self.uri);
@@ -214,19 +214,21 @@ impl PublisherLink {
     ) -> LinkError {
         self.state().counts.connections += 1;
         self.set_state(topic, PublisherState::Connected(Arc::clone(&publisher)));
+        buffer.set_memory_limit(topic.memory.clone());
         loop {
-            let bytes = match read_frame(&mut stream, &mut buffer, Some(&topic.max_message_bytes)).await {
-                Ok(Some(bytes)) => bytes,
-                Ok(None) => return LinkError::Closed,
-                Err(error) => return LinkError::Broken(error),
-            };
+            let (bytes, memory) =
+                match read_frame(&mut stream, &mut buffer, Some(&topic.max_message_bytes)).await {
+                    Ok(Some(frame)) => frame,
+                    Ok(None) => return LinkError::Closed,
+                    Err(error) => return LinkError::Broken(error),
+                };
             let received = topic.clock.stamp();
             {
                 let counts = &mut self.state().counts;
                 counts.messages += 1;
                 counts.bytes += bytes.len() as u64;
             }
-            let message = ReceivedMessage { bytes, publisher: Arc::clone(&publisher), received };
+            let message = ReceivedMessage { bytes, publisher: Arc::clone(&publisher), received, memory };
             let dropped = topic.queue.push(message).await;
             if dropped > 0 {
                 self.state().counts.dropped += dropped;

@@ -9,7 +9,8 @@ use tokio::io::AsyncReadExt;
 use tokio::net::TcpStream;
 
 use super::limits::{KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_PROBES, USER_TIMEOUT};
-use super::tcpros::FrameBuffer;
+use super::memory::MessageMemory;
+use super::tcpros::{FrameBuffer, FrameError};
 
 /// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the one before, and keepalive and a
 /// timeout of the kernel, so that a peer that vanished is noticed whether or not something is being sent.
@@ -24,24 +25,33 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_user_timeout(Some(USER_TIMEOUT))
 }
 
-/// Reads until a frame is complete; nothing if the peer has closed the connection before the next one began. The longest
-/// allowed length is looked up again whenever bytes have arrived, because it may change while the next frame is awaited.
+/// Reads until a frame is complete, and returns it with the memory that it takes; nothing if the peer has closed the
+/// connection before the next one began. The longest allowed length is looked up again whenever bytes have arrived, because
+/// it may change while the next frame is awaited.
 pub(super) async fn read_frame(
     stream: &mut TcpStream,
     buffer: &mut FrameBuffer,
     max_frame_bytes: Option<&AtomicUsize>,
-) -> io::Result<Option<Bytes>> {
+) -> io::Result<Option<(Bytes, MessageMemory)>> {
     loop {
         if let Some(max) = max_frame_bytes {
             buffer.set_max_frame_bytes(max.load(Ordering::Relaxed));
         }
-        let frame = buffer.next_frame().map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+        let frame = buffer.next_frame().map_err(into_io_error)?;
         if frame.is_some() {
             return Ok(frame);
         }
-        if stream.read_buf(buffer.input()).await? == 0 {
+        if stream.read_buf(&mut buffer.input().map_err(into_io_error)?).await? == 0 {
             let is_between_frames = !buffer.has_partial_frame();
             return if is_between_frames { Ok(None) } else { Err(io::ErrorKind::UnexpectedEof.into()) };
         }
     }
+}
+
+fn into_io_error(error: FrameError) -> io::Error {
+    let kind = match error {
+        FrameError::TooLong { .. } => io::ErrorKind::InvalidData,
+        FrameError::NoMemory { .. } => io::ErrorKind::OutOfMemory,
+    };
+    io::Error::new(kind, error)
 }

@@ -13,12 +13,13 @@ use tokio_util::task::TaskTracker;
 use super::error::NodeError;
 use super::incoming::{IncomingQueue, ReceivedMessage, WhenFull};
 use super::limits::{MAX_PUBLISHERS, QueueLimits};
+use super::memory::MemoryLimit;
 use super::node::RegistrationGuard;
 use super::publisher_link::PublisherLink;
 use super::tcpros::{Subscription, TopicType};
 
 /// Options of a subscriber.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct SubscriberOptions {
     /// Bound of the queue of received messages.
     pub queue: QueueLimits,
@@ -26,6 +27,9 @@ pub struct SubscriberOptions {
     pub when_full: WhenFull,
     /// Longest message that is read, in bytes. A publisher of a longer one is disconnected.
     pub max_message_bytes: usize,
+    /// Bound that it shares with other subscribers on messages from their first bytes until they are dropped; a publisher whose
+    /// message finds no room is disconnected. None by default.
+    pub memory: Option<Arc<dyn MemoryLimit>>,
 }
 
 impl Default for SubscriberOptions {
@@ -34,6 +38,7 @@ impl Default for SubscriberOptions {
             queue: QueueLimits::default(),
             when_full: WhenFull::default(),
             max_message_bytes: 64 * 1024 * 1024,
+            memory: None,
         }
     }
 }
@@ -206,6 +211,7 @@ pub(super) struct SubscribedTopic {
     pub(super) subscription: Subscription,
     /// Longest message that is read. Bytes.
     pub(super) max_message_bytes: AtomicUsize,
+    pub(super) memory: Option<Arc<dyn MemoryLimit>>,
     pub(super) queue: IncomingQueue,
     pub(super) clock: SharedClock,
     pub(super) stop: CancellationToken,
@@ -233,6 +239,7 @@ impl SubscribedTopic {
         Self {
             subscription,
             max_message_bytes: AtomicUsize::new(options.max_message_bytes),
+            memory: options.memory,
             queue: IncomingQueue::new(options.queue, options.when_full),
             clock,
             stop,

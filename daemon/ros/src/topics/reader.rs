@@ -156,7 +156,7 @@ async fn open_ros1(
         when_full: WhenFull::DropOldest,
         ..SubscriberOptions::default()
     };
-    let subscribe = async |node: &Node| node.subscribe(topic, kind.clone(), options).await;
+    let subscribe = async |node: &Node| node.subscribe(topic, kind.clone(), options.clone()).await;
     let (subscriber, node) = open_on_ros1(&environment, clock, subscribe).await?;
     Ok(Ends::Ros1 { subscriber, environment, node })
 }

@@ -48,7 +48,7 @@ impl Topic {
     /// # Errors
     /// The node has ended.
     pub(super) async fn next(&mut self) -> Result<TopicMessage, NodeError> {
-        let ReceivedMessage { bytes, publisher, received } = self.0.recv().await?;
+        let ReceivedMessage { bytes, publisher, received, .. } = self.0.recv().await?;
         let has_header = begins_with_header(&publisher.kind.definition);
         let header = has_header.then(|| read_header(WireForm::Ros1, &bytes)).flatten();
         Ok(TopicMessage {

@@ -1,12 +1,16 @@
 //! One end of a virtual connection on topics of ROS 1: its state machine, and what it publishes.
 
+use std::any::Any;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_ros::messages::{Message, MessageInfo, WireForm};
-use peernet_ros::ros1::{Delivery, Node, Publisher, PublisherInfo, PublisherOptions, QueueLimits};
+use peernet_ros::ros1::{
+    Delivery, MemoryLimit, Node, Publisher, PublisherInfo, PublisherOptions, QueueLimits, SubscriberOptions,
+    WhenFull,
+};
 use peernet_sample::Description;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep};
@@ -17,7 +21,7 @@ use super::payload::{self, PayloadType};
 use crate::SessionSettings;
 use crate::message::{Header, Outcome};
 use crate::statistics::{ConnectionAddresses, DatagramStatistics, TransportStatistics};
-use crate::transport::memory::MemoryBudget;
+use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::tcp_info::tcp_statistics;
 use crate::transport::{SendFailure, SendOptions};
 
@@ -26,6 +30,9 @@ const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
 
 /// Time between two attempts to open a topic while the master is away.
 pub(super) const MASTER_RETRY: Duration = Duration::from_secs(1);
+
+/// Bytes of the messages on a topic that wait to be taken, unless it is a single longer one.
+const WAITING_BYTES: usize = 64 * 1024;
 
 /// Bytes of a companion beside its frames.
 pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
@@ -46,7 +53,35 @@ pub(super) fn largest_message(settings: &SessionSettings) -> usize {
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(INFO_OVERHEAD_BYTES)
 }
 
-/// Bounds of the queue of a topic: every request in flight has a place, and what opens, keeps and closes a connection.
+/// Bounds of what a topic that is subscribed to holds before it is taken: more stays with the publisher. Everything that is
+/// received shares a budget.
+pub(super) fn subscriber_options(
+    settings: &SessionSettings,
+    max_message_bytes: usize,
+    budget: &Arc<MemoryBudget>,
+) -> SubscriberOptions {
+    SubscriberOptions {
+        queue: QueueLimits { messages: queue_limits(settings).messages, bytes: WAITING_BYTES },
+        when_full: WhenFull::Wait,
+        max_message_bytes,
+        memory: Some(Arc::new(ReceivingMemory(Arc::clone(budget)))),
+    }
+}
+
+/// The budget of messages that are received, for the client of ROS.
+#[derive(Debug)]
+struct ReceivingMemory(Arc<MemoryBudget>);
+
+impl MemoryLimit for ReceivingMemory {
+    fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
+        let mut reserved = Reservation::empty(&self.0);
+        reserved.set(&self.0, bytes as u64).ok()?;
+        Some(Box::new(reserved))
+    }
+}
+
+/// Bounds of the queue of a topic that is published: every request in flight has a place, and what opens, keeps and closes a
+/// connection.
 pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
     QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: largest_message(settings) }
 }

@@ -6,15 +6,13 @@ use std::time::Duration;
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
 use peernet_ros::messages::{Message, MessageInfo, SessionHello, WireForm};
-use peernet_ros::ros1::{
-    Node, NodeError, Publisher, PublisherOptions, Subscriber, SubscriberOptions, TopicType, WhenFull,
-};
+use peernet_ros::ros1::{Node, NodeError, Publisher, PublisherOptions, Subscriber, TopicType};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::channel::{Channel, largest_message, queue_limits};
+use super::channel::{Channel, largest_message, queue_limits, subscriber_options};
 use super::connection::Event;
 use super::environment;
 use super::names::{TopicPair, allowed, base_name, cloud_node, edge_node_prefix, sessions_topic};
@@ -33,8 +31,8 @@ const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 /// Longest time between two times that an edge says hello.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Largest messages of the cloud of which one half may be held at once.
-const INCOMPLETE_MESSAGES: u64 = 4;
+/// Largest messages of the cloud that may be received, or of which one half may be held, at once.
+const INCOMPLETE_MESSAGES: u64 = 6;
 
 /// Arrivals that wait to be received.
 const QUEUED_ARRIVALS: usize = 64;
@@ -62,8 +60,8 @@ pub(crate) async fn dial(
         response: TopicPair::response(&pipeline),
     };
     topics.check(&node, &prefix, address).await?;
-    let opened = topics.open(&node, settings).await.map_err(|error| unreachable(&error))?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(INCOMPLETE_MESSAGES));
+    let opened = topics.open(&node, settings, &budget).await.map_err(|error| unreachable(&error))?;
     let clock = SharedClock::clone(dialler.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
@@ -152,13 +150,17 @@ impl Topics {
         Ok(())
     }
 
-    async fn open(&self, node: &Node, settings: &SessionSettings) -> Result<Opened, NodeError> {
-        let (queue, max_message_bytes) = (queue_limits(settings), largest_message(settings));
-        let receiving = SubscriberOptions { queue, when_full: WhenFull::Wait, max_message_bytes };
-        let sending = PublisherOptions { is_latching: false, queue };
+    async fn open(
+        &self,
+        node: &Node,
+        settings: &SessionSettings,
+        budget: &Arc<MemoryBudget>,
+    ) -> Result<Opened, NodeError> {
+        let receiving = subscriber_options(settings, largest_message(settings), budget);
+        let sending = PublisherOptions { is_latching: false, queue: queue_limits(settings) };
         let info = TopicType::of::<MessageInfo>();
         Ok(Opened {
-            response_info: node.subscribe(&self.response.info, info.clone(), receiving).await?,
+            response_info: node.subscribe(&self.response.info, info.clone(), receiving.clone()).await?,
             response: node.subscribe(&self.response.payload, TopicType::any(), receiving).await?,
             request_info: node.publish(&self.request.info, info, sending).await?,
             sessions: node

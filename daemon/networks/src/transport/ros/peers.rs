@@ -7,14 +7,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use peernet_clock::SharedClock;
 use peernet_ros::messages::{MessageInfo, SessionHello};
 use peernet_ros::ros1::{
-    Node, NodeError, PublisherInfo, PublisherOptions, Subscriber, SubscriberOptions, TopicType, WhenFull,
+    Node, NodeError, PublisherInfo, PublisherOptions, Subscriber, SubscriberOptions, TopicType,
 };
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
-use super::channel::{Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, largest_message, queue_limits};
+use super::channel::{
+    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, largest_message, queue_limits, subscriber_options,
+};
 use super::connection::Event;
 use super::names::TopicPair;
 use super::serving::{Directive, Serving, Sink};
@@ -185,8 +187,7 @@ impl Peers {
         let (kind, queue) = (TopicType::of::<MessageInfo>(), queue_limits(&self.settings));
         let options = PublisherOptions { is_latching: false, queue };
         let publisher = self.node.publish(&response.info, kind.clone(), options).await?;
-        let options =
-            SubscriberOptions { queue, when_full: WhenFull::Wait, max_message_bytes: MAX_UNADMITTED_BYTES };
+        let options = subscriber_options(&self.settings, MAX_UNADMITTED_BYTES, &self.budget);
         let info = self.node.subscribe(&request.info, kind, options).await?;
         let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
         let budget = Arc::clone(&self.budget);
@@ -297,11 +298,7 @@ impl CloudSink {
         if !self.payload_topic.is_empty() {
             let topic = std::mem::take(&mut self.payload_topic);
             let node = Arc::clone(&self.peers.node);
-            let options = SubscriberOptions {
-                queue: queue_limits(settings),
-                when_full: WhenFull::Wait,
-                max_message_bytes,
-            };
+            let options = subscriber_options(settings, max_message_bytes, &self.peers.budget);
             // It asks the master, which may be away; what arrives meanwhile is in the companions.
             let subscribing = tokio::spawn(async move { subscribe(&node, &topic, options).await });
             self.subscribing = Some(AbortOnDropHandle::new(subscribing));
@@ -314,7 +311,7 @@ impl CloudSink {
 async fn subscribe(node: &Node, topic: &str, options: SubscriberOptions) -> Subscriber {
     let mut is_told = false;
     loop {
-        match node.subscribe(topic, TopicType::any(), options).await {
+        match node.subscribe(topic, TopicType::any(), options.clone()).await {
             Ok(subscriber) => return subscriber,
             Err(error) if !is_told => {
                 tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");

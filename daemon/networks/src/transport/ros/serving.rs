@@ -3,7 +3,6 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use bytes::Bytes;
 use peernet_ros::messages::{Message, MessageInfo, WireForm};
 use peernet_ros::ros1::{NodeError, PublisherState, PublisherWatch, ReceivedMessage, Subscriber};
 use tokio::sync::mpsc;
@@ -136,12 +135,12 @@ impl<S: Sink> Serving<S> {
         match step {
             Step::Info(Ok(message)) => {
                 if self.is_of_peer(&message, foreign) {
-                    self.hear_info(message.bytes);
+                    self.hear_info(message);
                 }
             }
             Step::Payload(Ok(message)) => {
                 if self.is_of_peer(&message, foreign) {
-                    self.hear_payload(&message);
+                    self.hear_payload(message);
                 }
             }
             Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
@@ -171,7 +170,9 @@ impl<S: Sink> Serving<S> {
         false
     }
 
-    fn hear_info(&self, bytes: Bytes) {
+    // A message gives back its memory before the connection reserves it for the frames, which are the same bytes.
+    fn hear_info(&self, ReceivedMessage { bytes, memory, .. }: ReceivedMessage) {
+        drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match MessageInfo::decode(WireForm::Ros1, bytes) {
@@ -182,9 +183,9 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    fn hear_payload(&self, message: &ReceivedMessage) {
-        let kind = &message.publisher.kind.name;
-        let decoded = payload::decode(WireForm::Ros1, kind, message.bytes.clone());
+    fn hear_payload(&self, ReceivedMessage { bytes, memory, publisher, .. }: ReceivedMessage) {
+        drop(memory);
+        let decoded = payload::decode(WireForm::Ros1, &publisher.kind.name, bytes);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match decoded {

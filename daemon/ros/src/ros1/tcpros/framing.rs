@@ -1,7 +1,13 @@
 //! Frames: a length of four bytes, little-endian, and as many bytes as it says.
 
-use bytes::{Buf, Bytes, BytesMut};
+use std::mem;
+use std::sync::Arc;
+
+use bytes::buf::Limit;
+use bytes::{Buf, BufMut, Bytes, BytesMut};
 use thiserror::Error;
+
+use crate::ros1::memory::{MemoryLimit, MessageMemory};
 
 /// Bytes of the length before each frame.
 const PREFIX_BYTES: usize = 4;
@@ -9,17 +15,27 @@ const PREFIX_BYTES: usize = 4;
 /// Room for reading while no long frame is expected.
 const READ_BYTES: usize = 64 * 1024;
 
-/// Most room for a frame, as a multiple of the bytes that have arrived of it: a claimed length alone reserves nothing.
+/// Most address space for a frame, as a multiple of the bytes that have arrived of it. Room that is not written yet takes
+/// no memory, and every growth of a buffer may copy it.
 const MAX_GROWTH: usize = 16;
 
-/// A frame that is too long.
+/// A frame that cannot be received.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("the peer announces a frame of {length} bytes; the longest allowed has {max}")]
-pub struct FrameError {
-    /// Announced length in bytes.
-    pub length: usize,
-    /// Longest allowed length in bytes.
-    pub max: usize,
+pub enum FrameError {
+    /// It is longer than allowed.
+    #[error("the peer announces a frame of {length} bytes; the longest allowed has {max}")]
+    TooLong {
+        /// Announced length in bytes.
+        length: usize,
+        /// Longest allowed length in bytes.
+        max: usize,
+    },
+    /// It finds no room beside the frames that others are sending.
+    #[error("a frame of {length} bytes finds no room: all that arrive at once share a limit")]
+    NoMemory {
+        /// Announced length in bytes.
+        length: usize,
+    },
 }
 
 /// Bytes that arrived on a connection, split into frames.
@@ -29,17 +45,25 @@ pub struct FrameError {
 pub struct FrameBuffer {
     bytes: BytesMut,
     max_frame_bytes: usize,
+    limit: Option<Arc<dyn MemoryLimit>>,
+    /// Of the frame that has begun, if it is long.
+    memory: MessageMemory,
 }
 
 impl FrameBuffer {
     /// Creates a buffer for frames of at most `max_frame_bytes` bytes.
     pub fn new(max_frame_bytes: usize) -> Self {
-        Self { bytes: BytesMut::new(), max_frame_bytes }
+        Self { bytes: BytesMut::new(), max_frame_bytes, limit: None, memory: MessageMemory::default() }
     }
 
     /// Changes the longest allowed length of the frames that follow.
     pub fn set_max_frame_bytes(&mut self, max_frame_bytes: usize) {
         self.max_frame_bytes = max_frame_bytes;
+    }
+
+    /// Lets the frames that follow share a limit with those of other connections.
+    pub fn set_memory_limit(&mut self, limit: Option<Arc<dyn MemoryLimit>>) {
+        self.limit = limit;
     }
 
     /// Returns the length of the frame that has begun.
@@ -49,33 +73,49 @@ impl FrameBuffer {
         Some(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// Returns the buffer to append what is read next to, with room for it.
-    pub fn input(&mut self) -> &mut BytesMut {
-        let frame = PREFIX_BYTES + self.announced().unwrap_or(0).min(self.max_frame_bytes);
-        let missing = frame.saturating_sub(self.bytes.len()).max(1);
-        let room = self.bytes.capacity() - self.bytes.len();
-        if room < missing.min(READ_BYTES) {
-            // A long frame gets room for itself alone, so that no bytes of the next one share its buffer.
-            let growth = (self.bytes.len() * MAX_GROWTH).max(READ_BYTES);
-            self.bytes.reserve(missing.clamp(READ_BYTES, growth));
-        }
-        &mut self.bytes
-    }
-
-    /// Returns the next frame, without its length, if it is complete.
+    /// Returns where to append what is read next, with room for at least one byte.
     ///
     /// # Errors
-    /// The next frame is longer than allowed. The connection cannot go on.
-    pub fn next_frame(&mut self) -> Result<Option<Bytes>, FrameError> {
+    /// There is no memory for more of a long frame. The connection cannot go on.
+    pub fn input(&mut self) -> Result<Limit<&mut BytesMut>, FrameError> {
+        let length = self.announced().unwrap_or(0).min(self.max_frame_bytes);
+        let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
+        let missing = frame.saturating_sub(arrived).max(1);
+        if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
+            // A long frame gets room for itself alone, so that no bytes of the next one share its buffer.
+            let growth = (arrived * MAX_GROWTH).max(READ_BYTES);
+            self.bytes.reserve(missing.clamp(READ_BYTES, growth));
+        }
+        let mut room = self.bytes.capacity() - arrived;
+        if frame > READ_BYTES {
+            // Twice what has arrived: a claimed length takes nothing from others.
+            let allowed = frame.min((2 * arrived).max(READ_BYTES));
+            if !self.memory.grow(allowed, self.limit.as_ref()) {
+                return Err(FrameError::NoMemory { length });
+            }
+            room = room.min(allowed - arrived);
+        }
+        Ok((&mut self.bytes).limit(room))
+    }
+
+    /// Returns the next frame, without its length, if it is complete, and the memory that it takes.
+    ///
+    /// # Errors
+    /// The next frame is longer than allowed, or there is no memory for it. The connection cannot go on.
+    pub fn next_frame(&mut self) -> Result<Option<(Bytes, MessageMemory)>, FrameError> {
         let Some(length) = self.announced() else { return Ok(None) };
         if length > self.max_frame_bytes {
-            return Err(FrameError { length, max: self.max_frame_bytes });
+            return Err(FrameError::TooLong { length, max: self.max_frame_bytes });
         }
         if self.bytes.len() < PREFIX_BYTES + length {
             return Ok(None);
         }
+        let mut memory = mem::take(&mut self.memory);
+        if !memory.grow(length, self.limit.as_ref()) {
+            return Err(FrameError::NoMemory { length });
+        }
         self.bytes.advance(PREFIX_BYTES);
-        Ok(Some(self.bytes.split_to(length).freeze()))
+        Ok(Some((self.bytes.split_to(length).freeze(), memory)))
     }
 
     /// Returns whether a frame has begun that is not complete.

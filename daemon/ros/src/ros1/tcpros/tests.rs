@@ -8,6 +8,7 @@ use super::{
     Subscription, TopicType,
 };
 use crate::messages::{CompressedImage, StringMessage};
+use crate::ros1::tests::TestLimit;
 
 fn publication(kind: TopicType) -> Publication {
     Publication { node: "/pub".into(), topic: "/t".into(), kind, is_latching: true }
@@ -90,18 +91,63 @@ fn definition_that_is_too_long_is_left_out() {
 #[test]
 fn claimed_length_reserves_little() {
     let mut buffer = FrameBuffer::new(64 * 1024 * 1024);
-    buffer.input().put_slice(&50_000_000_u32.to_le_bytes());
-    assert_eq!(buffer.next_frame().unwrap(), None);
-    assert!(buffer.input().capacity() < 200_000);
-    buffer.input().put_bytes(0, 60_000);
-    assert!(buffer.input().capacity() < 2_000_000);
+    buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
+    assert!(buffer.next_frame().unwrap().is_none());
+    assert!(buffer.input().unwrap().get_ref().capacity() < 200_000);
+    buffer.input().unwrap().put_bytes(0, 60_000);
+    assert!(buffer.input().unwrap().get_ref().capacity() < 2_000_000);
 }
 
 #[test]
 fn frame_that_is_too_long_is_refused() {
     let mut buffer = FrameBuffer::new(10);
-    buffer.input().put_slice(&11_u32.to_le_bytes());
-    assert_eq!(buffer.next_frame().unwrap_err(), FrameError { length: 11, max: 10 });
+    buffer.input().unwrap().put_slice(&11_u32.to_le_bytes());
+    assert_eq!(buffer.next_frame().unwrap_err(), FrameError::TooLong { length: 11, max: 10 });
+}
+
+#[test]
+fn frames_share_memory_by_what_has_arrived() {
+    let limit = TestLimit::new(1_000_000);
+    let new = || {
+        let mut buffer = FrameBuffer::new(64 * 1024 * 1024);
+        buffer.set_memory_limit(limit.option());
+        buffer
+    };
+    // All claim much and send little.
+    let mut claiming: Vec<FrameBuffer> = (0..8).map(|_| new()).collect();
+    for buffer in &mut claiming {
+        buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
+        assert!(buffer.next_frame().unwrap().is_none());
+        assert!(buffer.input().is_ok());
+    }
+    let claimed = limit.taken();
+    assert!(claimed <= 8 * 64 * 1024, "{claimed} bytes");
+    let mut other = new();
+    other.input().unwrap().put_slice(&200_000_u32.to_le_bytes());
+    let (frame, memory) = loop {
+        if let Some(frame) = other.next_frame().unwrap() {
+            break frame;
+        }
+        let mut input = other.input().unwrap();
+        let room = input.remaining_mut();
+        input.put_bytes(7, room.min(60_000));
+    };
+    assert_eq!((frame.len(), limit.taken()), (200_000, claimed + 200_004));
+    drop(memory);
+    assert_eq!(limit.taken(), claimed);
+    // One sends what it claims, until the limit is reached.
+    let refused = loop {
+        match claiming[0].input() {
+            Ok(mut input) => {
+                let room = input.remaining_mut();
+                input.put_bytes(7, room);
+            }
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(refused, FrameError::NoMemory { length: 50_000_000 });
+    drop(claiming);
+    assert_eq!(limit.taken(), 0);
 }
 
 proptest! {
@@ -134,13 +180,13 @@ proptest! {
         let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
         while !rest.is_empty() {
             // As a socket does: no more than fits.
-            let input = buffer.input();
-            let room = input.capacity() - input.len();
+            let mut input = buffer.input().unwrap();
+            let room = input.remaining_mut();
             prop_assert!(room > 0);
             let count = rest.len().min(*reads.next().unwrap()).min(room);
             input.put_slice(&rest[..count]);
             rest = &rest[count..];
-            while let Some(frame) = buffer.next_frame().unwrap() {
+            while let Some((frame, _)) = buffer.next_frame().unwrap() {
                 found.push(frame);
             }
         }

@@ -3,6 +3,7 @@
 mod exchange;
 mod faults;
 mod master;
+mod memory;
 mod slave_api;
 
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use std::time::Duration;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 
 use self::master::TestMaster;
+pub(in crate::ros1) use self::memory::TestLimit;
 use super::{Environment, Node, RpcUri};
 
 /// Longest time that a test waits for what must happen.

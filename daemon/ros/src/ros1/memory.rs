@@ -1,0 +1,35 @@
+//! Memory that messages take while they are received.
+
+use std::any::Any;
+use std::fmt;
+use std::sync::Arc;
+
+/// A bound on the memory of messages that several subscribers receive.
+pub trait MemoryLimit: fmt::Debug + Send + Sync {
+    /// Reserves a number of bytes until the result is dropped; `None` if they exceed the bound.
+    fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>>;
+}
+
+/// Memory of one message, given back when dropped.
+#[derive(Default)]
+pub struct MessageMemory {
+    bytes: usize,
+    parts: Vec<Box<dyn Any + Send + Sync>>,
+}
+
+impl MessageMemory {
+    /// Reserves what is missing for a message of a number of bytes. Returns whether there was room.
+    pub(super) fn grow(&mut self, bytes: usize, limit: Option<&Arc<dyn MemoryLimit>>) -> bool {
+        let (Some(limit), Some(missing @ 1..)) = (limit, bytes.checked_sub(self.bytes)) else { return true };
+        let Some(part) = limit.reserve(missing) else { return false };
+        self.parts.push(part);
+        self.bytes = bytes;
+        true
+    }
+}
+
+impl fmt::Debug for MessageMemory {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("MessageMemory").field("bytes", &self.bytes).finish_non_exhaustive()
+    }
+}

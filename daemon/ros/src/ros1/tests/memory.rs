@@ -1,0 +1,118 @@
+//! Publishers that claim long messages.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
+
+use bytes::Bytes;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio_util::sync::CancellationToken;
+
+use super::{TestMaster, node, within};
+use crate::messages::StringMessage;
+use crate::ros1::rpc;
+use crate::ros1::tcpros::{ConnectionHeader, Publication};
+use crate::ros1::xmlrpc::{Response, Value};
+use crate::ros1::{MemoryLimit, PublisherOptions, RpcUri, SubscriberOptions, TopicType};
+
+/// A number of bytes that messages share.
+#[derive(Clone, Debug)]
+pub(in crate::ros1) struct TestLimit {
+    taken: Arc<AtomicUsize>,
+    max: usize,
+}
+
+impl TestLimit {
+    pub(in crate::ros1) fn new(max: usize) -> Self {
+        Self { taken: Arc::default(), max }
+    }
+
+    pub(in crate::ros1) fn option(&self) -> Option<Arc<dyn MemoryLimit>> {
+        Some(Arc::new(self.clone()))
+    }
+
+    pub(in crate::ros1) fn taken(&self) -> usize {
+        self.taken.load(Relaxed)
+    }
+}
+
+impl MemoryLimit for TestLimit {
+    fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
+        let taken = self.taken.fetch_add(bytes, Relaxed) + bytes;
+        let part = Part(Arc::clone(&self.taken), bytes);
+        (taken <= self.max).then(|| Box::new(part) as Box<dyn Any + Send + Sync>)
+    }
+}
+
+struct Part(Arc<AtomicUsize>, usize);
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        self.0.fetch_sub(self.1, Relaxed);
+    }
+}
+
+/// Registers a publisher that is no node of ours, and returns the connection of its first subscriber.
+async fn foreign_publisher(master: &TestMaster, name: &str, stop: &CancellationToken) -> TcpStream {
+    let publication = Publication {
+        node: name.into(),
+        topic: "/t".into(),
+        kind: TopicType::of::<StringMessage>(),
+        is_latching: false,
+    };
+    let (server, messages) = (listener().await, listener().await);
+    let uri = format!("http://{}", server.local_addr().unwrap());
+    let port = Value::Int(messages.local_addr().unwrap().port().into());
+    let endpoint = Value::from(["TCPROS".into(), "127.0.0.1".into(), port]);
+    let answer = move |_: &_| Response::Success([Value::Int(1), "".into(), endpoint.clone()].into());
+    tokio::spawn(rpc::serve(server, answer, stop.clone()));
+    let params = vec![name.into(), "/t".into(), "std_msgs/String".into(), uri.as_str().into()];
+    within(rpc::call(&RpcUri::parse(&master.uri()).unwrap(), "registerPublisher", params)).await.unwrap();
+    let (mut stream, _) = within(messages.accept()).await.unwrap();
+    let length = within(stream.read_u32_le()).await.unwrap();
+    let mut header = vec![0; length as usize];
+    within(stream.read_exact(&mut header)).await.unwrap();
+    let (answer, _) = publication.answer(&ConnectionHeader::decode(&header).unwrap()).unwrap();
+    within(stream.write_all(&answer.encode())).await.unwrap();
+    stream
+}
+
+async fn listener() -> TcpListener {
+    TcpListener::bind("127.0.0.1:0").await.unwrap()
+}
+
+#[tokio::test]
+async fn claimed_lengths_leave_memory_for_messages_of_others() {
+    const CLAIMED: u32 = 50_000_000;
+    let master = TestMaster::start().await;
+    let (a, b) = (node(&master, "a").await, node(&master, "b").await);
+    let kind = TopicType::of::<StringMessage>();
+    let limit = TestLimit::new(4_000_000);
+    let options = SubscriberOptions { memory: limit.option(), ..SubscriberOptions::default() };
+    let mut subscriber = b.subscribe("t", kind.clone(), options).await.unwrap();
+    let stop = CancellationToken::new();
+    let mut claiming = Vec::new();
+    for number in 0..16 {
+        let mut stream = foreign_publisher(&master, &format!("/claiming{number}"), &stop).await;
+        within(stream.write_all(&CLAIMED.to_le_bytes())).await.unwrap();
+        within(stream.write_all(&[0; 10_000])).await.unwrap();
+        claiming.push(stream);
+    }
+    let publisher = a.publish("t", kind, PublisherOptions::default()).await.unwrap();
+    within(subscriber.wait_for_publishers(17)).await.unwrap();
+    let message = Bytes::from(vec![7; 1_000_000]);
+    for _ in 0..20 {
+        within(publisher.publish_waiting(message.clone())).await.unwrap();
+        assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
+    }
+    assert_eq!(subscriber.counts().connections, 17, "nobody was disconnected");
+    // One of them sends what it has claimed, until there is no room and it is disconnected.
+    let [first, ..] = &mut claiming[..] else { unreachable!() };
+    within(async { while first.write_all(&[0; 100_000]).await.is_ok() {} }).await;
+    within(publisher.publish_waiting(message.clone())).await.unwrap();
+    assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
+    drop(claiming);
+    stop.cancel();
+}
