@@ -23,9 +23,13 @@ export PEERNET_FIGURES="$rows"
 cd "$root"
 passed=0
 ${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?
-# Damaged inputs for the parsers of what arrives from ROS networks: ten million for each corpus.
-PROPTEST_CASES="${PEERNET_INPUTS:-30000000}" \
+# Ten million hostile inputs each: damaged headers, calls and messages of ROS (three corpora), datagrams and handshakes, and
+# messages of a ROS session.
+inputs="${PEERNET_INPUTS:-10000000}"
+PROPTEST_CASES=$((inputs * 3)) \
     ${CARGO:-cargo} test --release --locked --package peernet-ros --lib damaged_corpora || passed=$?
+PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet-networks --lib -- \
+    any_datagrams_break_no_promise any_peer_is_survived || passed=$?
 
 cpu=$(sed -n 's/^model name[[:space:]]*: //p' /proc/cpuinfo | head -1)
 {

@@ -3,7 +3,8 @@
 use bytes::{BufMut, Bytes};
 
 use crate::messages::{
-    CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, UInt8MultiArray, WireForm,
+    CompressedImage, Image, Imu, Message, MessageInfo, PointCloud2, SessionHello, StringMessage,
+    UInt8MultiArray, WireForm,
 };
 use crate::ros1::TopicType;
 use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
@@ -93,6 +94,8 @@ pub fn any_message(data: &[u8]) {
         read::<Imu>(form, &data);
         read::<PointCloud2>(form, &data);
         read::<UInt8MultiArray>(form, &data);
+        read::<SessionHello>(form, &data);
+        read::<MessageInfo>(form, &data);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Two ends of a connection, without topics between them.
 
+use peernet_ros::messages::{Message, WireForm};
 use proptest::prelude::*;
 
 use super::*;
@@ -90,6 +91,82 @@ fn goodbye_ends_connection_with_its_reason() {
     assert!(far.next_notice(0, at(100)).is_none());
 }
 
+/// What a peer that keeps no rule may bring.
+#[derive(Clone, Debug)]
+enum Step {
+    /// A companion whose bytes were changed at some places.
+    Damaged {
+        kind: u8,
+        changes: Vec<(prop::sample::Index, u8)>,
+    },
+    /// A companion of any claims.
+    Claims {
+        kind: u8,
+        sequence: u64,
+        stamp: i64,
+        has_payload: bool,
+        lengths: Vec<u32>,
+        bytes: usize,
+    },
+    Payload {
+        stamp: i64,
+        bytes: usize,
+    },
+    /// Seconds that pass.
+    Time(i64),
+}
+
+fn any_step() -> impl Strategy<Value = Step> {
+    let kind = || 0..7_u8;
+    // Few stamps, so that some meet.
+    let stamp = || prop_oneof![9 => 0..4_i64, 1 => any::<i64>()];
+    let length = prop_oneof![3 => 0..40_u32, 1 => any::<u32>()];
+    let claims =
+        (kind(), any::<u64>(), stamp(), any::<bool>(), prop::collection::vec(length, 0..5), 0..60_usize);
+    prop_oneof![
+        (kind(), prop::collection::vec(any::<(prop::sample::Index, u8)>(), 0..4))
+            .prop_map(|(kind, changes)| Step::Damaged { kind, changes }),
+        claims.prop_map(|(kind, sequence, stamp, has_payload, lengths, bytes)| {
+            Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes }
+        }),
+        (stamp(), 0..2_000_usize).prop_map(|(stamp, bytes)| Step::Payload { stamp, bytes }),
+        (0..3_i64).prop_map(Step::Time),
+    ]
+}
+
+fn bring(step: Step, near: &mut Connection, far: &mut Connection, now: &mut MonoTime) {
+    match step {
+        Step::Damaged { kind, changes } => {
+            let (info, _) = message(near, 1, 0);
+            let info = MessageInfo { kind, ..info };
+            let mut bytes = info.encode(WireForm::Ros1).expect("it is short").into_bytes().to_vec();
+            for (at, byte) in changes {
+                let at = at.index(bytes.len());
+                bytes[at] = byte;
+            }
+            if let Ok(info) = MessageInfo::decode(WireForm::Ros1, bytes.into()) {
+                far.hear_info(info, *now);
+            }
+        }
+        Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes } => {
+            let header = Header { seq: 0, stamp: Time::from_nanos(stamp), frame_id: "ab".into() };
+            let (frames, frame_lengths) = (vec![7; bytes].into(), lengths);
+            let info = MessageInfo {
+                header,
+                kind,
+                sequence,
+                has_payload,
+                frame_lengths,
+                frames,
+                ..MessageInfo::default()
+            };
+            far.hear_info(info, *now);
+        }
+        Step::Payload { stamp, bytes } => far.hear_payload(stamp, vec![7; bytes].into(), *now),
+        Step::Time(seconds) => *now = *now + Span::from_seconds(seconds),
+    }
+}
+
 #[derive(Clone, Debug)]
 enum Fate {
     Arrives,
@@ -138,5 +215,27 @@ proptest! {
         let whole = fates.iter().filter(|fate| matches!(fate, Fate::Arrives)).count();
         prop_assert_eq!((arrived, arrived + incomplete), (whole, fates.len()));
         prop_assert_eq!(far.budget.held(), 0);
+    }
+
+    #[test]
+    fn any_peer_is_survived_in_bounded_memory(steps in prop::collection::vec(any_step(), 0..30)) {
+        let (mut near, mut far, mut now) = (end(), end(), at(0));
+        for step in steps {
+            bring(step, &mut near, &mut far, &mut now);
+            far.tick(now);
+            prop_assert!(far.budget.held() <= 10_000);
+            let mut events = 0;
+            while let Some(event) = far.next_event() {
+                events += 1;
+                let Event::Message(frames, _) = event else { continue };
+                let bytes: usize = frames.iter().map(Bytes::len).sum();
+                prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
+            }
+            // Halves that gave up at once, and the end.
+            prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
+            while far.next_notice(0, now).is_some() {}
+        }
+        far.tick(now + Span::from_seconds(40));
+        prop_assert_eq!(far.budget.held(), 0, "nothing waits for ever");
     }
 }
