@@ -5,7 +5,8 @@ import re
 import sys
 import tempfile
 
-from harness import ROSPY, Process, start_master, tool, wait_until
+from harness import ROSPY, start_master, tool
+from processes import Process, wait_until
 
 PICTURES = 50
 PICTURE_BYTES = 1_000_000
@@ -49,8 +50,7 @@ def agent():
         environment = dict(os.environ, ROS_VERSION="1")
         with Process(os.path.abspath(sys.argv[1]), "run", file, environment=environment) as process:
             yield process
-            process.process.terminate()
-            assert process.process.wait(timeout=60) == 0, process.errors
+            process.stop()
 
 
 def main():

@@ -14,7 +14,8 @@ import time
 import traceback
 import xmlrpc.client
 
-from harness import PATIENCE, ROSPY, Process, start_master, tool, wait_until
+from harness import ROSPY, start_master, tool
+from processes import PATIENCE, Process, wait_until
 
 # Longest time in seconds until a restarted master knows all topics again; the same is documented in daemon/ros/src/ros1.
 REGISTERED_AGAIN = 5
@@ -102,14 +103,14 @@ def check_rospy_with_other_type_is_refused():
         typed.wait_for("ready")
         with rospy("refused", "wrong", "/typed") as wrong:
             wrong.wait_for("ready")
-            wait_until(lambda: any("subscriber was refused" in line for line in typed.errors if line), "refused")
+            wait_until(lambda: typed.has_error("subscriber was refused"), "refused")
         texts = "".join(open(path, errors="replace").read() for path in glob.glob(f"{os.environ['ROS_LOG_DIR']}/*.log"))
         expected = (
             "topic /typed has two message types: "
             "sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, "
             "std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /wrong"
         )
-        assert expected in texts or any(expected in line for line in typed.errors if line), typed.errors
+        assert expected in texts or typed.has_error(expected), typed.errors
 
 
 def check_rospy_refuses_us_with_its_text():

@@ -1,80 +1,21 @@
 """A master and programs for the checks with ROS 1."""
 import os
-import queue
 import signal
-import socket
 import subprocess
 import tempfile
-import threading
-import time
 import xmlrpc.client
 
-# Longest time in seconds that anything may take.
-PATIENCE = 60
+from processes import PATIENCE, free_port, wait_until
+
 # Debian's packages belong to Debian's Python.
 ROSPY = ["/usr/bin/python3", os.path.join(os.path.dirname(os.path.abspath(__file__)), "rospy_peer.py")]
-
-
-class Process:
-    """A program whose lines are read one by one."""
-
-    def __init__(self, *command, environment=None):
-        self.command = [str(part) for part in command]
-        pipe = subprocess.PIPE
-        self.process = subprocess.Popen(
-            self.command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment
-        )
-        self.lines = queue.Queue()
-        self.errors = []
-        threading.Thread(target=self._read, args=(self.process.stdout, self.lines.put), daemon=True).start()
-        threading.Thread(target=self._read, args=(self.process.stderr, self.errors.append), daemon=True).start()
-
-    @staticmethod
-    def _read(stream, take):
-        for line in stream:
-            take(line.rstrip("\n"))
-        take(None)
-
-    def line(self):
-        """Returns the next line."""
-        try:
-            line = self.lines.get(timeout=PATIENCE)
-        except queue.Empty:
-            line = None
-        assert line is not None, f"{self.command} says nothing more; its errors: {self.errors}"
-        return line
-
-    def wait_for(self, part):
-        """Returns the next line that contains a text."""
-        while True:
-            line = self.line()
-            if part in line:
-                return line
-
-    def finish(self):
-        """Ends the program's input, and waits for its success."""
-        self.process.stdin.close()
-        status = self.process.wait(timeout=PATIENCE)
-        assert status == 0, f"{self.command} ended with {status}; its errors: {self.errors}"
-
-    def kill(self):
-        self.process.kill()
-        self.process.wait()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.kill()
 
 
 class Master:
     """rosmaster, which can be killed and started again."""
 
     def __init__(self):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}"
         self.start()
 
@@ -97,15 +38,6 @@ class Master:
     def kill(self):
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
-
-
-def wait_until(condition, what, patience=PATIENCE):
-    """Returns the seconds until a condition holds."""
-    start = time.monotonic()
-    while not condition():
-        assert time.monotonic() - start < patience, f"not within {patience} s: {what}"
-        time.sleep(0.02)
-    return time.monotonic() - start
 
 
 def tool(*command):

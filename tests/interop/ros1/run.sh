@@ -3,6 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 tests/interop/build.sh
+export PYTHONPATH=$PWD/tests/interop
 programs=${CARGO_TARGET_DIR:-target}/debug
 python3 tests/interop/ros1/check.py "$programs/examples/ros1_peer"
 python3 tests/interop/ros1/agent.py "$programs/peernetd"

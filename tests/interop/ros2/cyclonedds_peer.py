@@ -1,7 +1,8 @@
 """The end of the tests with foreign ROS 2 peers that Eclipse Cyclone DDS speaks.
 
-cyclonedds_peer.py publish|receive TOPIC string|image COUNT BYTES
-cyclonedds_peer.py ping|pong TOPIC string|image COUNT BYTES      round trips; `ping` prints their quantiles
+cyclonedds_peer.py publish|receive TOPIC string|image|bytes COUNT BYTES
+cyclonedds_peer.py ping|pong TOPIC string|image|bytes COUNT BYTES      round trips; `ping` prints their quantiles
+cyclonedds_peer.py offer TOPIC string|image|bytes COUNT BYTES    publishes ten times a second, best-effort, for whoever listens
 cyclonedds_peer.py nodes NAME                                    waits until the node list has NAME with an endpoint
 """
 
@@ -47,6 +48,25 @@ class CompressedImage_(IdlStruct, typename="sensor_msgs.msg.dds_.CompressedImage
 
 
 @dataclass
+class MultiArrayDimension_(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
+    label: str
+    size: uint32
+    stride: uint32
+
+
+@dataclass
+class MultiArrayLayout_(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
+    dim: sequence[MultiArrayDimension_]
+    data_offset: uint32
+
+
+@dataclass
+class UInt8MultiArray_(IdlStruct, typename="std_msgs.msg.dds_.UInt8MultiArray_"):
+    layout: MultiArrayLayout_
+    data: sequence[uint8]
+
+
+@dataclass
 class Gid_(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
     data: array[uint8, 16]
 
@@ -66,7 +86,7 @@ class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common.msg.dds_.Part
 
 
 ALPHABET = "abcdefghijklmnopqrstuvwxyz"
-TYPES = {"string": String_, "image": CompressedImage_}
+TYPES = {"string": String_, "image": CompressedImage_, "bytes": UInt8MultiArray_}
 
 
 def message(kind, size, number):
@@ -75,12 +95,16 @@ def message(kind, size, number):
         return String_((ALPHABET * (size // 26 + 2))[start : start + size])
     period = bytes((index * 31 + number) % 256 for index in range(256))
     data = (period * (size // 256 + 1))[:size]
+    if kind == "bytes":
+        return UInt8MultiArray_(MultiArrayLayout_([], 0), data)
     return CompressedImage_(Header_(Time_(number, 7), "cam"), "jpeg", data)
 
 
 def same(kind, sample, expected):
     if kind == "string":
         return sample.data == expected.data
+    if kind == "bytes":
+        return bytes(sample.data) == bytes(expected.data)
     return (
         sample.header == expected.header
         and sample.format == expected.format
@@ -107,8 +131,8 @@ class Incoming:
 
 
 class Outgoing:
-    def __init__(self, participant, topic, type_):
-        self.writer = DataWriter(participant, Topic(participant, topic, type_, qos=RELIABLE), qos=RELIABLE)
+    def __init__(self, participant, topic, type_, qos=RELIABLE):
+        self.writer = DataWriter(participant, Topic(participant, topic, type_, qos=qos), qos=qos)
 
     def await_reader(self):
         end = time.monotonic() + PATIENCE_S
@@ -138,6 +162,13 @@ def receive(participant, topic, kind, count, size):
         if not same(kind, incoming.next(), message(kind, size, number)):
             raise SystemExit(f"cyclonedds: message {number} is not what was published")
     print("received unchanged:", count)
+
+
+def offer(participant, topic, kind, count, size):
+    outgoing = Outgoing(participant, topic, TYPES[kind], Qos(Policy.Reliability.BestEffort))
+    for number in range(count):
+        outgoing.writer.write(message(kind, size, number))
+        time.sleep(0.1)
 
 
 def pong(participant, topic, kind, count, _size):
@@ -186,7 +217,7 @@ def main():
         nodes(participant, rest[0])
         return
     topic, kind, count, size = rest
-    modes = {"publish": publish, "receive": receive, "ping": ping, "pong": pong}
+    modes = {"publish": publish, "receive": receive, "offer": offer, "ping": ping, "pong": pong}
     modes[mode](participant, "rt" + topic, kind, int(count), int(size))
 
 

@@ -1,24 +1,17 @@
 #!/usr/bin/env bash
 # Our ROS 2 client against foreign ones: Eclipse Cyclone DDS (PyPI) and eProsima Fast DDS (Debian), both directions,
-# without a ROS installation. Runs in a network namespace of its own that has the loopback interface alone; needs root,
-# Python 3 with venv and, for Fast DDS, g++ and the Debian package libfastrtps-dev.
+# without a ROS installation. Runs in a network namespace of its own that has the loopback interface alone, and needs root.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../../.." && pwd)
 work=$root/target/interop/ros2
-venv=$work/venv
+venv=$root/.venv-tools/interop
 ours=$root/target/debug/examples/ros2_peer
 fast=$work/fastdds_peer
 
 prepare() {
     mkdir -p "$work"
-    [[ -x $venv/bin/python ]] || python3 -m venv "$venv"
-    "$venv/bin/python" -c 'import cyclonedds' 2>/dev/null || "$venv/bin/pip" install --quiet cyclonedds==11.0.1
-    (cd "$root" && cargo build --locked --package peernet-ros --features ros2 --example ros2_peer)
-    if [[ ! -e /usr/include/fastdds/dds/domain/DomainParticipant.hpp ]]; then
-        apt-get install --yes --no-install-recommends libfastrtps-dev >"$work/apt.log" 2>&1 ||
-            { echo "ros2: libfastrtps-dev cannot be installed; see $work/apt.log" >&2; exit 1; }
-    fi
+    "$root/tests/interop/build.sh"
     if [[ ! $fast -nt $here/fastdds_peer.cpp ]]; then
         g++ -std=c++17 -O1 -o "$fast" "$here/fastdds_peer.cpp" -lfastrtps -lfastcdr -pthread
     fi
@@ -72,4 +65,6 @@ node=$!
 if cyclone nodes /peernet; then echo "ok      node list"; else echo "FAILED  node list"; failed=1; fi
 kill "$node" 2>/dev/null || true
 wait "$node" 2>/dev/null || true
+
+PYTHONPATH=$root/tests/interop "$venv/bin/python" "$here/agent.py" "$root/target/debug/peernetd" || failed=1
 exit "$failed"
