@@ -56,6 +56,7 @@ interop_packages='
 rosmaster     python3-rosmaster       a real master of ROS 1
 rostopic      python3-rostopic        its tools see our topics
 rosnode       python3-rosnode         its tools see our nodes
+/usr/lib/rosbag/record  python3-rosbag    records our sessions and replays them
 /usr/lib/python3/dist-packages/rospy        python3-rospy        nodes of ROS 1
 /usr/lib/python3/dist-packages/roslaunch    python3-roslaunch    the other packages use it without saying so
 /usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1

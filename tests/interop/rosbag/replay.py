@@ -1,0 +1,58 @@
+"""Plays the bag of a session and compares what agents make of it. Usage: replay.py BAG
+
+The agents sense `/robot/request` and `/robot/response` and publish what they have on `/seen/request` and `/seen/response`: of a
+picture its file, of any other message its serialised bytes.
+"""
+import subprocess
+import sys
+import threading
+import time
+
+import rosbag
+import rospy
+from std_msgs.msg import UInt8MultiArray
+
+# Longest time in seconds that the replay may take.
+PATIENCE = 60
+TOPICS = ["request", "response"]
+
+
+def recorded(bag, topic):
+    """Returns the bytes of each message as an agent publishes them."""
+    raw = bag.read_messages(topics=[f"/robot/{topic}"], raw=True)
+    if topic == "response":
+        return [message[1] for _, message, _ in raw]
+    return [bytes(message.data) for _, message, _ in bag.read_messages(topics=[f"/robot/{topic}"])]
+
+
+def main():
+    with rosbag.Bag(sys.argv[1]) as bag:
+        expected = {topic: recorded(bag, topic) for topic in TOPICS}
+    assert all(len(messages) > 50 for messages in expected.values()), {t: len(m) for t, m in expected.items()}
+    seen = {topic: [] for topic in TOPICS}
+    progress = threading.Condition()
+
+    def collect(message, topic):
+        with progress:
+            seen[topic].append(bytes(message.data))
+            progress.notify()
+
+    rospy.init_node("collector", disable_signals=True)
+    subscribers = [rospy.Subscriber(f"/seen/{topic}", UInt8MultiArray, collect, topic) for topic in TOPICS]
+    end = time.monotonic() + PATIENCE
+    while not all(one.get_num_connections() for one in subscribers):
+        assert time.monotonic() < end, "the agents do not publish"
+        time.sleep(0.02)
+    subprocess.run(
+        ["rosbag", "play", "--quiet", "--wait-for-subscribers", "--delay=1", sys.argv[1]], check=True, timeout=PATIENCE
+    )
+    with progress:
+        progress.wait_for(lambda: all(len(seen[topic]) >= len(expected[topic]) for topic in TOPICS), PATIENCE)
+    for topic in TOPICS:
+        counts = f"{len(seen[topic])} of {len(expected[topic])}"
+        assert seen[topic] == expected[topic], f"/robot/{topic}: {counts} messages came, or some were changed"
+        print(f"ok    {counts} messages of /robot/{topic} were replayed unchanged", flush=True)
+    rospy.signal_shutdown("done")
+
+
+main()
