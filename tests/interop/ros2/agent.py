@@ -22,7 +22,7 @@ kind = "echo"
 # Of the pictures nothing may be missing or changed.
 [[pipeline]]
 name = "camera"
-sensor = {{ kind = "ros", topic = "/camera", type = "sensor_msgs/msg/CompressedImage", queue = {pictures}, timeout_ms = 60000 }}
+sensor = {{ kind = "ros", topic = "/camera", type = "sensor_msgs/msg/CompressedImage", queue = {pictures} }}
 placement = {{ kind = "local", model = "echo" }}
 actuator = {{ kind = "ros", topic = "/seen", type = "std_msgs/UInt8MultiArray" }}
 
