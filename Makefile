@@ -13,7 +13,7 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check format lint linted-tests tests configs units deny browser browser-and-others api package deb interop bench soak clean
+.PHONY: help demo rehearsal setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
 help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -9
 
@@ -36,7 +36,7 @@ build:
 
 # --- tests ---------------------------------------------------------------------------------------------------
 
-test: tools setup format linted-tests configs units deny browser-and-others
+test: tools setup format linted-tests configs units deny browser api package
 	@echo "make test: all passed"
 
 check: lint tests
@@ -72,16 +72,6 @@ deny:
 # A headless Chromium opens the running demo.
 browser: setup build
 	@tests/browser/run.sh target/debug/peernetd
-
-# The interface and the package, as idle tasks in the time in which the browser waits.
-browser-and-others: setup build
-	@log=$$(mktemp)
-	chrt --idle 0 $(MAKE) --no-print-directory api package >"$$log" 2>&1 &
-	tests/browser/run.sh target/debug/peernetd && passed=yes || passed=no
-	wait $$! || passed=no
-	cat "$$log"
-	rm "$$log"
-	[ $$passed = yes ]
 
 # schemathesis asks the running demo what its OpenAPI document promises.
 api: setup build
