@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, PoisonError};
 
-use peernet_aggregator::{Aggregator, LogThrottle, Picture};
-use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
+use peernet_aggregator::{Aggregator, Picture};
+use peernet_clock::{LogThrottle, MonoTime, SharedClock, Span, WallTime};
 use peernet_store::{IncidentRow, Store, StoreError};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;

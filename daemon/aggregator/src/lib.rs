@@ -18,14 +18,12 @@ mod config;
 mod error;
 mod ingest;
 mod live;
-mod log_throttle;
 mod picture;
 mod readiness;
 
 pub use aggregator::{Aggregator, Running};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
-pub use log_throttle::LogThrottle;
 pub use picture::{
     Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture,
     RefusedFrames, RefusedHost, Totals, Window,

@@ -13,6 +13,7 @@
 //! - `exchange`: four stamps and the bounds of the offset that follow; `discipline`: what a time daemon claims.
 //! - `band`: what all exchanges together prove, as an interval over time, and the best guess in it.
 //! - `relation`: one pair of hosts: which exchanges count, what the sources come to, how a delay is judged.
+//! - `log_throttle`: log lines that repeat, once a minute.
 //! - `delay`: the answer, a [`OneWayDelay`] with its interval, its source and its verdict.
 
 mod band;
@@ -20,6 +21,7 @@ mod delay;
 mod discipline;
 mod exchange;
 mod identity;
+mod log_throttle;
 mod manual;
 mod rehearsal;
 mod rehearsed;
@@ -34,6 +36,7 @@ pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
 pub use discipline::Discipline;
 pub use exchange::{Exchange, Witnessed};
 pub use identity::ClockIdentity;
+pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
 pub use rehearsal::{RehearsalDescription, RehearsedStep};
 pub use rehearsed::RehearsedClock;

@@ -5,7 +5,7 @@ mod output;
 mod store_view;
 
 use bytes::Bytes;
-use peernet_clock::{MonoTime, Span, Stamp};
+use peernet_clock::{LogThrottle, MonoTime, Span, Stamp};
 use peernet_logger::{HostId, RunId};
 use peernet_networks::{ConnectionId, Peer};
 use peernet_stream::{Arrival, BatchHead, Challenges, LiveUpdate, Receiving, ToAgent, ToAggregator, codec};
@@ -18,7 +18,6 @@ use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::News;
-use crate::log_throttle::LogThrottle;
 use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.

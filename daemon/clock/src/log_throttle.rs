@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::net::IpAddr;
 
-use peernet_clock::{MonoTime, Span};
+use crate::{MonoTime, Span};
 
-/// Between two lines about the same.
-const LINE_EVERY: Span = Span::from_seconds(60);
-/// Kinds told apart; beyond, they are counted together.
-const MOST: usize = 256;
+/// Least time between two lines about the same.
+const LINE_INTERVAL: Span = Span::from_seconds(60);
+/// Kinds counted apart. More are counted together, so that whoever invents kinds takes no memory.
+const MAX_KINDS: usize = 256;
 
 /// Decides which of many equal events is logged: the first at once, then one a minute with the number of those between.
 #[derive(Debug, Default)]
@@ -18,7 +18,7 @@ pub struct LogThrottle {
 
 #[derive(Debug)]
 struct Known {
-    said: MonoTime,
+    logged_at: MonoTime,
     since: u64,
 }
 
@@ -27,27 +27,27 @@ impl LogThrottle {
     /// `None` when that was less than a minute ago.
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
-        if !self.known.contains_key(&key) && self.known.len() >= MOST {
-            self.known.retain(|_, known| known.since > 0 || now - known.said < LINE_EVERY);
+        if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
+            self.known.retain(|_, known| known.since > 0 || now - known.logged_at < LINE_INTERVAL);
         }
-        if !self.known.contains_key(&key) && self.known.len() >= MOST {
+        if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
             key = (String::new(), None);
         }
         let Some(known) = self.known.get_mut(&key) else {
-            self.known.insert(key, Known { said: now, since: 0 });
+            self.known.insert(key, Known { logged_at: now, since: 0 });
             return Some(1);
         };
         known.since += 1;
-        if now - known.said < LINE_EVERY {
+        if now - known.logged_at < LINE_INTERVAL {
             return None;
         }
-        known.said = now;
+        known.logged_at = now;
         Some(std::mem::take(&mut known.since))
     }
 
     /// Forgets what no longer happens. Returns how many events were not logged, by kind and address.
     pub fn age(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
-        let old = self.known.extract_if(|_, known| now - known.said >= LINE_EVERY);
+        let old = self.known.extract_if(|_, known| now - known.logged_at >= LINE_INTERVAL);
         old.filter(|(_, known)| known.since > 0)
             .map(|((reason, address), known)| (reason, address, known.since))
             .collect()
@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn each_reason_and_address_is_said_once_a_minute_and_nothing_goes_uncounted() {
+    fn each_kind_and_address_is_logged_once_a_minute() {
         let mut refusals = LogThrottle::default();
         let here = "127.0.0.1".parse().ok();
         assert_eq!(refusals.count("taken", here, at(0)), Some(1));
@@ -77,10 +77,10 @@ mod tests {
     }
 
     #[test]
-    fn whoever_invents_reasons_takes_no_memory() {
+    fn many_kinds_are_counted_together() {
         let mut refusals = LogThrottle::default();
         let said = (0..10_000).filter(|n| refusals.count(&n.to_string(), None, at(0)).is_some()).count();
-        assert_eq!((said, refusals.known.len()), (MOST + 1, MOST + 1));
-        assert_eq!(refusals.age(at(60)), [(String::new(), None, 10_000 - MOST as u64 - 1)]);
+        assert_eq!((said, refusals.known.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
+        assert_eq!(refusals.age(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
     }
 }
