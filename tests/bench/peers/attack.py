@@ -1,7 +1,7 @@
 """An unknown host that sends what no host should, on every port of PEERNet, for a bounded time at a bounded rate.
 
-    attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT [--udp-data PORT] --seconds N
-                     [--bytes-per-second N] [--life SECONDS]
+    attack.py attack ADDRESS --events PORT --data PORT --http PORT --probes PORT [--udp-data PORT] [--ros-master PORT]
+                     --seconds N [--bytes-per-second N] [--life SECONDS]
     attack.py discard ADDRESS --events PORT …      reads the same traffic and does nothing with it
 
 `attack` prints one line of JSON at its end: bytes sent, connections made, refused and closed by the other side.
@@ -19,6 +19,8 @@ import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+
+from attack_ros import RosAttack
 
 # ZMTP 3.1, mechanism NULL, the greeting and the READY command of a DEALER.
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x01" + b"NULL".ljust(20, b"\0") + bytes(32)
@@ -297,6 +299,8 @@ async def attack(arguments: argparse.Namespace) -> None:
     ]
     if arguments.udp_data:
         jobs.append(it.udp_data(arguments.udp_data))
+    if arguments.ros_master:
+        jobs.append(RosAttack(it, arguments.ros_master).run())
     await asyncio.gather(*jobs, it.datagrams(arguments.probes))
     print(json.dumps(asdict(it.counts)))
 
@@ -324,6 +328,7 @@ def main() -> int:
     for port in ("events", "data", "http", "probes"):
         parser.add_argument(f"--{port}", type=int, required=True)
     parser.add_argument("--udp-data", type=int, help="a port of zmq-udp")
+    parser.add_argument("--ros-master", type=int, help="port of a ROS master; its cloud has a session")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--bytes-per-second", type=float, default=4_000_000)
     parser.add_argument("--life", type=float, default=0, help="seconds after which each connection is replaced")

@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bytes::Bytes;
-use peernet_clock::{MonoTime, SharedClock, Stamp};
+use peernet_clock::{LogThrottle, MonoTime, SharedClock, Stamp};
 use peernet_logger::{HostId, Recorder, TreeError};
 use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use super::announcer::Announcer;
 use super::budget::Budget;
-use super::complaints::Complaints;
+
 use super::exchange::Sizes;
 use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
 use super::server::{Heard, Route, Server, Standing};
@@ -75,7 +75,7 @@ pub(crate) struct PortState {
     clock: SharedClock,
     host: HostId,
     counters: Counters,
-    complaints: Mutex<Complaints>,
+    log_throttle: Mutex<LogThrottle>,
     /// Answers that are being sent: their requests are no longer in flight.
     sending: AtomicUsize,
     answered: Notify,
@@ -138,7 +138,7 @@ impl Listener {
             clock,
             host,
             counters: Counters::default(),
-            complaints: Mutex::default(),
+            log_throttle: Mutex::default(),
             sending: AtomicUsize::new(0),
             answered: Notify::new(),
         });
@@ -427,10 +427,10 @@ impl PortState {
     fn malformed(&self, from: Option<SocketAddr>, problem: &str) {
         self.counters.malformed();
         let now = self.clock.mono();
-        let mut complaints = self.complaints.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(swallowed) = complaints.about(from.map(|address| address.ip()), now) {
+        let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(times) = throttle.count("malformed", from.map(|address| address.ip()), now) {
             let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
-            tracing::warn!(from, problem, swallowed, "dropped what a peer sent");
+            tracing::warn!(from, problem, times, "dropped what a peer sent");
         }
     }
 

@@ -7,7 +7,6 @@ mod announcer;
 mod budget;
 mod client;
 mod cloud;
-mod complaints;
 mod edge;
 mod exchange;
 mod incoming;

@@ -9,6 +9,7 @@ mod hostile;
 mod limits;
 mod requests;
 mod ros;
+mod ros_limits;
 mod ros_master;
 mod shutdown;
 mod statistics;

@@ -14,7 +14,7 @@ use crate::ros_master::RosMaster;
 use crate::support::{Cloud, PATIENCE, accepted, clock, echo, hello, log, open, settings, within};
 
 /// A node of another program.
-async fn foreign_node(master: &RosMaster, name: &str) -> Node {
+pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
     let environment = Environment {
         master: RpcUri::parse(&master.uri()).expect("a URI"),
         advertised_host: Some("127.0.0.1".to_owned()),
@@ -28,7 +28,7 @@ fn request_topic(pipeline: &str) -> String {
     format!("/{}/request", pipeline.replace('-', "_"))
 }
 
-async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
+pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
     let pending = tokio::spawn({
         let (session, sample) = (session.clone(), sample.clone());
         async move { session.request(log(), &sample, PATIENCE).await }
@@ -40,7 +40,7 @@ async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sampl
 }
 
 /// A session whose pipeline has a known name.
-async fn session(cloud: &mut Cloud) -> (Session, String) {
+pub(crate) async fn session(cloud: &mut Cloud) -> (Session, String) {
     let (address, hello) = (cloud.address(), hello());
     let pipeline = hello.pipeline.to_string();
     let edge = tokio::spawn(async move { open(&address, hello, settings()).await });

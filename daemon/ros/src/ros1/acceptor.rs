@@ -1,6 +1,7 @@
 //! Accepts the connections of subscribers.
 
 use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -47,7 +48,7 @@ pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
             }
         };
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            tracing::warn!(node = &*node.name, %peer, "too many connections of ROS subscribers; one more is closed");
+            warn_refused(&node, peer, "too many connections of ROS subscribers");
             continue;
         };
         let shared = Arc::clone(&node);
@@ -58,7 +59,7 @@ pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
     }
 }
 
-async fn serve(node: &NodeShared, mut stream: TcpStream, peer: std::net::SocketAddr) {
+async fn serve(node: &NodeShared, mut stream: TcpStream, peer: SocketAddr) {
     let handshake = tokio::select! {
         handshake = timeout(HANDSHAKE_TIMEOUT, shake_hands(node, &mut stream)) => handshake,
         () = node.stop.cancelled() => return,
@@ -66,9 +67,17 @@ async fn serve(node: &NodeShared, mut stream: TcpStream, peer: std::net::SocketA
     match handshake {
         Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
         Ok(Err(error)) => {
-            tracing::warn!(node = &*node.name, %peer, %error, "a ROS subscriber was refused");
+            warn_refused(node, peer, &error.to_string());
         }
-        Err(_) => tracing::warn!(node = &*node.name, %peer, "a ROS subscriber sent no header in time"),
+        Err(_) => warn_refused(node, peer, "it sent no header in time"),
+    }
+}
+
+/// Logs that a connection was closed, once a minute for each address.
+fn warn_refused(node: &NodeShared, peer: SocketAddr, reason: &str) {
+    let times = node.log_throttle().count("refused", Some(peer.ip()), node.clock.mono());
+    if let Some(times) = times {
+        tracing::warn!(node = &*node.name, %peer, reason, times, "a ROS subscriber was refused");
     }
 }
 

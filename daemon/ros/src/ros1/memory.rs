@@ -10,6 +10,15 @@ pub trait MemoryLimit: fmt::Debug + Send + Sync {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>>;
 }
 
+/// Bounds of each message of a topic.
+#[derive(Clone, Debug, Default)]
+pub(super) struct MessageLimits {
+    /// Longest message that is read. Bytes.
+    pub(super) max_bytes: usize,
+    /// Bound that messages share.
+    pub(super) memory: Option<Arc<dyn MemoryLimit>>,
+}
+
 /// Memory of one message, given back when dropped.
 #[derive(Default)]
 pub struct MessageMemory {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use peernet_clock::SharedClock;
+use peernet_clock::{LogThrottle, SharedClock};
 use tokio::net::TcpListener;
 use tokio::sync::Notify;
 use tokio::time::timeout;
@@ -58,6 +58,7 @@ impl Node {
             master,
             topics: Mutex::default(),
             registrations: Mutex::default(),
+            log_throttle: Mutex::default(),
             wake_registrar: Notify::new(),
             stop: CancellationToken::new(),
             end_reason: OnceLock::new(),
@@ -262,7 +263,7 @@ fn port(listener: &TcpListener) -> Result<u16, NodeError> {
 pub(super) struct NodeShared {
     pub(super) name: Arc<str>,
     names: NodeName,
-    clock: SharedClock,
+    pub(super) clock: SharedClock,
     /// URI of the own XML-RPC server.
     pub(super) uri: String,
     /// Host name or address that other nodes connect to.
@@ -271,6 +272,7 @@ pub(super) struct NodeShared {
     pub(super) master: MasterClient,
     topics: Mutex<Topics>,
     registrations: Mutex<Registrations>,
+    log_throttle: Mutex<LogThrottle>,
     pub(super) wake_registrar: Notify,
     pub(super) stop: CancellationToken,
     end_reason: OnceLock<String>,
@@ -292,6 +294,10 @@ impl Topics {
 }
 
 impl NodeShared {
+    pub(super) fn log_throttle(&self) -> MutexGuard<'_, LogThrottle> {
+        self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     pub(super) fn topics(&self) -> MutexGuard<'_, Topics> {
         self.topics.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -48,6 +48,11 @@ enum LinkError {
     Closed,
     #[error(transparent)]
     Handshake(#[from] HandshakeError),
+    #[error(
+        "node {node} publishes it, too, but messages are taken from node {expected} only; stop {node}, or let it publish \
+         another topic"
+    )]
+    Unexpected { node: Arc<str>, expected: Arc<str> },
 }
 
 /// A publisher and the connection to it.
@@ -106,7 +111,7 @@ impl PublisherLink {
     /// Connects again and again, until the publisher is no longer listed or the subscriber ends.
     pub(super) async fn run(&self, topic: &SubscribedTopic) {
         let mut pause = MIN_PAUSE;
-        let mut last_reason = String::new();
+        let (mut last_reason, mut was_closed) = (String::new(), false);
         loop {
             let connections = self.state().counts.connections;
             let error = tokio::select! {
@@ -122,8 +127,9 @@ impl PublisherLink {
             let reason = error.to_string();
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
-                // A publisher that ends closes the connection before the master says so.
-                if matches!(error, LinkError::Closed) {
+                // A publisher that ends closes the connection before the master says so, and publishes no more when it is asked.
+                let is_closed = matches!(error, LinkError::Closed);
+                if is_closed || was_closed && matches!(error, LinkError::NoConnection { .. }) {
                     tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");
                 } else {
                     tracing::warn!(
@@ -133,7 +139,7 @@ impl PublisherLink {
                         "no messages from a publisher of a ROS topic; trying again"
                     );
                 }
-                last_reason.clone_from(&reason);
+                (last_reason, was_closed) = (reason.clone(), is_closed);
             }
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
@@ -199,6 +205,9 @@ impl PublisherLink {
         let (frame, _) = read_frame(&mut stream, &mut buffer, None).await?.ok_or(LinkError::Closed)?;
         let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
         let (node, kind) = topic.subscription.accept(&header)?;
+        if let Some(expected) = topic.publisher.as_ref().filter(|expected| **expected != node) {
+            return Err(LinkError::Unexpected { node, expected: Arc::clone(expected) });
+        }
         let uri = Arc::clone(&self.uri);
         let (local, remote) = (stream.local_addr()?, stream.peer_addr()?);
         Ok((stream, buffer, Arc::new(PublisherInfo { node, uri, kind, local, remote })))
@@ -214,14 +223,12 @@ impl PublisherLink {
     ) -> LinkError {
         self.state().counts.connections += 1;
         self.set_state(topic, PublisherState::Connected(Arc::clone(&publisher)));
-        buffer.set_memory_limit(topic.memory.clone());
         loop {
-            let (bytes, memory) =
-                match read_frame(&mut stream, &mut buffer, Some(&topic.max_message_bytes)).await {
-                    Ok(Some(frame)) => frame,
-                    Ok(None) => return LinkError::Closed,
-                    Err(error) => return LinkError::Broken(error),
-                };
+            let (bytes, memory) = match read_frame(&mut stream, &mut buffer, Some(topic)).await {
+                Ok(Some(frame)) => frame,
+                Ok(None) => return LinkError::Closed,
+                Err(error) => return LinkError::Broken(error),
+            };
             let received = topic.clock.stamp();
             {
                 let counts = &mut self.state().counts;

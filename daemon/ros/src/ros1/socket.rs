@@ -1,7 +1,6 @@
 //! Options of TCPROS sockets, and reading of frames.
 
 use std::io;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bytes::Bytes;
 use socket2::{SockRef, TcpKeepalive};
@@ -10,6 +9,7 @@ use tokio::net::TcpStream;
 
 use super::limits::{KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_PROBES, USER_TIMEOUT};
 use super::memory::MessageMemory;
+use super::subscriber::SubscribedTopic;
 use super::tcpros::{FrameBuffer, FrameError};
 
 /// Sets TCP_NODELAY, so that a small message does not wait for the acknowledgement of the one before, and keepalive and a
@@ -26,16 +26,16 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
 }
 
 /// Reads until a frame is complete, and returns it with the memory that it takes; nothing if the peer has closed the
-/// connection before the next one began. The longest allowed length is looked up again whenever bytes have arrived, because
-/// it may change while the next frame is awaited.
+/// connection before the next one began. The limits of a topic are looked up again whenever bytes have arrived, because they may
+/// change while the next frame is awaited.
 pub(super) async fn read_frame(
     stream: &mut TcpStream,
     buffer: &mut FrameBuffer,
-    max_frame_bytes: Option<&AtomicUsize>,
+    topic: Option<&SubscribedTopic>,
 ) -> io::Result<Option<(Bytes, MessageMemory)>> {
     loop {
-        if let Some(max) = max_frame_bytes {
-            buffer.set_max_frame_bytes(max.load(Ordering::Relaxed));
+        if let Some(topic) = topic {
+            buffer.set_limits(&topic.message_limits());
         }
         let frame = buffer.next_frame().map_err(into_io_error)?;
         if frame.is_some() {

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::SharedClock;
@@ -13,7 +12,7 @@ use tokio_util::task::TaskTracker;
 use super::error::NodeError;
 use super::incoming::{IncomingQueue, ReceivedMessage, WhenFull};
 use super::limits::{MAX_PUBLISHERS, QueueLimits};
-use super::memory::MemoryLimit;
+use super::memory::{MemoryLimit, MessageLimits};
 use super::node::RegistrationGuard;
 use super::publisher_link::PublisherLink;
 use super::tcpros::{Subscription, TopicType};
@@ -27,6 +26,9 @@ pub struct SubscriberOptions {
     pub when_full: WhenFull,
     /// Longest message that is read, in bytes. A publisher of a longer one is disconnected.
     pub max_message_bytes: usize,
+    /// Name of the only node whose messages are taken; other publishers are disconnected before they send any. None by
+    /// default: all are taken.
+    pub publisher: Option<Arc<str>>,
     /// Bound that it shares with other subscribers on messages from their first bytes until they are dropped; a publisher whose
     /// message finds no room is disconnected. None by default.
     pub memory: Option<Arc<dyn MemoryLimit>>,
@@ -38,6 +40,7 @@ impl Default for SubscriberOptions {
             queue: QueueLimits::default(),
             when_full: WhenFull::default(),
             max_message_bytes: 64 * 1024 * 1024,
+            publisher: None,
             memory: None,
         }
     }
@@ -146,9 +149,10 @@ impl Subscriber {
         self.topic.counts()
     }
 
-    /// Changes the length in bytes of the longest message that is read, from the next message on.
-    pub fn set_max_message_bytes(&self, max: usize) {
-        self.topic.max_message_bytes.store(max, Ordering::Relaxed);
+    /// Changes the length in bytes of the longest message that is read, and the bound that messages share, from the bytes on
+    /// that are read next.
+    pub fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>) {
+        *self.topic.message_limits() = MessageLimits { max_bytes: max_message_bytes, memory };
     }
 
     /// Waits until this number of publishers is connected.
@@ -209,9 +213,9 @@ impl PublisherWatch {
 #[derive(Debug)]
 pub(super) struct SubscribedTopic {
     pub(super) subscription: Subscription,
-    /// Longest message that is read. Bytes.
-    pub(super) max_message_bytes: AtomicUsize,
-    pub(super) memory: Option<Arc<dyn MemoryLimit>>,
+    /// Name of the only node whose messages are taken.
+    pub(super) publisher: Option<Arc<str>>,
+    message_limits: Mutex<MessageLimits>,
     pub(super) queue: IncomingQueue,
     pub(super) clock: SharedClock,
     pub(super) stop: CancellationToken,
@@ -238,8 +242,11 @@ impl SubscribedTopic {
     ) -> Self {
         Self {
             subscription,
-            max_message_bytes: AtomicUsize::new(options.max_message_bytes),
-            memory: options.memory,
+            publisher: options.publisher,
+            message_limits: Mutex::new(MessageLimits {
+                max_bytes: options.max_message_bytes,
+                memory: options.memory,
+            }),
             queue: IncomingQueue::new(options.queue, options.when_full),
             clock,
             stop,
@@ -251,6 +258,10 @@ impl SubscribedTopic {
 
     fn state(&self) -> MutexGuard<'_, TopicState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn message_limits(&self) -> MutexGuard<'_, MessageLimits> {
+        self.message_limits.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn publishers(&self) -> Vec<PublisherStatus> {

@@ -3,6 +3,7 @@
 mod connections;
 mod memory;
 mod probes;
+mod ros;
 mod sessions;
 mod slow_readers;
 mod unknown_host;

@@ -1,5 +1,6 @@
 //! An unknown host beside the README's two machines: garbage, silence, false sizes and unfinished frames on every port.
 
+use std::net::TcpStream;
 use std::path::Path;
 
 use peernet_tests::network::Host;
@@ -19,13 +20,15 @@ const PEAK_BYTES: u64 = 512 << 20;
 fn unknown_host_stops_neither_storing_nor_dashboard() {
     let desk = Desk::with_third_host();
     install(&desk);
-    change(&desk, desk.cloud(), "\"tcp://0.0.0.0:5551\"", "[\"tcp://0.0.0.0:5551\", \"udp://0.0.0.0:5552\"]");
+    let _master = ros_master(&desk);
+    change(&desk, desk.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
     change(&desk, desk.cloud(), "[[model]]", "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]");
-    change(&desk, desk.edge(), "[[pipeline]]", &format!("{OVER_UDP}\n[[pipeline]]"));
+    change(&desk, desk.edge(), "[[pipeline]]", &format!("{OVER_UDP}\n{OVER_ROS}\n[[pipeline]]"));
     let (edge, cloud) = (desk.edge(), desk.cloud());
     let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
     let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
     aggregator.wait_for("ready");
+    agent.wait_for("for its pipeline topics");
     let before = until("the robot's iterations are stored", || stored(&desk).filter(|events| *events > 20));
 
     let attack = attack(&desk);
@@ -56,8 +59,11 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         let run = runs.iter().find(|run| run["pipeline"] == pipeline);
         &run.unwrap_or_else(|| panic!("no run of {pipeline}: {runs:?}"))["counts"]
     };
-    let over_tcp = counts("inspection");
-    assert_eq!((&over_tcp["lost"], &over_tcp["timeout"]), (&0.into(), &0.into()), "{over_tcp}");
+    for pipeline in ["inspection", "topics"] {
+        let counts = counts(pipeline);
+        assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
+        assert!(counts["ok"].as_u64().is_some_and(|answered| answered > 300), "{pipeline}: {counts}");
+    }
     // Datagrams may be lost beside the attack, but most are not.
     let over_udp = counts("datagrams");
     let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
@@ -75,6 +81,17 @@ placement = { kind = "remote", peer = "udp://10.0.0.2:5552", model = "echo" }
 load = { mode = "rate", hz = 10.0 }
 "#;
 
+/// Where the cloud serves models: on every network.
+const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
+
+/// The same over topics of ROS.
+const OVER_ROS: &str = r#"[[pipeline]]
+name = "topics"
+sensor = { kind = "synthetic", size_bytes = 100000 }
+placement = { kind = "remote", peer = "ros1://10.0.0.2:11311/cloud", model = "echo" }
+load = { mode = "rate", hz = 10.0 }
+"#;
+
 /// Changes the configuration of a machine's agent.
 fn change(desk: &Desk, host: &Host, from: &str, to: &str) {
     let file = desk.root_of(host).join("etc/peernet/agent.toml");
@@ -83,13 +100,22 @@ fn change(desk: &Desk, host: &Host, from: &str, to: &str) {
     std::fs::write(&file, text.replacen(from, to, 1)).expect("it can be written");
 }
 
+/// Starts a ROS master on the cloud.
+fn ros_master(desk: &Desk) -> Process {
+    let line = format!("env ROS_HOME={} rosmaster --core -p 11311", desk.folder().display());
+    let master = desk.run_on(desk.cloud(), &line);
+    until("the ROS master", || desk.cloud().inside(|| TcpStream::connect("127.0.0.1:11311").ok()));
+    master
+}
+
 fn daemon(desk: &Desk, host: &Host, name: &str) -> String {
-    format!("peernetd run {}/etc/peernet/{name}.toml", desk.root_of(host).display())
+    let address = if host.address == desk.cloud().address { "10.0.0.2" } else { "10.0.0.1" };
+    format!("env ROS_IP={address} peernetd run {}/etc/peernet/{name}.toml", desk.root_of(host).display())
 }
 
 fn attack(desk: &Desk) -> Process {
     let program = root().join("tests/bench/peers/attack.py");
-    let ports = "--events 5550 --data 5551 --udp-data 5552 --http 8040 --probes 8620";
+    let ports = "--events 5550 --data 5551 --udp-data 5552 --http 8040 --probes 8620 --ros-master 11311";
     let line = format!(
         "{} attack {} {ports} --seconds {SECONDS} --bytes-per-second {BYTES_PER_SECOND}",
         program.display(),

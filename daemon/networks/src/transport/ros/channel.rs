@@ -53,22 +53,38 @@ pub(super) fn largest_message(settings: &SessionSettings) -> usize {
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(INFO_OVERHEAD_BYTES)
 }
 
-/// Bounds of what a topic that is subscribed to holds before it is taken: more stays with the publisher. Everything that is
-/// received shares a budget.
-pub(super) fn subscriber_options(
-    settings: &SessionSettings,
-    max_message_bytes: usize,
-    budget: &Arc<MemoryBudget>,
-) -> SubscriberOptions {
-    SubscriberOptions {
-        queue: QueueLimits { messages: queue_limits(settings).messages, bytes: WAITING_BYTES },
-        when_full: WhenFull::Wait,
-        max_message_bytes,
-        memory: Some(Arc::new(ReceivingMemory(Arc::clone(budget)))),
+/// What the peer may send.
+#[derive(Clone, Debug)]
+pub(super) struct ReceiveLimits {
+    /// Longest message on a topic. Bytes.
+    pub(super) max_message_bytes: usize,
+    /// Shared by all that is received, from its first bytes until it is handed up.
+    pub(super) budget: Arc<MemoryBudget>,
+}
+
+impl ReceiveLimits {
+    /// Bounds of what a topic that is subscribed to holds before it is taken: more stays with the publisher.
+    pub(super) fn subscriber_options(
+        &self,
+        settings: &SessionSettings,
+        publisher: &Arc<str>,
+    ) -> SubscriberOptions {
+        SubscriberOptions {
+            queue: QueueLimits { messages: queue_limits(settings).messages, bytes: WAITING_BYTES },
+            when_full: WhenFull::Wait,
+            max_message_bytes: self.max_message_bytes,
+            publisher: Some(Arc::clone(publisher)),
+            memory: self.memory(),
+        }
+    }
+
+    /// The budget, for the client of ROS.
+    pub(super) fn memory(&self) -> Option<Arc<dyn MemoryLimit>> {
+        Some(Arc::new(ReceivingMemory(Arc::clone(&self.budget))))
     }
 }
 
-/// The budget of messages that are received, for the client of ROS.
+/// A budget as the client of ROS asks it.
 #[derive(Debug)]
 struct ReceivingMemory(Arc<MemoryBudget>);
 
@@ -238,8 +254,9 @@ impl Channel {
     ) -> Result<bool, SendFailure> {
         let kind = PayloadType::of(part, data.len());
         let Some((published, publisher)) = self.payload.get() else {
-            self.wanted.get_or_init(|| kind);
-            self.wake.notify_one();
+            if self.wanted.set(kind).is_ok() {
+                self.wake.notify_one();
+            }
             return Ok(false);
         };
         if *published != kind {

@@ -8,7 +8,7 @@ use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
 use peernet_ros::messages::{Message, SessionHello, WireForm};
 use peernet_ros::ros1::{
-    Node, NodeError, ReceivedMessage, Subscriber, SubscriberOptions, TopicType, WhenFull,
+    Node, NodeError, QueueLimits, ReceivedMessage, Subscriber, SubscriberOptions, TopicType, WhenFull,
 };
 use tokio::sync::mpsc;
 use tokio::time::timeout;
@@ -31,7 +31,10 @@ use crate::{Address, SessionSettings};
 const QUEUED_ARRIVALS: usize = 64;
 
 /// Largest request for a connection. Bytes.
-const MAX_HELLO_BYTES: usize = 64 * 1024;
+const MAX_HELLO_BYTES: usize = 4 * 1024;
+
+/// Requests that wait at most. Edges repeat theirs.
+const QUEUED_HELLOS: usize = 64;
 
 /// Topics that a connection takes: each is a TCP connection.
 const SOCKETS_OF_CONNECTION: usize = 5;
@@ -55,6 +58,7 @@ pub(crate) async fn bind(
         )));
     }
     let options = SubscriberOptions {
+        queue: QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES },
         when_full: WhenFull::Drop,
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()

@@ -189,6 +189,11 @@ impl Connection {
         }
     }
 
+    /// Changes the budget of messages that arrive from now on.
+    pub(super) fn set_budget(&mut self, budget: Arc<MemoryBudget>) {
+        self.budget = budget;
+    }
+
     fn reserve(&self, bytes: usize) -> Option<Reservation> {
         let mut reserved = Reservation::empty(&self.budget);
         reserved.set(&self.budget, bytes as u64).ok().map(|()| reserved)

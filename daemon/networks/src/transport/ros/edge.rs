@@ -6,13 +6,15 @@ use std::time::Duration;
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
 use peernet_ros::messages::{Message, MessageInfo, SessionHello, WireForm};
-use peernet_ros::ros1::{Node, NodeError, Publisher, PublisherOptions, Subscriber, TopicType};
+use peernet_ros::ros1::{
+    Node, NodeError, Publisher, PublisherOptions, Subscriber, SubscriberOptions, TopicType,
+};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::channel::{Channel, largest_message, queue_limits, subscriber_options};
+use super::channel::{Channel, ReceiveLimits, largest_message, queue_limits};
 use super::connection::Event;
 use super::environment;
 use super::names::{TopicPair, allowed, base_name, cloud_node, edge_node_prefix, sessions_topic};
@@ -59,9 +61,11 @@ pub(crate) async fn dial(
         request: TopicPair::request(&pipeline),
         response: TopicPair::response(&pipeline),
     };
-    topics.check(&node, &prefix, address).await?;
+    let cloud = topics.check(&node, &prefix, address).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(INCOMPLETE_MESSAGES));
-    let opened = topics.open(&node, settings, &budget).await.map_err(|error| unreachable(&error))?;
+    let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
+    let receiving = limits.subscriber_options(settings, &cloud);
+    let opened = topics.open(&node, settings, receiving).await.map_err(|error| unreachable(&error))?;
     let clock = SharedClock::clone(dialler.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
@@ -109,20 +113,22 @@ struct Opened {
 }
 
 impl Topics {
-    /// Checks with the master that the cloud is there, and that nobody else uses the pipeline's topics.
-    async fn check(&self, node: &Node, own_prefix: &str, address: &Address) -> Result<(), DialFailure> {
+    /// Checks with the master that the cloud is there, and that nobody else uses the pipeline's topics. Returns the name of
+    /// the cloud's node.
+    async fn check(&self, node: &Node, own_prefix: &str, address: &Address) -> Result<Arc<str>, DialFailure> {
         let state = node.system_state().await.map_err(|error| unreachable(&error))?;
         let sessions = sessions_topic(&self.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&self.cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
-        if node.running_nodes(&clouds).await.map_err(|error| unreachable(&error))?.is_empty() {
+        let mut clouds = node.running_nodes(&clouds).await.map_err(|error| unreachable(&error))?;
+        let Some(cloud) = clouds.pop() else {
             return Err(DialFailure::Unreachable(format!(
                 "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
                  this master and name",
                 address.authority(),
                 self.cloud
             )));
-        }
+        };
         let is_foreign = |node: &&String| !base_name(node).starts_with(own_prefix);
         for topic in [&self.request.info, &self.request.payload] {
             let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
@@ -147,16 +153,15 @@ impl Topics {
                 )));
             }
         }
-        Ok(())
+        Ok(cloud.into())
     }
 
     async fn open(
         &self,
         node: &Node,
         settings: &SessionSettings,
-        budget: &Arc<MemoryBudget>,
+        receiving: SubscriberOptions,
     ) -> Result<Opened, NodeError> {
-        let receiving = subscriber_options(settings, largest_message(settings), budget);
         let sending = PublisherOptions { is_latching: false, queue: queue_limits(settings) };
         let info = TopicType::of::<MessageInfo>();
         Ok(Opened {

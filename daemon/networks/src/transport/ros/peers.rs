@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use peernet_clock::SharedClock;
+use peernet_clock::{LogThrottle, SharedClock};
 use peernet_ros::messages::{MessageInfo, SessionHello};
 use peernet_ros::ros1::{
     Node, NodeError, PublisherInfo, PublisherOptions, Subscriber, SubscriberOptions, TopicType,
@@ -15,17 +15,23 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
 use super::channel::{
-    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, largest_message, queue_limits, subscriber_options,
+    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, ReceiveLimits, largest_message, queue_limits,
 };
 use super::connection::Event;
 use super::names::TopicPair;
 use super::serving::{Directive, Serving, Sink};
 use crate::SessionSettings;
 use crate::transport::memory::{MemoryBudget, Reservation};
-use crate::transport::{Arrival, ConnectionId, Peer};
+use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
 
 /// Largest companion before a session. Bytes.
 const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
+
+/// Companions of that length that a connection without a session holds: one is being received while another waits.
+const MAX_UNADMITTED_MESSAGES: usize = 2;
+
+/// Memory of all connections without a session. Bytes.
+const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
 
 /// What is handed up, with the memory that it holds.
 pub(super) type Delivery = (Arrival, Vec<Reservation>);
@@ -58,6 +64,7 @@ struct Table {
     next: u64,
     /// By the global names of their pipelines.
     entries: BTreeMap<String, Arc<Entry>>,
+    log_throttle: LogThrottle,
 }
 
 #[derive(Debug)]
@@ -65,6 +72,8 @@ struct Entry {
     connection: ConnectionId,
     id: String,
     host: String,
+    /// Of the edge.
+    group: AddressGroup,
     /// From the time when the topics are open until the connection has ended.
     channel: Mutex<Option<Arc<Channel>>>,
     standing: watch::Sender<Standing>,
@@ -110,36 +119,27 @@ impl Peers {
     /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &Arc<PublisherInfo>) {
         let mut table = self.table();
-        let id = hello.header.frame_id;
+        let id = &hello.header.frame_id;
         let earlier = table.entries.get(&hello.pipeline).cloned();
-        if let Some(entry) = &earlier {
-            if entry.id == id {
-                return;
+        if earlier.as_ref().is_some_and(|entry| entry.id == *id) {
+            return;
+        }
+        let group = AddressGroup::of(edge.remote);
+        if let Some(reason) = self.refusal(&table, &hello, group) {
+            let address = Some(edge.remote.ip());
+            if let Some(times) = table.log_throttle.count(reason, address, self.clock.mono()) {
+                let (node, pipeline) = (&*edge.node, &*hello.pipeline);
+                tracing::warn!(node, pipeline, times, "no connection for a ROS node: {reason}");
             }
-            if entry.host != hello.host {
-                let (pipeline, node) = (&*hello.pipeline, &*edge.node);
-                tracing::warn!(
-                    pipeline,
-                    node,
-                    "another host uses the topics of this pipeline; the node gets no connection until that one has ended: give \
-                     one of the pipelines another name, or set ROS_NAMESPACE to a namespace of each robot"
-                );
-                return;
-            }
-        } else if table.entries.len() >= self.max_connections {
-            tracing::warn!(
-                node = &*edge.node,
-                most = self.max_connections,
-                "no connection for a ROS node: there are too many; raise the limit of open files (LimitNOFILE)"
-            );
             return;
         }
         let connection = ConnectionId(table.next);
         table.next += 1;
         let entry = Arc::new(Entry {
             connection,
-            id,
+            id: hello.header.frame_id,
             host: hello.host,
+            group,
             channel: Mutex::default(),
             standing: watch::Sender::new(Standing::Unadmitted),
             abort: self.abort.child_token(),
@@ -169,6 +169,34 @@ impl Peers {
         });
     }
 
+    /// Why an edge gets no connection now.
+    fn refusal(&self, table: &Table, hello: &SessionHello, group: AddressGroup) -> Option<&'static str> {
+        if let Some(earlier) = table.entries.get(&hello.pipeline) {
+            // A host is believed that it has come back only from where it was.
+            let is_same = earlier.host == hello.host && earlier.group == group;
+            return (!is_same).then_some(
+                "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
+                 the pipelines another name, or set ROS_NAMESPACE to a namespace of each robot",
+            );
+        }
+        let unadmitted =
+            table.entries.values().filter(|entry| *entry.standing.borrow() != Standing::Admitted);
+        let (mut all, mut of_group) = (0, 0);
+        for entry in unadmitted {
+            all += 1;
+            of_group += usize::from(entry.group == group);
+        }
+        let most_unadmitted = (self.max_connections / 2)
+            .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
+        if table.entries.len() >= self.max_connections {
+            Some("there are too many; raise the limit of open files (LimitNOFILE)")
+        } else if all >= most_unadmitted.max(1) || of_group >= (most_unadmitted / 2).max(1) {
+            Some("too many others have no session yet")
+        } else {
+            None
+        }
+    }
+
     /// Removes a connection that has ended, unless another has its topics already.
     fn forget(&self, pipeline: &str, entry: &Arc<Entry>) {
         let mut table = self.table();
@@ -187,10 +215,13 @@ impl Peers {
         let (kind, queue) = (TopicType::of::<MessageInfo>(), queue_limits(&self.settings));
         let options = PublisherOptions { is_latching: false, queue };
         let publisher = self.node.publish(&response.info, kind.clone(), options).await?;
-        let options = subscriber_options(&self.settings, MAX_UNADMITTED_BYTES, &self.budget);
+        // Of its own, so that nobody without a session takes memory from sessions, or from others without one.
+        let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
+        let unadmitted =
+            ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
+        let options = unadmitted.subscriber_options(&self.settings, &edge.node);
         let info = self.node.subscribe(&request.info, kind, options).await?;
         let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
-        let budget = Arc::clone(&self.budget);
         let sending = (publisher, response.payload);
         let channel = Arc::new(Channel::new(shared, entry.id.clone(), &self.settings, budget, sending));
         channel.set_peer(Arc::clone(edge));
@@ -200,6 +231,8 @@ impl Peers {
             peer: Peer { connection: entry.connection, address: Some(edge.remote) },
             standing: entry.standing.subscribe(),
             deadline: Some(Instant::now() + self.settings.hello_timeout()),
+            unadmitted,
+            node: Arc::clone(&edge.node),
             payload_topic: request.payload,
             subscribing: None,
         };
@@ -224,6 +257,10 @@ struct CloudSink {
     standing: watch::Receiver<Standing>,
     /// When the connection ends if it has no session.
     deadline: Option<Instant>,
+    /// Without a session.
+    unadmitted: ReceiveLimits,
+    /// The edge's node.
+    node: Arc<str>,
     payload_topic: String,
     /// The payload topic, once a session was accepted.
     subscribing: Option<AbortOnDropHandle<Subscriber>>,
@@ -292,18 +329,19 @@ impl CloudSink {
         let settings = &self.peers.settings;
         self.deadline = (standing == Standing::Unadmitted).then(|| Instant::now() + settings.hello_timeout());
         if standing != Standing::Admitted {
-            return Directive::LimitInfo(MAX_UNADMITTED_BYTES);
+            return Directive::Limit(self.unadmitted.clone());
         }
-        let max_message_bytes = largest_message(settings);
+        let budget = Arc::clone(&self.peers.budget);
+        let admitted = ReceiveLimits { max_message_bytes: largest_message(settings), budget };
         if !self.payload_topic.is_empty() {
             let topic = std::mem::take(&mut self.payload_topic);
             let node = Arc::clone(&self.peers.node);
-            let options = subscriber_options(settings, max_message_bytes, &self.peers.budget);
+            let options = admitted.subscriber_options(settings, &self.node);
             // It asks the master, which may be away; what arrives meanwhile is in the companions.
             let subscribing = tokio::spawn(async move { subscribe(&node, &topic, options).await });
             self.subscribing = Some(AbortOnDropHandle::new(subscribing));
         }
-        Directive::LimitInfo(max_message_bytes)
+        Directive::Limit(admitted)
     }
 }
 

@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::channel::Channel;
+use super::channel::{Channel, ReceiveLimits};
 use super::connection::Event;
 use super::payload;
 
@@ -29,8 +29,8 @@ pub(super) trait Sink: Send {
 pub(super) enum Directive {
     /// Receive payloads, and longer companions.
     Admit(Box<Subscriber>),
-    /// Another limit for companions. Bytes.
-    LimitInfo(usize),
+    /// Other limits for companions.
+    Limit(ReceiveLimits),
     /// End the connection.
     End(String),
 }
@@ -64,10 +64,9 @@ impl<S: Sink> Serving<S> {
     }
 
     async fn drive(mut self, goodbye: &str) {
-        let publishers = self.info.publisher_watch();
         let mut waiting = VecDeque::new();
         let mut foreign = BTreeSet::new();
-        let mut was_connected = false;
+        let mut connected = BTreeSet::new();
         loop {
             self.send_due();
             self.collect(&mut waiting);
@@ -81,16 +80,18 @@ impl<S: Sink> Serving<S> {
                 return;
             }
             // Made before looking, so that nothing that happens in between is missed.
-            let changed = publishers.changed();
-            if is_connected(&publishers, &self.channel) {
-                was_connected = true;
-            } else if was_connected && !self.channel.lock().is_closed() {
+            let info_publishers = self.info.publisher_watch();
+            let payload_publishers = self.payload.as_ref().map(Subscriber::publisher_watch);
+            let changed = changed(&info_publishers, payload_publishers.as_ref());
+            if let Some(topic) = self.topic_left(&mut connected)
+                && !self.channel.lock().is_closed()
+            {
                 // What it published before it left is there, with its reason perhaps.
                 while let Some(message) = self.info.try_recv() {
                     self.take(Step::Info(Ok(message)), &mut foreign);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
-                self.channel.lock().end(format!("node {peer} has left topic {}", self.info.topic()));
+                self.channel.lock().end(format!("node {peer} has left topic {topic}"));
                 continue;
             }
             let next = self.channel.lock().next_timer().map(|next| self.channel.instant(next));
@@ -145,10 +146,28 @@ impl<S: Sink> Serving<S> {
             }
             Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
             Step::Directive(Directive::Admit(payload)) => self.payload = Some(*payload),
-            Step::Directive(Directive::LimitInfo(bytes)) => self.info.set_max_message_bytes(bytes),
+            Step::Directive(Directive::Limit(limits)) => {
+                self.info.set_message_limits(limits.max_message_bytes, limits.memory());
+                self.channel.lock().set_budget(limits.budget);
+            }
             Step::Directive(Directive::End(reason)) => self.channel.lock().end(reason),
             Step::Other => {}
         }
+    }
+
+    /// A topic on which messages of the peer arrived until now.
+    fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
+        let topics = [Some(&self.info), self.payload.as_ref()];
+        topics.into_iter().flatten().find_map(|subscriber| {
+            let topic = subscriber.topic();
+            if !is_connected(subscriber, &self.channel) {
+                return connected.contains(topic).then(|| topic.to_owned());
+            }
+            if !connected.contains(topic) {
+                connected.insert(topic.to_owned());
+            }
+            None
+        })
     }
 
     /// Whether a message is of the node at the other end. Others are named once.
@@ -221,10 +240,27 @@ async fn receive(subscriber: &mut Option<Subscriber>) -> Result<ReceivedMessage,
     }
 }
 
-/// Whether the peer's companions arrive.
-fn is_connected(publishers: &PublisherWatch, channel: &Channel) -> bool {
+/// Waits until the publishers of a topic have changed after this call.
+fn changed<'a>(
+    info: &'a PublisherWatch,
+    payload: Option<&'a PublisherWatch>,
+) -> impl Future<Output = ()> + 'a {
+    let (info, payload) = (info.changed(), payload.map(PublisherWatch::changed));
+    async move {
+        match payload {
+            Some(payload) => tokio::select! {
+                () = info => {}
+                () = payload => {}
+            },
+            None => info.await,
+        }
+    }
+}
+
+/// Whether the peer's messages arrive.
+fn is_connected(subscriber: &Subscriber, channel: &Channel) -> bool {
     let Some(peer) = channel.peer() else { return false };
     let is_peer =
         |state: &PublisherState| matches!(state, PublisherState::Connected(info) if info.node == peer.node);
-    publishers.publishers().iter().any(|publisher| is_peer(&publisher.state))
+    subscriber.publishers().iter().any(|publisher| is_peer(&publisher.state))
 }

@@ -1,13 +1,12 @@
 //! Frames: a length of four bytes, little-endian, and as many bytes as it says.
 
 use std::mem;
-use std::sync::Arc;
 
 use bytes::buf::Limit;
 use bytes::{Buf, BufMut, Bytes, BytesMut};
 use thiserror::Error;
 
-use crate::ros1::memory::{MemoryLimit, MessageMemory};
+use crate::ros1::memory::{MessageLimits, MessageMemory};
 
 /// Bytes of the length before each frame.
 const PREFIX_BYTES: usize = 4;
@@ -44,8 +43,7 @@ pub enum FrameError {
 #[derive(Debug)]
 pub struct FrameBuffer {
     bytes: BytesMut,
-    max_frame_bytes: usize,
-    limit: Option<Arc<dyn MemoryLimit>>,
+    limits: MessageLimits,
     /// Of the frame that has begun, if it is long.
     memory: MessageMemory,
 }
@@ -53,17 +51,13 @@ pub struct FrameBuffer {
 impl FrameBuffer {
     /// Creates a buffer for frames of at most `max_frame_bytes` bytes.
     pub fn new(max_frame_bytes: usize) -> Self {
-        Self { bytes: BytesMut::new(), max_frame_bytes, limit: None, memory: MessageMemory::default() }
+        let limits = MessageLimits { max_bytes: max_frame_bytes, memory: None };
+        Self { bytes: BytesMut::new(), limits, memory: MessageMemory::default() }
     }
 
-    /// Changes the longest allowed length of the frames that follow.
-    pub fn set_max_frame_bytes(&mut self, max_frame_bytes: usize) {
-        self.max_frame_bytes = max_frame_bytes;
-    }
-
-    /// Lets the frames that follow share a limit with those of other connections.
-    pub fn set_memory_limit(&mut self, limit: Option<Arc<dyn MemoryLimit>>) {
-        self.limit = limit;
+    /// Changes the bounds of the frames that are not complete.
+    pub(in crate::ros1) fn set_limits(&mut self, limits: &MessageLimits) {
+        self.limits.clone_from(limits);
     }
 
     /// Returns the length of the frame that has begun.
@@ -78,7 +72,7 @@ impl FrameBuffer {
     /// # Errors
     /// There is no memory for more of a long frame. The connection cannot go on.
     pub fn input(&mut self) -> Result<Limit<&mut BytesMut>, FrameError> {
-        let length = self.announced().unwrap_or(0).min(self.max_frame_bytes);
+        let length = self.announced().unwrap_or(0).min(self.limits.max_bytes);
         let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame.saturating_sub(arrived).max(1);
         if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
@@ -90,7 +84,7 @@ impl FrameBuffer {
         if frame > READ_BYTES {
             // Twice what has arrived: a claimed length takes nothing from others.
             let allowed = frame.min((2 * arrived).max(READ_BYTES));
-            if !self.memory.grow(allowed, self.limit.as_ref()) {
+            if !self.memory.grow(allowed, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
             }
             room = room.min(allowed - arrived);
@@ -104,14 +98,14 @@ impl FrameBuffer {
     /// The next frame is longer than allowed, or there is no memory for it. The connection cannot go on.
     pub fn next_frame(&mut self) -> Result<Option<(Bytes, MessageMemory)>, FrameError> {
         let Some(length) = self.announced() else { return Ok(None) };
-        if length > self.max_frame_bytes {
-            return Err(FrameError::TooLong { length, max: self.max_frame_bytes });
+        if length > self.limits.max_bytes {
+            return Err(FrameError::TooLong { length, max: self.limits.max_bytes });
         }
         if self.bytes.len() < PREFIX_BYTES + length {
             return Ok(None);
         }
         let mut memory = mem::take(&mut self.memory);
-        if !memory.grow(length, self.limit.as_ref()) {
+        if !memory.grow(length, self.limits.memory.as_ref()) {
             return Err(FrameError::NoMemory { length });
         }
         self.bytes.advance(PREFIX_BYTES);

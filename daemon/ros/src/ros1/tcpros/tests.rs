@@ -8,6 +8,7 @@ use super::{
     Subscription, TopicType,
 };
 use crate::messages::{CompressedImage, StringMessage};
+use crate::ros1::memory::MessageLimits;
 use crate::ros1::tests::TestLimit;
 
 fn publication(kind: TopicType) -> Publication {
@@ -109,8 +110,8 @@ fn frame_that_is_too_long_is_refused() {
 fn frames_share_memory_by_what_has_arrived() {
     let limit = TestLimit::new(1_000_000);
     let new = || {
-        let mut buffer = FrameBuffer::new(64 * 1024 * 1024);
-        buffer.set_memory_limit(limit.option());
+        let mut buffer = FrameBuffer::new(0);
+        buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.option() });
         buffer
     };
     // All claim much and send little.

@@ -185,6 +185,38 @@ async fn newest_messages_replace_oldest_and_are_counted() {
 }
 
 #[tokio::test]
+async fn only_expected_publisher_is_listened_to() {
+    let master = TestMaster::start().await;
+    let (a, b, c) = (node(&master, "a").await, node(&master, "b").await, node(&master, "c").await);
+    let kind = TopicType::of::<StringMessage>();
+    let foreign = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let options = SubscriberOptions { publisher: Some("/b".into()), ..SubscriberOptions::default() };
+    let mut subscriber = c.subscribe("t", kind.clone(), options).await.unwrap();
+    let expected = b.publish("t", kind, PublisherOptions::default()).await.unwrap();
+    within(expected.wait_for_subscribers(1)).await.unwrap();
+    for length in 1..=10 {
+        foreign.publish(message(100)).unwrap();
+        within(expected.publish_waiting(message(length))).await.unwrap();
+        assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message(length));
+    }
+    let watch = subscriber.publisher_watch();
+    let reason = within(async {
+        loop {
+            let changed = watch.changed();
+            let mut states = watch.publishers().into_iter().map(|publisher| publisher.state);
+            if let Some(PublisherState::Failed(reason)) =
+                states.find(|state| matches!(state, PublisherState::Failed(_)))
+            {
+                return reason;
+            }
+            changed.await;
+        }
+    })
+    .await;
+    assert!(reason.contains("node /a publishes it, too") && reason.contains("node /b"), "{reason}");
+}
+
+#[tokio::test]
 async fn subscriber_reconnects_to_a_restarted_publisher() {
     let master = TestMaster::start().await;
     let b = node(&master, "b").await;

@@ -1,0 +1,50 @@
+//! Memory that sessions over ROS 1 share.
+
+use peernet_tests::{Ros1System, Site};
+use serde_json::Value;
+
+const ITERATIONS: u64 = 200;
+
+/// One message of a robot finds room, two at once do not.
+fn cloud(system: &Ros1System) -> String {
+    format!(
+        "[serve]\nlisten = \"ros1://127.0.0.1:{}/cloud\"\n\
+         session = {{ max_message_bytes = 4000000, max_unfinished_bytes = 4000000 }}\n\
+         [[model]]\nname = \"echo\"\nkind = \"echo\"\n",
+        system.port()
+    )
+}
+
+fn pipeline(system: &Ros1System, name: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"{name}\"\n\
+         sensor = {{ kind = \"synthetic\", size_bytes = 3000000 }}\n\
+         placement = {{ kind = \"remote\", peer = \"ros1://127.0.0.1:{}/cloud\", model = \"echo\" }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ total = {ITERATIONS} }}\n",
+        system.port()
+    )
+}
+
+#[test]
+fn iterations_whose_messages_find_no_room_are_recorded_as_lost() {
+    let (site, system) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let cloud = system.agent(&site, "cloud", &cloud(&system));
+    cloud.wait_for("ready");
+    let robot = system.agent(&site, "robot", &(pipeline(&system, "first") + &pipeline(&system, "second")));
+    let runs = api.until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?;
+        let done: Vec<_> = runs.iter().filter(|run| run["reason"] == "finished").cloned().collect();
+        (done.len() == 2).then_some(done)
+    });
+    let count =
+        |run: &Value, name: &str| run["counts"][name].as_u64().unwrap_or_else(|| panic!("no {name}: {run}"));
+    for run in &runs {
+        assert_eq!(count(run, "ok") + count(run, "lost"), ITERATIONS, "{run}");
+    }
+    let lost: u64 = runs.iter().map(|run| count(run, "lost")).sum();
+    assert!(lost > 0 && cloud.says("finds no room"), "{}", cloud.log());
+    assert!(robot.says("the run goes on when it is back"), "{}", robot.log());
+    assert_eq!(robot.stop().code(), 0);
+    assert_eq!(cloud.stop().code(), 0);
+}
