@@ -116,6 +116,8 @@ impl Patience {
     /// Why the peer is given up, if it is.
     pub(crate) fn spent(&self, waits_for: Option<&str>, now: MonoTime, most: Span) -> Option<String> {
         let away = now - self.there;
+        // Without a reason the first attempt goes on: it may take its time however little patience there is.
+        let most = if waits_for.is_none() { most.max(SILENCE) } else { most };
         let reason = waits_for.unwrap_or(UNKNOWN);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", away.seconds());
         (away > most).then(text)
@@ -141,6 +143,7 @@ mod tests {
         assert_eq!(patience.spent(None, at(20), most), None);
         let spent = patience.spent(Some("refused"), at(21), most);
         assert_eq!(spent.as_deref(), Some("gave up after 21 s without an answer: refused"));
+        assert_eq!(patience.spent(None, at(1), Span::ZERO), None, "nothing has failed yet");
         patience.heard(at(21));
         assert_eq!((patience.spent(None, at(21), most), patience.last()), (None, at(21)));
     }

@@ -62,8 +62,8 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     for pipeline in ["inspection", "topics"] {
         let counts = counts(pipeline);
         assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
-        assert!(counts["ok"].as_u64().is_some_and(|answered| answered > 300), "{pipeline}: {counts}");
     }
+    assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 300), "{runs}");
     // Datagrams may be lost beside the attack, but most are not.
     let over_udp = counts("datagrams");
     let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
