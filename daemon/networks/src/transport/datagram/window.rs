@@ -2,7 +2,8 @@
 //!
 //! The other end says how many bytes may be on their way to it and how far it has come. Within that the window grows
 //! with what arrives and is halved when messages are lost, much as TCP's does (RFC 5681), so that the rate follows the
-//! slowest link on the way. It grows faster than TCP's: a message whose fragments were lost is not worth waiting for.
+//! slowest link on the way. After a loss it grows with time and not with what arrives, as CUBIC's does (RFC 9438): every
+//! loss costs a whole message, so the size that was too much is tried again after seconds and not within the next message.
 
 use std::collections::VecDeque;
 
@@ -25,18 +26,23 @@ const SILENCE: Span = Span::from_millis(200);
 /// How far ahead of the configured rate sending may be.
 const BURST: Span = Span::from_millis(2);
 
+/// Growth in a second after a loss, as a part of the size: it doubles in three seconds.
+const GROWTH_AFTER_LOSS: f64 = 0.25;
+
 /// The state of one direction of a connection.
 #[derive(Debug)]
 pub(crate) struct SendWindow {
     most: u32,
     size: u32,
-    /// Below it the window doubles with each round trip, above it grows by an eighth.
+    /// Below it the window doubles with each round trip.
     threshold: u32,
     sent: u64,
     arrived: u64,
     /// Sequence, end in its message, and position in the stream of all bytes of each datagram on its way.
     marks: VecDeque<(u64, u32, u64)>,
     heard: MonoTime,
+    /// When something last arrived.
+    progressed: MonoTime,
     /// What was on its way at the last loss: what is lost of it counts once.
     recovery: u64,
     bytes_per_second: Option<u64>,
@@ -56,6 +62,7 @@ impl SendWindow {
             arrived: 0,
             marks: VecDeque::new(),
             heard: now,
+            progressed: now,
             recovery: 0,
             bytes_per_second: bits_per_second.map(|bits| (bits / 8).max(1)),
             next: now,
@@ -107,8 +114,13 @@ impl SendWindow {
         if arrived == 0 {
             return;
         }
-        self.heard = now;
-        let growth = if self.size < self.threshold { arrived } else { arrived / 8 };
+        let growth = if self.size < self.threshold {
+            arrived
+        } else {
+            let elapsed = (now - self.progressed).min(SILENCE).seconds();
+            (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
+        };
+        (self.heard, self.progressed) = (now, now);
         self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.most)) as u32;
     }
 
@@ -180,6 +192,22 @@ mod tests {
             fill(&mut window, at(1_000));
         }
         assert_eq!(window.size(), MIN_WINDOW, "and never below the least");
+    }
+
+    #[test]
+    fn size_that_was_too_much_is_tried_again_after_seconds() {
+        let mut window = SendWindow::new(TERMS, None, at(0));
+        fill(&mut window, at(0));
+        window.lost();
+        let mut grown_at = None;
+        for millis in 1..10_000 {
+            fill(&mut window, at(millis));
+            window.progress(u64::MAX, u32::MAX, at(millis));
+            if window.size() >= FIRST_WINDOW {
+                grown_at.get_or_insert(millis);
+            }
+        }
+        assert!(grown_at.is_some_and(|millis| (2_000..5_000).contains(&millis)), "{grown_at:?}");
     }
 
     #[test]
