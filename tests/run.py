@@ -5,7 +5,7 @@
 
 All packages are built by one command, because cargo builds the dependencies anew for another choice of packages. Then the test
 programs of the crates run side by side, after them the end-to-end tests, which need the machine for themselves, and last the
-examples in the documentation. End-to-end tests mostly wait, so that one more than there are cores run at once; those that flood
+examples in the documentation. End-to-end tests mostly wait, so that twice as many as there are cores run at once; those that flood
 a host use all that they get and run after the others. `--lint` runs the lints beside them, as an idle task that gets the time in
 which they wait. FILTER: names of tests, as for `cargo test`.
 """
@@ -142,7 +142,7 @@ def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
             runs.append(ended)
     for program in programs:
         if program.package == END_TO_END:
-            runs.append(run(program, cores + 1, ["--skip", FLOODS, *filters], shows=True))
+            runs.append(run(program, 2 * cores, ["--skip", FLOODS, *filters], shows=True))
             runs[-1].report()
             floods = [name for name in filters or [FLOODS] if name.startswith(FLOODS)]
             if floods:

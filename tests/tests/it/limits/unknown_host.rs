@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::peak_memory;
 use crate::documented::two_machines::install;
 
-const SECONDS: &str = "60";
+const SECONDS: u64 = 30;
 const BYTES_PER_SECOND: &str = "4000000";
 
 /// What each of the two daemons on the cloud may have used of memory at its peak: docs/operating.md states the bound.
@@ -33,8 +33,8 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
 
     let attack = attack(&desk);
     let (began, mut latest) = (Since::now(), before);
-    // Each question has ten seconds; the last of them is asked while the attack goes on.
-    while began.elapsed().as_secs() < 55 {
+    // The last question is asked while the attack goes on.
+    while began.elapsed().as_secs() < SECONDS - 5 {
         latest = until("more is stored, and the dashboard says so", || {
             stored(&desk).filter(|events| *events > latest)
         });
@@ -63,12 +63,12 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         let counts = counts(pipeline);
         assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
     }
-    assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 300), "{runs}");
+    assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 150), "{runs}");
     // Datagrams may be lost beside the attack, but most are not.
     let over_udp = counts("datagrams");
     let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
     let others = of("failed") + of("lost") + of("timeout");
-    assert!(of("ok") > 300 && of("ok") > 9 * others, "{over_udp}");
+    assert!(of("ok") > 150 && of("ok") > 9 * others, "{over_udp}");
     assert_eq!(agent.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
 }
