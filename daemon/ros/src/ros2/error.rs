@@ -166,9 +166,6 @@ pub struct NoPeer {
 }
 
 impl NoPeer {
-    /// Most topics that are listed.
-    const LISTED_TOPICS: usize = 8;
-
     fn describe(&self) -> String {
         let Self { role, topic, type_name, domain_id, interfaces, participants, .. } = self;
         let peer = role.opposite();
@@ -182,21 +179,29 @@ impl NoPeer {
             let more = if others == 0 { String::new() } else { format!(" (and {others} more)") };
             return format!("{tried}; a {peer} is there, but {refusal}{more}: make both ends agree");
         }
-        if *participants == 0 {
-            return format!(
-                "{tried}; is the peer running, is its ROS_DOMAIN_ID {domain_id}, and does multicast to 239.255.0.1 \
-                 reach it through {interfaces}?"
-            );
-        }
-        let mut listed = self.topics.iter().take(Self::LISTED_TOPICS).cloned().collect::<Vec<_>>().join(", ");
-        if self.topics.len() > Self::LISTED_TOPICS {
-            listed.push_str(", …");
-        }
-        if listed.is_empty() {
-            listed.push_str("none");
-        }
-        format!("{tried}; is the name right? Topics seen: {listed}")
+        let advice = advise(*domain_id, interfaces, *participants, &self.topics);
+        format!("{tried}; {advice}")
     }
+}
+
+/// Says what to look for when a peer is not found, by what discovery has seen of the domain.
+pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topics: &[String]) -> String {
+    /// Most topics that are listed.
+    const LISTED: usize = 8;
+    if participants == 0 {
+        return format!(
+            "is the peer running, is its ROS_DOMAIN_ID {domain_id}, and does multicast to 239.255.0.1 reach it through \
+             {interfaces}?"
+        );
+    }
+    let mut listed = topics.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
+    if topics.len() > LISTED {
+        listed.push_str(", …");
+    }
+    if listed.is_empty() {
+        listed.push_str("none");
+    }
+    format!("is the name right? Topics seen: {listed}")
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 //! no `cfg` of their own.
 
 mod error;
+mod found;
 mod names;
 mod peers;
 mod qos;
@@ -28,6 +29,7 @@ pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
 pub const IS_BUILT: bool = cfg!(feature = "ros2");
 
 pub use error::{NoPeer, Ros2Error};
+pub use found::FoundPublisher;
 pub use names::{absolute_topic, dds_type};
 pub use peers::{EndpointId, EndpointRole, PeerTable, Refusal};
 pub use qos::{Durability, InvalidQos, QosProfile, Reliability};

@@ -36,6 +36,26 @@ impl Ros2Node {
         match *self {}
     }
 
+    /// Returns the publishers that others have of a topic.
+    pub fn publishers_of(&self, _topic: &str) -> Vec<super::FoundPublisher> {
+        match *self {}
+    }
+
+    /// Returns a number that changes with everything that discovery finds out.
+    pub fn discovery_changes(&self) -> watch::Receiver<u64> {
+        match *self {}
+    }
+
+    /// Returns the domain and the network interfaces.
+    pub fn describe_domain(&self) -> String {
+        match *self {}
+    }
+
+    /// Says what to look for when a topic has no publisher.
+    pub fn advise(&self) -> String {
+        match *self {}
+    }
+
     /// Limits of the kernel below the socket buffers that were asked for.
     pub fn socket_buffer_warnings(&self) -> &[SocketBufferWarning] {
         match *self {}

@@ -13,7 +13,8 @@ mod writer;
 
 pub use error::TopicError;
 pub use message_type::{InvalidMessageType, MessageType};
+pub use nodes::shared_ros2_node;
 pub use reader::{ReaderOptions, TopicMessage, TopicReader};
-pub use survey::{TopicUse, check_topic, survey_topic};
+pub use survey::{TopicUse, check_name, check_topic, survey_topic};
 pub use version::{RosVersion, VersionError};
 pub use writer::{TopicWriter, Written};

@@ -92,6 +92,16 @@ pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
     Ok(node)
 }
 
+/// Returns the node of ROS 2 that the readers and writers of this process share, for callers that use its topics
+/// themselves. It leaves the domain with its last user.
+///
+/// # Errors
+/// The environment cannot be used, the domain cannot be joined, or this build has no ROS 2.
+pub async fn shared_ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
+    let joined = runtime()?.spawn(ros2_node()).await;
+    joined.map_err(|error| TopicError::Thread(error.to_string()))?
+}
+
 /// Returns the name of the next node of ROS 1. The master ends an older node of the same name.
 fn node_name() -> String {
     let base = base_name();

@@ -26,25 +26,33 @@ pub fn check_topic(
     topic: &str,
     of: Option<&MessageType>,
 ) -> Result<RosVersion, TopicError> {
-    let variable = |name: &str| env::var(name).ok();
-    let version = RosVersion::resolve(configured, variable)?;
+    let version = RosVersion::resolve(configured, |name| env::var(name).ok())?;
+    let topic = check_name(version, topic)?;
+    if version == RosVersion::Ros2 && of.is_none() {
+        return Err(TopicError::TypeRequired { topic });
+    }
+    Ok(version)
+}
+
+/// Checks the name of a topic, the environment variables, and whether this build has the version of ROS; asks nobody.
+/// Returns the absolute name.
+///
+/// # Errors
+/// What is wrong.
+pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError> {
     match version {
         RosVersion::Ros1 => {
             let environment = Environment::from_process()?;
-            NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?;
+            Ok(NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?)
         }
         RosVersion::Ros2 => {
             if !ros2::IS_BUILT {
                 return Err(Ros2Error::NotBuilt.into());
             }
-            let settings = Ros2Settings::default().with_environment(variable)?;
-            let topic = ros2::absolute_topic(&settings.namespace, &settings.node_name, topic)?;
-            if of.is_none() {
-                return Err(TopicError::TypeRequired { topic });
-            }
+            let settings = Ros2Settings::default().with_environment(|name| env::var(name).ok())?;
+            Ok(ros2::absolute_topic(&settings.namespace, &settings.node_name, topic)?)
         }
     }
-    Ok(version)
 }
 
 /// Asks the ROS 1 master for a topic, and returns what would keep messages from passing now; nothing where all is well.

@@ -222,3 +222,27 @@ async fn unknown_interface_is_named_with_those_that_exist() {
     let error = Ros2Node::new(settings).await.err().expect("no such interface").to_string();
     assert!(error.contains("`eth99`") && error.contains("127.0.0.1"), "{error}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn publishers_of_a_topic_are_found_without_a_subscription() {
+    let (first, second) = two_nodes().await;
+    let mut changes = second.discovery_changes();
+    assert_eq!(second.publishers_of("/found"), []);
+    let publisher = first.publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
+    let _other = first.publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
+    let mut until = async |count: usize| {
+        let found = async {
+            while second.publishers_of("/found").len() != count {
+                changes.changed().await.expect("the node is there");
+            }
+        };
+        tokio::time::timeout(PATIENCE, found).await.expect("in time");
+    };
+    until(1).await;
+    let found = second.publishers_of("/found").remove(0);
+    assert_eq!((found.id, found.type_name.as_str()), (publisher.id(), BYTES));
+    assert_eq!(found.host, None, "it is on this host");
+    assert!(second.describe_domain().contains("127.0.0.1"), "{}", second.describe_domain());
+    drop(publisher);
+    until(0).await;
+}

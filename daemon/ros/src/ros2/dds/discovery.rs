@@ -29,6 +29,8 @@ pub(super) struct DiscoveryState {
     /// DDS names of the topic and the type of every endpoint in the domain.
     endpoints: BTreeMap<EndpointId, (String, String)>,
     local: BTreeMap<EndpointId, LocalEndpoint>,
+    /// Number of events so far.
+    changes: watch::Sender<u64>,
 }
 
 #[derive(Debug)]
@@ -44,7 +46,13 @@ impl DiscoveryState {
     const MAX_ENDPOINTS: usize = 16_384;
 
     pub(super) fn new(own: ParticipantId) -> Self {
-        Self { own, participants: BTreeSet::new(), endpoints: BTreeMap::new(), local: BTreeMap::new() }
+        let (participants, endpoints, local) = (BTreeSet::new(), BTreeMap::new(), BTreeMap::new());
+        Self { own, participants, endpoints, local, changes: watch::Sender::default() }
+    }
+
+    /// Returns the number of events so far, which changes after each of them was recorded.
+    pub(super) fn changes(&self) -> watch::Receiver<u64> {
+        self.changes.subscribe()
     }
 
     /// Adds an endpoint of our own; returns the table of its peers, which changes with what discovery finds out.
@@ -96,6 +104,11 @@ impl DiscoveryState {
 
     /// Records what discovery found out.
     pub(super) fn apply(&mut self, event: DiscoveryEvent) {
+        self.record(event);
+        self.changes.send_modify(|count| *count = count.wrapping_add(1));
+    }
+
+    fn record(&mut self, event: DiscoveryEvent) {
         match event {
             DiscoveryEvent::ParticipantFound(id) => {
                 if id != self.own {

@@ -51,6 +51,20 @@ impl Interfaces {
     }
 }
 
+/// Returns the addresses of all network interfaces of this host.
+///
+/// # Errors
+///
+/// The kernel does not list them.
+pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
+    let address = |interface: InterfaceAddress| {
+        let address = interface.address?;
+        let v4 = address.as_sockaddr_in().map(|address| IpAddr::V4(address.ip()));
+        v4.or_else(|| address.as_sockaddr_in6().map(|address| IpAddr::V6(address.ip())))
+    };
+    Ok(getifaddrs()?.filter_map(address).collect())
+}
+
 fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
     let with_address = |interface: InterfaceAddress| {
         let address = interface.address.as_ref()?.as_sockaddr_in()?.ip();

@@ -10,6 +10,7 @@ mod publisher;
 mod raw_message;
 mod sequence_tracker;
 mod subscription;
+mod survey;
 
 pub use node::Ros2Node;
 pub use publisher::Ros2Publisher;

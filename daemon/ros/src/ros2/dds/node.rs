@@ -33,13 +33,13 @@ use crate::ros2::{
 pub struct Ros2Node {
     settings: Ros2Settings,
     socket_buffer_warnings: Vec<SocketBufferWarning>,
-    state: Arc<NodeState>,
+    pub(super) state: Arc<NodeState>,
     /// Present until the node is shut down.
-    parts: Option<Parts>,
+    pub(super) parts: Option<Parts>,
 }
 
-struct Parts {
-    participant: DomainParticipant,
+pub(super) struct Parts {
+    pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
     discovery: JoinHandle<()>,

@@ -1,0 +1,61 @@
+//! What a node knows of the others in its domain.
+
+use std::net::{IpAddr, SocketAddr};
+
+use rustdds::discovery::DiscoveredWriterData;
+use tokio::sync::watch;
+
+use super::conversions::endpoint_id;
+use super::interfaces::own_addresses;
+use super::node::Ros2Node;
+use crate::ros2::FoundPublisher;
+use crate::ros2::error::advise;
+use crate::ros2::found::other_host;
+use crate::ros2::names::{dds_topic, ros_type};
+
+impl Ros2Node {
+    /// Returns the publishers that others have of a topic, by its absolute name, in the order of their identities.
+    pub fn publishers_of(&self, topic: &str) -> Vec<FoundPublisher> {
+        let Some(parts) = &self.parts else { return Vec::new() };
+        let topic = dds_topic(topic);
+        let own = own_addresses().unwrap_or_else(|error| {
+            tracing::warn!(%error, "the addresses of this host are not known; publishers on it count as on another host");
+            Vec::new()
+        });
+        let found = parts.participant.discovered_writers().into_iter();
+        let of_topic = found.filter(|writer| writer.publication_topic_data.topic_name == topic);
+        let mut publishers: Vec<FoundPublisher> =
+            of_topic.map(|writer| found_publisher(&writer, &own)).collect();
+        publishers.sort_by_key(|publisher| publisher.id);
+        publishers
+    }
+
+    /// Returns a number that changes with everything that discovery finds out.
+    pub fn discovery_changes(&self) -> watch::Receiver<u64> {
+        self.state.discovery().changes()
+    }
+
+    /// Returns the domain and the network interfaces, as `domain 7 on lo (127.0.0.1)`.
+    pub fn describe_domain(&self) -> String {
+        format!("domain {} on {}", self.state.domain_id, self.state.interfaces)
+    }
+
+    /// Says what to look for when a topic has no publisher.
+    pub fn advise(&self) -> String {
+        let discovery = self.state.discovery();
+        let (participants, topics) = (discovery.participants(), discovery.topics());
+        advise(self.state.domain_id, &self.state.interfaces, participants, &topics)
+    }
+}
+
+fn found_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> FoundPublisher {
+    let proxy = &writer.writer_proxy;
+    // Locators of shared memory, which is on this host, become the unspecified address.
+    let addresses: Vec<IpAddr> =
+        proxy.unicast_locator_list.iter().map(|locator| SocketAddr::from(*locator).ip()).collect();
+    FoundPublisher {
+        id: endpoint_id(proxy.remote_writer_guid),
+        type_name: ros_type(&writer.publication_topic_data.type_name),
+        host: other_host(&addresses, own),
+    }
+}

@@ -1,0 +1,45 @@
+//! Publishers as discovery finds them.
+
+use std::net::IpAddr;
+
+use super::EndpointId;
+
+/// A publisher of another participant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundPublisher {
+    /// Identity.
+    pub id: EndpointId,
+    /// Message type, as `std_msgs/msg/String`.
+    pub type_name: String,
+    /// An address of the host that it runs on; `None` where that is this host.
+    pub host: Option<IpAddr>,
+}
+
+/// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.
+///
+/// A program announces addresses of its own host only. Another host may announce some that this one has as well, such as
+/// that of the bridge of its containers, but never those alone.
+#[cfg(any(feature = "ros2", test))]
+pub(super) fn other_host(addresses: &[IpAddr], own: &[IpAddr]) -> Option<IpAddr> {
+    let is_of_host =
+        |address: &&IpAddr| !address.is_unspecified() && !address.is_multicast() && !address.is_loopback();
+    addresses.iter().filter(is_of_host).find(|address| !own.contains(address)).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn host_is_another_one_by_an_address_that_is_not_ours() {
+        let addresses = |list: &[&str]| -> Vec<IpAddr> {
+            list.iter().map(|address| address.parse().expect("an address")).collect()
+        };
+        let own = addresses(&["127.0.0.1", "10.0.0.1", "172.17.0.1", "fe80::1"]);
+        let host = |list: &[&str]| other_host(&addresses(list), &own).map(|address| address.to_string());
+        assert_eq!(host(&["10.0.0.1", "127.0.0.1", "172.17.0.1"]), None);
+        assert_eq!(host(&["172.17.0.1", "10.0.0.2"]).as_deref(), Some("10.0.0.2"));
+        assert_eq!(host(&["127.0.0.1", "239.255.0.1", "0.0.0.0"]), None);
+        assert_eq!(host(&["fe80::2"]).as_deref(), Some("fe80::2"));
+    }
+}
