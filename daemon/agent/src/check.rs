@@ -14,8 +14,7 @@ use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
 use peernet_networks::{Address, SessionSettings};
-use peernet_ros::ros1::NodeName;
-use peernet_ros::topics::RosVersion;
+use peernet_ros::topics::check_name;
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
 use rustix::fs::{Access, access};
@@ -269,17 +268,13 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
         let text = "it is the topic of input, too; name the topic that the observed nodes publish";
         report.add(format!("{at}.placement.output"), text);
     }
-    for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
-        let resolved = NodeName::new("/", "peernet").and_then(|node| node.resolve(topic));
-        report.unless_ok(format!("{at}.placement.{key}"), resolved);
-    }
-    let key = format!("{at}.placement.ros_version");
-    match RosVersion::resolve(observed.ros_version, |name| std::env::var(name).ok()) {
-        Ok(RosVersion::Ros1) => {}
-        Ok(RosVersion::Ros2) => {
-            report.add(key, "topics of ROS 2 cannot be observed; only those of ROS 1 can");
+    match observed.version(|name| std::env::var(name).ok()) {
+        Ok(version) => {
+            for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
+                report.unless_ok(format!("{at}.placement.{key}"), check_name(version, topic));
+            }
         }
-        Err(error) => report.add(key, error),
+        Err(error) => report.add(format!("{at}.placement.{}", error.key()), error),
     }
 }
 

@@ -1,4 +1,4 @@
-//! A ROS 1 system is profiled between two of its topics, without a change of its nodes.
+//! A ROS system is profiled between two of its topics, without a change of its nodes.
 
 use peernet_tests::{Api, Process, Ros1System, Site, until};
 use serde_json::Value;
@@ -191,6 +191,32 @@ fn agent_waits_for_a_master() {
     api.until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
+}
+
+#[test]
+fn check_says_what_cannot_be_observed_of_ros_2() {
+    let site = Site::new();
+    let check = |keys: &str| {
+        let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
+        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        (ended.code(), ended.log)
+    };
+    let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
+    assert_eq!(code, 78, "{log}");
+    assert!(
+        log.contains("pipeline[0].placement.pair_by: the headers of ROS 2 have no sequence number"),
+        "{log}"
+    );
+    let (code, log) = check("ros_version = 2");
+    if peernet_ros::ros2::IS_BUILT {
+        assert_eq!(code, 0, "{log}");
+    } else {
+        assert_eq!(code, 78, "{log}");
+        for part in ["pipeline[0].placement.ros_version: this build has no ROS 2", "cargo feature `ros2`"] {
+            assert!(log.contains(part), "{part} is missing in:\n{log}");
+        }
+    }
 }
 
 #[test]

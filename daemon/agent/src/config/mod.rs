@@ -15,7 +15,7 @@ mod spool;
 pub use clock::{ClockConfig, DisciplineSource, Timestamps};
 pub use host::HostConfig;
 pub use listen::{ListenAddresses, ListenAddressesError};
-pub use observe::{ObserveConfig, PairBy};
+pub use observe::{ObserveConfig, ObserveError, PairBy};
 pub use pipeline::{Limit, LoadConfig, PipelineConfig, PlacementConfig, RemoteConfig, StartMode, WarmUp};
 pub use probes::ProbesConfig;
 pub use rehearsal::{RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};

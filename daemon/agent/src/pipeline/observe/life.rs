@@ -103,7 +103,7 @@ async fn connect(
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
         let Some(opened) = opening.await else { return Ok(None) };
         let error = match opened {
-            Ok(source) => match await_publishers(runner, config, &source, run).await {
+            Ok(mut source) => match await_publishers(runner, config, &mut source, run).await {
                 Ok(true) => return Ok(Some(source)),
                 Ok(false) => {
                     source.close().await;
@@ -136,17 +136,18 @@ async fn connect(
 async fn await_publishers(
     runner: &Runner,
     config: &ObserveConfig,
-    source: &Source,
+    source: &mut Source,
     run: Option<RunId>,
 ) -> Result<bool, SourceError> {
     let mut quiet = std::pin::pin!(tokio::time::sleep(QUIET));
     let mut is_reported = false;
     loop {
+        source.follow_publishers()?;
         // Made before looking, so that nothing that happens in between is missed.
         let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
         source.check_types(config.pair_by)?;
         let Some(trouble) = source.trouble().filter(|_| run.is_none()) else { return Ok(true) };
-        runner.display.set_state(PipelineState::Waiting(trouble.clone()));
+        runner.display.set_state(PipelineState::Waiting(source.advised(&trouble)));
         tokio::select! {
             () = input => {}
             () = output => {}
@@ -154,7 +155,8 @@ async fn await_publishers(
             () = runner.stop.cancelled() => return Ok(false),
             () = &mut quiet, if !is_reported => {
                 is_reported = true;
-                let text = format!("{trouble} since {} s; the run begins when one does", QUIET.as_secs());
+                let since = format!("{trouble} since {} s", QUIET.as_secs());
+                let text = format!("{}; the run begins when one does", source.advised(&since));
                 runner.report(IncidentKind::Disconnected, None, text);
             }
         }

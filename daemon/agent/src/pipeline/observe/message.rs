@@ -1,7 +1,5 @@
 //! What is kept of a message.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
 use peernet_clock::Stamp;
 use peernet_ros::messages::{Field, Header, Reader, WireForm};
@@ -15,20 +13,23 @@ pub(super) struct TopicMessage {
     pub(super) received: Stamp,
     /// Bytes of the serialised message.
     pub(super) length: usize,
-    /// What tells its publisher from others of the topic.
-    pub(super) publisher: Arc<str>,
     /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` without a header, and where the
     /// publisher left it at 0.
     pub(super) stamp: Option<i64>,
-    /// Number that its publisher gave it, one more than that of the message before.
+    /// `header.seq`: number that its publisher gave it, one more than that of the message before.
     pub(super) sequence: Option<i64>,
+    /// Messages of the same publisher that should have come before it, by their sequence numbers.
+    pub(super) missing: u64,
 }
 
 impl TopicMessage {
     /// Returns what the message is paired by, or why it cannot be paired.
     pub(super) fn key(&self, pair_by: PairBy) -> Result<Option<i64>, &'static str> {
         match pair_by {
-            PairBy::Stamp => self.stamp.map(Some).ok_or("it has no header.stamp, or one of 0"),
+            PairBy::Stamp => self
+                .stamp
+                .map(Some)
+                .ok_or("it has no header.stamp, or one of 0; pair_by = \"order\" needs none"),
             PairBy::Sequence => self.sequence.map(Some).ok_or("it has no sequence number"),
             PairBy::Order => Ok(None),
         }
@@ -44,10 +45,11 @@ pub(super) fn begins_with_header(definition: &str) -> bool {
     kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
 }
 
-/// Reads the header that a message begins with; `None` where there is none.
+/// Reads the header that a message begins with; `None` where its first bytes cannot be one.
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
-    Header::read(&mut reader).ok()
+    // Of ROS 2 the fields of a type are not known: other values than a time rarely have a second part below a second.
+    Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 
 #[cfg(test)]
@@ -73,5 +75,19 @@ mod tests {
         let header = read_header(WireForm::Ros1, &Bytes::copy_from_slice(&message)).expect("a header");
         assert_eq!((header.seq, header.stamp.as_nanos()), (7, 3_000_000_005));
         assert!(read_header(WireForm::Ros1, &Bytes::from_static(&[1, 2])).is_none());
+    }
+
+    #[test]
+    fn message_of_ros_2_without_header_has_none() {
+        let header = |body: &[u8]| {
+            read_header(WireForm::Cdr, &[&[0, 1, 0, 0][..], body].concat().into()).map(|header| header.stamp)
+        };
+        // 3 s + 5 ns, frame "a", then a field of a type that nobody here knows.
+        let stamped = [3, 0, 0, 0, 5, 0, 0, 0, 2, 0, 0, 0, b'a', 0, 9, 9];
+        assert_eq!(header(&stamped).map(|stamp| stamp.as_nanos()), Some(3_000_000_005));
+        // A text, and the velocities 0.5, 0 and 0 m/s.
+        assert_eq!(header(b"\x0b\0\0\0turn right\0\0"), None);
+        let velocities: Vec<u8> = [0.5_f64, 0.0, 0.0].into_iter().flat_map(f64::to_le_bytes).collect();
+        assert_eq!(header(&velocities), None);
     }
 }

@@ -3,7 +3,7 @@
 //! Each message of the input topic is an iteration, answered by the message of the output topic that belongs to it. Nodes of
 //! the system are not touched: the agent subscribes as one more node, and stamps what it receives on its own host.
 //!
-//! `pairing` and `arrivals` decide without I/O; `source` and `topic` subscribe; `record` makes the tree of an iteration;
+//! `pairing` and `arrivals` decide without I/O; `source` and `topic` subscribe, in either version of ROS; `record` makes the tree of an iteration;
 //! `session` is the loop of a run and `life` what is around it.
 
 mod arrivals;

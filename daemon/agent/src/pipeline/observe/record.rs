@@ -146,9 +146,8 @@ mod tests {
     const POSITION: Position = Position { number: 1, episode: 0, step: 0, warm_up: false };
 
     fn received(at: Stamp, stamp: Option<i64>) -> Received {
-        let message =
-            TopicMessage { received: at, length: 10, publisher: Arc::from("/n"), stamp, sequence: None };
-        let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None, missing: 0 };
+        let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
+        let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
         Received { message, arrival }
     }
 

@@ -83,7 +83,8 @@ impl<'a> Observation<'a> {
                 look_at = now + LOOK;
                 let current = source.trouble();
                 if current != trouble {
-                    super::life::report_trouble(runner, run.id(), current.as_deref());
+                    let reported = current.as_ref().map(|trouble| source.advised(trouble));
+                    super::life::report_trouble(runner, run.id(), reported.as_deref());
                     trouble = current;
                 }
                 report_dropped(source, &mut dropped);
@@ -155,8 +156,8 @@ impl<'a> Observation<'a> {
         if at < self.since {
             return;
         }
-        let arrival = self.input.record(at, &message.publisher, message.sequence);
-        self.uncounted.input_missing += arrival.missing;
+        let arrival = self.input.record(at);
+        self.uncounted.input_missing += message.missing;
         let position = run.place(at);
         let key = message.key(self.config.pair_by);
         let received = Received { message, arrival };
@@ -182,8 +183,8 @@ impl<'a> Observation<'a> {
         if at < self.since {
             return;
         }
-        let arrival = self.output.record(at, &message.publisher, message.sequence);
-        self.uncounted.output_missing += arrival.missing;
+        let arrival = self.output.record(at);
+        self.uncounted.output_missing += message.missing;
         match message.key(self.config.pair_by) {
             Ok(key) => {
                 let output = Received { message, arrival };

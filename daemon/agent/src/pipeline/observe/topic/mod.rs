@@ -1,0 +1,120 @@
+//! A topic of the observed system, in either version of ROS.
+
+mod ros1;
+mod ros2;
+mod sequence_gaps;
+
+use std::fmt;
+
+use peernet_ros::topics::TopicError;
+
+pub(super) use self::ros1::Ros1Topic;
+pub(super) use self::ros2::Ros2Topic;
+use super::message::TopicMessage;
+
+/// A subscription of an observed topic.
+pub(super) enum Topic {
+    Ros1(Ros1Topic),
+    Ros2(Box<Ros2Topic>),
+}
+
+/// Type of the messages of an observed topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct ObservedType {
+    /// Name, as that version of ROS writes it.
+    pub(super) name: String,
+    /// Whether its messages begin with a `std_msgs/Header`; `None` where only the messages can show it.
+    pub(super) has_header: Option<bool>,
+}
+
+/// A publisher of an observed topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct PublisherPlace {
+    /// Name of the node, or of the endpoint where the node has none.
+    pub(super) node: String,
+    /// Its host, unless it is this one.
+    pub(super) host: Option<String>,
+}
+
+impl fmt::Display for PublisherPlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.host {
+            None => write!(f, "{} on this host", self.node),
+            Some(host) => write!(f, "{} at {host}, where this agent measures nothing", self.node),
+        }
+    }
+}
+
+impl Topic {
+    /// Waits for the next message. Dropping the future loses none.
+    ///
+    /// # Errors
+    /// The node has ended, or the topic cannot be subscribed to with the type that it has now.
+    pub(super) async fn next(&mut self) -> Result<TopicMessage, TopicError> {
+        match self {
+            Self::Ros1(topic) => topic.next().await,
+            Self::Ros2(topic) => topic.next().await,
+        }
+    }
+
+    /// Subscribes with the type that the publishers have now.
+    ///
+    /// # Errors
+    /// The type has a name that ROS does not allow, or the client fails.
+    pub(super) fn follow_publishers(&mut self) -> Result<(), TopicError> {
+        match self {
+            // The subscription takes any type.
+            Self::Ros1(_) => Ok(()),
+            Self::Ros2(topic) => topic.follow_publishers(),
+        }
+    }
+
+    /// Returns the global name of the topic.
+    pub(super) fn name(&self) -> &str {
+        match self {
+            Self::Ros1(topic) => topic.name(),
+            Self::Ros2(topic) => topic.name(),
+        }
+    }
+
+    /// Returns the type of the messages, once there is a publisher.
+    pub(super) fn kind(&self) -> Option<ObservedType> {
+        match self {
+            Self::Ros1(topic) => topic.kind(),
+            Self::Ros2(topic) => topic.kind(),
+        }
+    }
+
+    /// Returns why the topic has no messages at the moment; `None` while it has a publisher.
+    pub(super) fn trouble(&self) -> Option<String> {
+        match self {
+            Self::Ros1(topic) => topic.trouble(),
+            Self::Ros2(topic) => topic.trouble(),
+        }
+    }
+
+    /// Returns the publishers whose messages are received.
+    pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
+        match self {
+            Self::Ros1(topic) => topic.publishers(),
+            Self::Ros2(topic) => topic.publishers(),
+        }
+    }
+
+    /// Waits until the publishers have changed since this was called, or since they were followed.
+    pub(super) async fn publishers_changed(&self) {
+        match self {
+            Self::Ros1(topic) => topic.publishers_changed().await,
+            Self::Ros2(topic) => topic.publishers_changed().await,
+        }
+    }
+
+    /// Messages that were received and dropped because the agent was too busy.
+    pub(super) fn dropped(&self) -> u64 {
+        match self {
+            Self::Ros1(topic) => topic.dropped(),
+            // Newer messages replace those that nobody read: their numbers are missing.
+            Self::Ros2(_) => 0,
+        }
+    }
+}

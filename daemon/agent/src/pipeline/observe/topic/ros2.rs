@@ -1,0 +1,241 @@
+//! A topic of ROS 2.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use peernet_clock::{SharedClock, Span, Stamp, WallTime};
+use peernet_ros::messages::WireForm;
+use peernet_ros::ros2::{
+    FoundPublisher, QosProfile, ReceivedSample, Reliability, Ros2Node, Ros2Subscription, absolute_topic,
+};
+use peernet_ros::topics::TopicError;
+use tokio::sync::watch;
+
+use super::{ObservedType, PublisherPlace};
+use crate::pipeline::observe::message::{TopicMessage, read_header};
+
+/// Messages that wait to be read at most. Their bytes stay in memory: 64 MB of pictures of 1 MB.
+const DEPTH: u32 = 64;
+
+/// A topic of ROS 2, subscribed to as soon as a publisher shows which type it has.
+pub(in crate::pipeline::observe) struct Ros2Topic {
+    // The subscription goes before its node.
+    subscription: Option<TypedSubscription>,
+    node: Arc<Ros2Node>,
+    /// Absolute.
+    name: String,
+    /// Changes with what discovery finds out; what the publishers were followed by is seen.
+    discovery: watch::Receiver<u64>,
+    /// Types of publishers that were reported because others of the topic have another one.
+    reported_types: BTreeSet<String>,
+    clock: SharedClock,
+}
+
+struct TypedSubscription {
+    ends: Ros2Subscription,
+    /// Type of the messages, as `sensor_msgs/msg/Image`.
+    type_name: String,
+}
+
+impl Ros2Topic {
+    /// Makes a topic of a node's domain, which is not subscribed to before a publisher is found.
+    ///
+    /// # Errors
+    /// The name is not allowed.
+    pub(in crate::pipeline::observe) fn new(
+        node: &Arc<Ros2Node>,
+        topic: &str,
+        clock: &SharedClock,
+    ) -> Result<Self, TopicError> {
+        let settings = node.settings();
+        let mut discovery = node.discovery_changes();
+        // What was found already counts as a change.
+        discovery.mark_changed();
+        Ok(Self {
+            subscription: None,
+            name: absolute_topic(&settings.namespace, &settings.node_name, topic)?,
+            node: Arc::clone(node),
+            discovery,
+            reported_types: BTreeSet::new(),
+            clock: SharedClock::clone(clock),
+        })
+    }
+
+    pub(super) async fn next(&mut self) -> Result<TopicMessage, TopicError> {
+        loop {
+            self.follow_publishers()?;
+            let Some(subscription) = &mut self.subscription else {
+                changed(&mut self.discovery).await;
+                continue;
+            };
+            tokio::select! {
+                sample = subscription.ends.receive() => return Ok(observed(&sample?, &self.clock)),
+                () = changed(&mut self.discovery) => {}
+            }
+        }
+    }
+
+    pub(super) fn follow_publishers(&mut self) -> Result<(), TopicError> {
+        // The node, and with it the sender, lives as long as this.
+        if !self.discovery.has_changed().unwrap_or(false) {
+            return Ok(());
+        }
+        self.discovery.mark_unchanged();
+        let publishers = self.node.publishers_of(&self.name);
+        let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
+        if let Some(type_name) = type_to_subscribe(&publishers, current) {
+            // Best-effort, so that publishers that are best-effort match as well, and none of them waits for the agent.
+            let qos =
+                QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
+            let ends = self.node.subscription(&self.name, type_name, &qos)?;
+            self.subscription = Some(TypedSubscription { ends, type_name: type_name.to_owned() });
+        }
+        self.report_other_types(&publishers);
+        Ok(())
+    }
+
+    /// Warns of publishers whose messages are not received because of their type.
+    fn report_other_types(&mut self, publishers: &[FoundPublisher]) {
+        let Some(TypedSubscription { type_name, .. }) = &self.subscription else { return };
+        let others = publishers.iter().filter(|publisher| publisher.type_name != *type_name);
+        for other in others {
+            if self.reported_types.insert(other.type_name.clone()) {
+                tracing::warn!(
+                    "topic {} has publishers of two types, {type_name} and {}; only the former are observed: stop the \
+                     others, or let them publish another topic",
+                    self.name,
+                    other.type_name
+                );
+            }
+        }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn kind(&self) -> Option<ObservedType> {
+        let name = self.subscription.as_ref()?.type_name.clone();
+        // DDS tells no fields. Of std_msgs no type has a header but the header itself; of others the messages show it.
+        let has_header = name.starts_with("std_msgs/msg/").then(|| name == "std_msgs/msg/Header");
+        Some(ObservedType { name, has_header })
+    }
+
+    pub(super) fn trouble(&self) -> Option<String> {
+        let silent = format!("no node publishes {}", self.name);
+        let Some(TypedSubscription { ends, .. }) = &self.subscription else { return Some(silent) };
+        let peers = ends.peers();
+        let peers = peers.borrow();
+        if peers.matched.is_empty() {
+            let refused = peers.refused.values().next();
+            return Some(refused.map_or_else(
+                || silent.clone(),
+                |refusal| format!("{silent} for this agent: a publisher is there, but {refusal}"),
+            ));
+        }
+        let counts = ends.counts();
+        (counts.received == 0 && counts.undecodable > 0).then(|| {
+            format!("the messages of {} cannot be read: publish them in plain CDR (XCDR1)", self.name)
+        })
+    }
+
+    pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
+        let of_type = |publisher: &FoundPublisher| {
+            self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
+        };
+        let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
+        let place = |publisher: FoundPublisher| PublisherPlace {
+            node: format!("publisher {}", publisher.id),
+            host: publisher.host.map(|host| host.to_string()),
+        };
+        found.map(place).collect()
+    }
+
+    pub(super) async fn publishers_changed(&self) {
+        changed(&mut self.discovery.clone()).await;
+    }
+}
+
+/// Waits for a change that was not followed yet, and leaves it so.
+async fn changed(discovery: &mut watch::Receiver<u64>) {
+    if discovery.changed().await.is_err() {
+        // The node is shut down: there are no changes any more.
+        std::future::pending::<()>().await;
+    }
+    discovery.mark_changed();
+}
+
+/// Returns the type that a topic is to be subscribed to with, unless that is the current one.
+fn type_to_subscribe<'a>(publishers: &'a [FoundPublisher], current: Option<&str>) -> Option<&'a str> {
+    let types = || publishers.iter().map(|publisher| publisher.type_name.as_str());
+    if types().any(|type_name| Some(type_name) == current) { None } else { types().next() }
+}
+
+/// Makes the observed message of a received one.
+fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
+    let header = read_header(WireForm::Cdr, &sample.payload);
+    TopicMessage {
+        received: stamp_of(clock.adopt(sample.received_time), clock.stamp()),
+        length: sample.payload.len(),
+        stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
+        sequence: None,
+        missing: sample.missing_before,
+    }
+}
+
+/// Returns both clocks at a moment shortly before `now`, of which the wall clock is known.
+fn stamp_of(wall: WallTime, now: Stamp) -> Stamp {
+    // A clock that was set back in between would place the message in the future.
+    let age = (now.wall - wall).max(Span::ZERO);
+    Stamp { wall: now.wall - age, mono: now.mono - age }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{ClockIdentity, ManualClock, MonoTime};
+    use peernet_ros::ros2::EndpointId;
+
+    use super::*;
+
+    fn publisher(type_name: &str) -> FoundPublisher {
+        let type_name = type_name.to_owned();
+        FoundPublisher { id: EndpointId([1; 16]), type_name, host: None }
+    }
+
+    #[test]
+    fn subscription_follows_the_type_of_the_publishers() {
+        let (image, text) = (publisher("sensor_msgs/msg/Image"), publisher("std_msgs/msg/String"));
+        let both = [image.clone(), text];
+        assert_eq!(type_to_subscribe(&[], None), None);
+        assert_eq!(type_to_subscribe(&both, None), Some("sensor_msgs/msg/Image"));
+        assert_eq!(type_to_subscribe(&both, Some("std_msgs/msg/String")), None, "one of them is enough");
+        assert_eq!(type_to_subscribe(&[image], Some("std_msgs/msg/String")), Some("sensor_msgs/msg/Image"));
+        assert_eq!(type_to_subscribe(&[], Some("std_msgs/msg/String")), None, "it may come back");
+    }
+
+    #[test]
+    fn missing_messages_and_header_of_a_sample_are_kept() {
+        let now = WallTime::from_unix_nanos(1_000_000_000_000_000_000);
+        let clock: SharedClock = Arc::new(ManualClock::new(now, ClockIdentity::new("boot", "system")));
+        let sample = ReceivedSample {
+            // 3 s + 5 ns, frame "a".
+            payload: vec![0, 1, 0, 0, 3, 0, 0, 0, 5, 0, 0, 0, 2, 0, 0, 0, b'a', 0].into(),
+            source_time: None,
+            received_time: now,
+            writer: EndpointId([1; 16]),
+            sequence: 9,
+            missing_before: 2,
+        };
+        let message = observed(&sample, &clock);
+        assert_eq!((message.stamp, message.missing, message.length), (Some(3_000_000_005), 2, 18));
+        assert_eq!((message.received.wall, message.sequence), (now, None));
+    }
+
+    #[test]
+    fn message_is_stamped_when_it_was_received() {
+        let now = Stamp { wall: WallTime::from_unix_nanos(5_000), mono: MonoTime::from_nanos(700) };
+        let earlier = stamp_of(WallTime::from_unix_nanos(4_900), now);
+        assert_eq!((earlier.wall.unix_nanos(), earlier.mono), (4_900, MonoTime::from_nanos(600)));
+        assert_eq!(stamp_of(WallTime::from_unix_nanos(9_000), now), now, "the clock was set back");
+    }
+}

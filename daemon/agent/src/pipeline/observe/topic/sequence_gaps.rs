@@ -1,0 +1,47 @@
+//! Messages that are missing by the sequence numbers of their publishers. No I/O.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Publishers of a topic whose sequence numbers are remembered: anybody on the network can publish.
+const MAX_PUBLISHERS: usize = 256;
+
+/// The last sequence number of each publisher of a topic.
+#[derive(Debug, Default)]
+pub(super) struct SequenceGaps(BTreeMap<Arc<str>, i64>);
+
+impl SequenceGaps {
+    /// Takes in the number of a message. Returns how many messages of the same publisher should have come before it.
+    pub(super) fn record(&mut self, publisher: &Arc<str>, sequence: i64) -> u64 {
+        if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(publisher) {
+            self.0.clear();
+        }
+        let last = self.0.insert(Arc::clone(publisher), sequence);
+        // A lower number is that of a node that was started anew.
+        last.and_then(|last| u64::try_from(sequence.checked_sub(last)?.checked_sub(1)?).ok()).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_messages_are_counted_for_each_publisher() {
+        let mut gaps = SequenceGaps::default();
+        let (left, right): (Arc<str>, Arc<str>) = (Arc::from("/left"), Arc::from("/right"));
+        let mut missing = |node, sequence| gaps.record(node, sequence);
+        assert_eq!((missing(&left, 7), missing(&right, 100)), (0, 0), "nothing is known of what was before");
+        assert_eq!((missing(&left, 8), missing(&right, 104)), (0, 3));
+        assert_eq!((missing(&left, 0), missing(&left, 2)), (0, 1), "the node was started anew");
+    }
+
+    #[test]
+    fn publishers_take_bounded_memory() {
+        let mut gaps = SequenceGaps::default();
+        for number in 0..10_000 {
+            gaps.record(&Arc::from(format!("/node{number}")), 1);
+        }
+        assert!(gaps.0.len() <= MAX_PUBLISHERS);
+    }
+}
