@@ -66,5 +66,7 @@ if cyclone nodes /peernet; then echo "ok      node list"; else echo "FAILED  nod
 kill "$node" 2>/dev/null || true
 wait "$node" 2>/dev/null || true
 
-PYTHONPATH=$root/tests/interop "$venv/bin/python" "$here/agent.py" "$root/target/debug/peernetd" || failed=1
+for check in agent observe; do
+    PYTHONPATH=$root/tests/interop "$venv/bin/python" "$here/$check.py" "$root/target/debug/peernetd" || failed=1
+done
 exit "$failed"
