@@ -58,7 +58,7 @@ enum Ends {
         node: Arc<SharedNode>,
     },
     Ros2 {
-        subscription: Ros2Subscription,
+        subscription: Box<Ros2Subscription>,
         of: Arc<str>,
         #[expect(dead_code, reason = "keeps the node")]
         node: Arc<Ros2Node>,
@@ -170,7 +170,7 @@ async fn open_ros2(
     let qos = QosProfile { reliability: options.reliability, depth: options.queue, ..QosProfile::default() };
     let node = ros2_node().await?;
     let subscription = node.subscription(topic, of.as_str(), &qos)?;
-    Ok(Ends::Ros2 { subscription, of: of.as_str().into(), node })
+    Ok(Ends::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
 }
 
 /// Says why no message comes, as far as the publishers' connections show it.

@@ -28,7 +28,7 @@ pub struct TopicWriter {
 /// The publisher goes before its node: the node tells the master.
 enum Ends {
     Ros1(Publisher, #[expect(dead_code, reason = "keeps the node")] Arc<SharedNode>),
-    Ros2(Ros2Publisher, #[expect(dead_code, reason = "keeps the node")] Arc<Ros2Node>),
+    Ros2(Box<Ros2Publisher>, #[expect(dead_code, reason = "keeps the node")] Arc<Ros2Node>),
 }
 
 impl TopicWriter {
@@ -54,7 +54,7 @@ impl TopicWriter {
                 RosVersion::Ros2 => {
                     let node = ros2_node().await?;
                     let publisher = node.publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
-                    Ok(Ends::Ros2(publisher, node))
+                    Ok(Ends::Ros2(Box::new(publisher), node))
                 }
             }
         })?;
