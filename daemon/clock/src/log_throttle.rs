@@ -28,7 +28,7 @@ impl LogThrottle {
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
-            self.known.retain(|_, known| known.since > 0 || now - known.logged_at < LINE_INTERVAL);
+            self.known.retain(|_, known| now - known.logged_at < LINE_INTERVAL);
         }
         if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
             key = (String::new(), None);

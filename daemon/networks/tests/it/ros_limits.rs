@@ -3,18 +3,18 @@
 use bytes::Bytes;
 use peernet_networks::SessionSettings;
 use peernet_ros::messages::{EncodedMessage, Header, Message, MessageInfo, SessionHello, Time, WireForm};
-use peernet_ros::ros1::{Publisher, PublisherOptions, TopicType};
+use peernet_ros::ros1::{Environment, Node, Publisher, PublisherOptions, RpcUri, TopicType};
 use peernet_sample::{Description, Sample};
 
 use crate::ros::{exchange, foreign_node, session};
 use crate::ros_master::RosMaster;
-use crate::support::{Cloud, settings, within};
+use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
 
 /// Bytes that all sessions of a cloud share here.
 const SHARED: u64 = 1_000_000;
 
 /// Connections that are opened and never become a session.
-const OTHERS: usize = 40;
+const OTHERS: usize = 12;
 
 /// A companion of which the payload never comes.
 fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
@@ -31,6 +31,47 @@ fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
 }
 
 #[tokio::test]
+async fn connection_is_not_replaced_from_another_address() {
+    let master = RosMaster::start();
+    let mut cloud = Cloud::start_at(&master.address(), settings()).await;
+    let (address, hello) = (cloud.address(), hello());
+    let robot = (hello.host.to_string(), format!("/{}", hello.pipeline.as_str().replace('-', "_")));
+    let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+    assert!(cloud.next_open().await.accept(accepted(cloud.host)));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    let environment = Environment {
+        master: RpcUri::parse(&master.uri()).expect("a URI"),
+        advertised_host: Some("127.0.0.2".to_owned()),
+        namespace: "/".to_owned(),
+    };
+    let node = Node::new(&environment, "stranger", clock()).await.expect("the master answers");
+    let hellos = hellos_to(&cloud, &node).await;
+    for _ in 0..20 {
+        let (host, pipeline) = robot.clone();
+        send_hello(&hellos, &node, host, pipeline).await;
+        echo(&mut cloud, &session, "the session goes on").await;
+    }
+}
+
+/// The topic on which a cloud is asked for connections.
+async fn hellos_to(cloud: &Cloud, node: &Node) -> Publisher {
+    let address = cloud.address().to_string();
+    let topic = format!("/{}/sessions", address.rsplit('/').next().expect("a name"));
+    let kind = TopicType::of::<SessionHello>();
+    let publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
+    within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
+    publisher
+}
+
+/// Asks for a connection.
+async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: String) {
+    let header = Header { frame_id: "id".into(), ..Header::default() };
+    let hello = SessionHello { header, node: node.name().to_owned(), host, pipeline };
+    let hello = hello.encode(WireForm::Ros1).expect("can be written");
+    within(hellos.publish_waiting(hello)).await.expect("the node runs");
+}
+
+#[tokio::test]
 async fn connections_without_session_take_no_memory_from_sessions() {
     let master = RosMaster::start();
     let limits = SessionSettings { max_message_bytes: SHARED, max_unfinished_bytes: SHARED, ..settings() };
@@ -38,25 +79,14 @@ async fn connections_without_session_take_no_memory_from_sessions() {
     let (session, _) = session(&mut cloud).await;
     let node = foreign_node(&master, "crowd").await;
     let options = PublisherOptions::default();
-    let kind = TopicType::of::<SessionHello>();
-    let address = cloud.address().to_string();
-    let name = address.rsplit('/').next().expect("a name");
-    let hellos = node.publish(&format!("/{name}/sessions"), kind, options).await.expect("registered");
-    within(hellos.wait_for_subscribers(1)).await.expect("the cloud subscribes");
+    let hellos = hellos_to(&cloud, &node).await;
     let mut publishers: Vec<Publisher> = Vec::new();
     for number in 0..OTHERS {
         let pipeline = format!("/crowd/line{number}");
         let topic = format!("{pipeline}/request_info");
         let publisher =
             node.publish(&topic, TopicType::of::<MessageInfo>(), options).await.expect("registered");
-        let hello = SessionHello {
-            header: Header { frame_id: "id".into(), ..Header::default() },
-            node: node.name().to_owned(),
-            host: "crowd".to_owned(),
-            pipeline,
-        };
-        let hello = hello.encode(WireForm::Ros1).expect("can be written");
-        within(hellos.publish_waiting(hello)).await.expect("the node runs");
+        send_hello(&hellos, &node, "crowd".to_owned(), pipeline).await;
         within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
         for sequence in 0..4 {
             let sent = publisher.publish_waiting(half_a_message(sequence, 60_000));

@@ -23,7 +23,16 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let _master = ros_master(&desk);
     change(&desk, desk.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
     change(&desk, desk.cloud(), "[[model]]", "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]");
-    change(&desk, desk.edge(), "[[pipeline]]", &format!("{OVER_UDP}\n{OVER_ROS}\n[[pipeline]]"));
+    change(
+        &desk,
+        desk.edge(),
+        "[[pipeline]]",
+        &format!(
+            "{}\n{}\n[[pipeline]]",
+            pipeline("datagrams", "udp://10.0.0.2:5552"),
+            pipeline("topics", "ros1://10.0.0.2:11311/cloud")
+        ),
+    );
     let (edge, cloud) = (desk.edge(), desk.cloud());
     let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
     let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
@@ -73,24 +82,17 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     assert_eq!(aggregator.stop().code(), 0);
 }
 
-/// A pipeline beside the README's, whose samples have several fragments each.
-const OVER_UDP: &str = r#"[[pipeline]]
-name = "datagrams"
-sensor = { kind = "synthetic", size_bytes = 100000 }
-placement = { kind = "remote", peer = "udp://10.0.0.2:5552", model = "echo" }
-load = { mode = "rate", hz = 10.0 }
-"#;
+/// A pipeline beside the README's, whose samples have several datagrams each.
+fn pipeline(name: &str, peer: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 100000 }}\n\
+         placement = {{ kind = \"remote\", peer = \"{peer}\", model = \"echo\" }}\n\
+         load = {{ mode = \"rate\", hz = 10.0 }}\n"
+    )
+}
 
 /// Where the cloud serves models: on every network.
 const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
-
-/// The same over topics of ROS.
-const OVER_ROS: &str = r#"[[pipeline]]
-name = "topics"
-sensor = { kind = "synthetic", size_bytes = 100000 }
-placement = { kind = "remote", peer = "ros1://10.0.0.2:11311/cloud", model = "echo" }
-load = { mode = "rate", hz = 10.0 }
-"#;
 
 /// Changes the configuration of a machine's agent.
 fn change(desk: &Desk, host: &Host, from: &str, to: &str) {
