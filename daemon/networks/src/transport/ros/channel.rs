@@ -1,4 +1,4 @@
-//! One end of a virtual connection on topics of ROS 1: its state machine, and what it publishes.
+//! One end of a virtual connection on topics: its state machine, and what it publishes.
 
 use std::any::Any;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -6,17 +6,15 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_ros::messages::{Message, MessageInfo, WireForm};
-use peernet_ros::ros1::{
-    Delivery, MemoryLimit, Node, Publisher, PublisherInfo, PublisherOptions, QueueLimits, SubscriberOptions,
-    WhenFull,
-};
+use peernet_ros::messages::{Message, MessageInfo};
+use peernet_ros::ros1::{Delivery, MemoryLimit, QueueLimits, SubscriberOptions, WhenFull};
 use peernet_sample::Description;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep};
 
 use super::connection::{Connection, ConnectionLimits};
 use super::frames::{self, PAYLOAD_FRAME};
+use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
 use super::payload::{self, PayloadType};
 use crate::SessionSettings;
 use crate::message::{Header, Outcome};
@@ -105,21 +103,21 @@ pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
 /// One end of a connection, as senders and its task share it.
 #[derive(Debug)]
 pub(super) struct Channel {
-    pub(super) node: Arc<Node>,
+    pub(super) node: Arc<dyn SessionNode>,
     pub(super) clock: SharedClock,
     start: Instant,
     state: Mutex<Connection>,
-    info: Publisher,
+    info: Box<dyn SessionPublisher>,
     queue: QueueLimits,
     payload_topic: String,
     /// Set when the first message with a payload was sent; what travels before the topic is there stays in the companion.
-    payload: OnceLock<(PayloadType, Publisher)>,
+    payload: OnceLock<(PayloadType, Box<dyn SessionPublisher>)>,
     /// The type that the payload topic is to have.
     pub(super) wanted: OnceLock<PayloadType>,
     /// The task has something to do.
     pub(super) wake: Notify,
     /// The node at the other end, once it is known, and the connection from it.
-    peer: OnceLock<Arc<PublisherInfo>>,
+    peer: OnceLock<RemoteNode>,
 }
 
 /// What a message says of its first payload part and of its departure.
@@ -130,11 +128,11 @@ struct Described {
 
 impl Channel {
     pub(super) fn new(
-        (node, clock): (Arc<Node>, SharedClock),
+        (node, clock): (Arc<dyn SessionNode>, SharedClock),
         id: String,
         settings: &SessionSettings,
         budget: Arc<MemoryBudget>,
-        (info, payload_topic): (Publisher, String),
+        (info, payload_topic): (Box<dyn SessionPublisher>, String),
     ) -> Self {
         let connection = Connection::new(id, connection_limits(settings), budget, MonoTime::default());
         Self {
@@ -167,12 +165,12 @@ impl Channel {
     }
 
     /// The node at the other end; messages of others are not taken.
-    pub(super) fn peer(&self) -> Option<&Arc<PublisherInfo>> {
+    pub(super) fn peer(&self) -> Option<&RemoteNode> {
         self.peer.get()
     }
 
     /// Sets the node at the other end; the first one stays.
-    pub(super) fn set_peer(&self, peer: Arc<PublisherInfo>) {
+    pub(super) fn set_peer(&self, peer: RemoteNode) {
         self.peer.get_or_init(|| peer);
     }
 
@@ -189,13 +187,11 @@ impl Channel {
     }
 
     fn publish_for_all(&self, info: &MessageInfo) {
-        let published = info.encode(WireForm::Ros1).map_err(|error| error.to_string());
-        let published =
-            published.and_then(|message| self.info.publish(message).map_err(|error| error.to_string()));
-        if let Err(error) = published {
+        let published = info.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
+        if let Err(error) = published.and_then(|message| self.info.publish(message)) {
             tracing::debug!(
                 topic = self.info.topic(),
-                error,
+                %error,
                 "a message about a connection was not published"
             );
         }
@@ -236,7 +232,7 @@ impl Channel {
         if !frames::pack(&mut info, message, has_payload) {
             return Err(gone("a frame has 4 GiB or more".into()));
         }
-        let info = info.encode(WireForm::Ros1).map_err(|error| gone(error.to_string()))?;
+        let info = info.encode(self.node.form()).map_err(|error| gone(error.to_string()))?;
         match self.info.publish_to(&peer.node, info).map_err(|error| gone(error.to_string()))? {
             Delivery::Taken => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
@@ -263,7 +259,9 @@ impl Channel {
             return Ok(false);
         }
         // A value that this version of ROS cannot say travels in the companion.
-        let Ok(message) = payload::encode(WireForm::Ros1, &info.header, part, data) else { return Ok(false) };
+        let Ok(message) = payload::encode(self.node.form(), &info.header, part, data) else {
+            return Ok(false);
+        };
         match publisher.publish_to(peer, message) {
             Ok(Delivery::Taken) => Ok(true),
             Ok(Delivery::Full) => Err(SendFailure::Full),
@@ -274,10 +272,9 @@ impl Channel {
 
     /// Opens the payload topic, again and again while the master is away.
     pub(super) async fn publish_payload_topic(&self, kind: PayloadType) {
-        let options = PublisherOptions { is_latching: false, queue: self.queue };
         let (topic, mut is_told) = (&*self.payload_topic, false);
         while !self.lock().is_closed() {
-            match self.node.publish(topic, kind.topic_type(), options).await {
+            match self.node.publish(topic, (TopicUse::Payloads, kind.topic_type()), self.queue).await {
                 Ok(publisher) => {
                     self.payload.get_or_init(|| (kind, publisher));
                     return;

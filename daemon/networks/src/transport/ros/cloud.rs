@@ -7,16 +7,13 @@ use std::time::Duration;
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
 use peernet_ros::messages::{Message, SessionHello, WireForm};
-use peernet_ros::ros1::{
-    Node, NodeError, QueueLimits, ReceivedMessage, Subscriber, SubscriberOptions, TopicType, WhenFull,
-};
+use peernet_ros::ros1::{QueueLimits, SubscriberOptions, TopicType, WhenFull};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use super::edge::end_node;
-use super::environment;
+use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, TopicUse, open_node};
 use super::names::{cloud_node, sessions_topic};
 use super::peers::{Delivery, Peers, Standing};
 use crate::descriptors::DescriptorShare;
@@ -46,16 +43,13 @@ pub(crate) async fn bind(
     ports: NonZeroUsize,
     clock: &SharedClock,
 ) -> Result<Bound, BindFailure> {
-    let other = |error: NodeError| BindFailure::Other(error.to_string());
-    let environment = environment(address).map_err(|error| BindFailure::Other(error.to_string()))?;
+    let other = |error: NodeFailure| BindFailure::Other(error.to_string());
     let name = address.listener_name().unwrap_or_default();
-    let node = Node::new(&environment, &cloud_node(name), SharedClock::clone(clock)).await.map_err(other)?;
+    let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(other)?;
     let topic = sessions_topic(name);
-    if let Some(taken) = other_cloud(&node, &topic).await.map_err(other)? {
-        end_node(&node, settings.close_timeout()).await;
-        return Err(BindFailure::Other(format!(
-            "node {taken} serves the name {name} at this ROS master already; stop it, or end the address with another name"
-        )));
+    if let Err(failure) = node.check_cloud_name(name).await {
+        node.end(settings.close_timeout()).await;
+        return Err(other(failure));
     }
     let options = SubscriberOptions {
         queue: QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES },
@@ -63,11 +57,11 @@ pub(crate) async fn bind(
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()
     };
-    let sessions = node.subscribe(&topic, TopicType::of::<SessionHello>(), options).await.map_err(other)?;
+    let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
+    let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
     let (stop, abort, tasks) = (CancellationToken::new(), CancellationToken::new(), TaskTracker::new());
     let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
-    let node = Arc::new(node);
     let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
@@ -82,21 +76,11 @@ pub(crate) async fn bind(
     Ok(Bound { address: address.clone(), sender, receiver })
 }
 
-/// A running node, other than the own one, that serves the name. Nodes that only watch the topic are none, and of one with
-/// the own name the master knows the newer only.
-async fn other_cloud(node: &Node, topic: &str) -> Result<Option<String>, NodeError> {
-    let state = node.system_state().await?;
-    let own = super::names::base_name(node.name());
-    let is_cloud = |other: &&String| super::names::base_name(other) == own;
-    let clouds: Vec<String> = state.subscribers_of(topic).iter().filter(is_cloud).cloned().collect();
-    Ok(node.running_nodes(&clouds).await?.pop())
-}
-
 /// Opens a connection for each edge that asks.
 async fn accept(
     peers: Arc<Peers>,
-    node: Arc<Node>,
-    mut sessions: Subscriber,
+    node: Arc<dyn SessionNode>,
+    mut sessions: Box<dyn SessionSubscriber>,
     (stop, abort): (CancellationToken, CancellationToken),
 ) {
     loop {
@@ -104,7 +88,7 @@ async fn accept(
             () = stop.cancelled() => return,
             () = abort.cancelled() => return,
             message = sessions.recv() => match message {
-                Ok(message) => hear(&peers, message),
+                Ok(message) => hear(&peers, node.form(), message),
                 Err(error) => {
                     tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
                     abort.cancel();
@@ -115,9 +99,9 @@ async fn accept(
     }
 }
 
-fn hear(peers: &Arc<Peers>, message: ReceivedMessage) {
-    let ReceivedMessage { bytes, publisher, .. } = message;
-    match SessionHello::decode(WireForm::Ros1, bytes) {
+fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
+    let Received { bytes, publisher, .. } = message;
+    match SessionHello::decode(form, bytes) {
         // A node asks for itself only.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
         Ok(hello) => {
@@ -159,7 +143,7 @@ impl CloudSender for RosCloudSender {
 
 #[derive(Debug)]
 struct RosCloudReceiver {
-    node: Arc<Node>,
+    node: Arc<dyn SessionNode>,
     arrivals: mpsc::Receiver<Delivery>,
     stop: CancellationToken,
     abort: CancellationToken,
@@ -193,7 +177,7 @@ impl CloudReceiver for RosCloudReceiver {
             if timeout(linger, self.tasks.wait()).await.is_err() {
                 self.abort.cancel();
             }
-            end_node(&self.node, linger).await;
+            self.node.end(linger).await;
         })
     }
 }

@@ -5,10 +5,8 @@ use std::time::Duration;
 
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
-use peernet_ros::messages::{Message, MessageInfo, SessionHello, WireForm};
-use peernet_ros::ros1::{
-    Node, NodeError, Publisher, PublisherOptions, Subscriber, SubscriberOptions, TopicType,
-};
+use peernet_ros::messages::{Message, MessageInfo, SessionHello};
+use peernet_ros::ros1::{SubscriberOptions, TopicType};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -16,8 +14,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::channel::{Channel, ReceiveLimits, largest_message, queue_limits};
 use super::connection::Event;
-use super::environment;
-use super::names::{TopicPair, allowed, base_name, cloud_node, edge_node_prefix, sessions_topic};
+use super::interface::{
+    EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse, end_in_background,
+    open_node,
+};
+use super::names::{TopicPair, allowed, edge_node_prefix, sessions_topic};
 use super::serving::{Directive, Serving, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -48,24 +49,22 @@ pub(crate) async fn dial(
     let id = uuid::Uuid::new_v4().simple().to_string();
     let hello = dialler.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
-    let environment = environment(address).map_err(|error| DialFailure::Unreachable(error.to_string()))?;
     let name = format!("{prefix}{}", &id[..8]);
-    let node = Node::new(&environment, &name, SharedClock::clone(dialler.clock))
-        .await
-        .map_err(|error| unreachable(&error))?;
-    // However dialling ends, the master is told.
-    let node = NodeGuard { node: Arc::new(node), patience: settings.close_timeout() };
-    let pipeline = node.resolve(&allowed(hello.pipeline.as_str())).map_err(|error| unreachable(&error))?;
-    let topics = Topics {
+    let node = open_node(address, &name, settings, dialler.clock).await?;
+    // However dialling ends, the others are told.
+    let node = NodeGuard { node, patience: settings.close_timeout() };
+    let pipeline = node.resolve(&allowed(hello.pipeline.as_str()))?;
+    let topics = EdgeTopics {
         cloud: address.listener_name().unwrap_or_default().to_owned(),
         request: TopicPair::request(&pipeline),
         response: TopicPair::response(&pipeline),
+        own_prefix: prefix,
     };
-    let cloud = topics.check(&node, &prefix, address).await?;
+    let cloud = node.find_cloud(&topics).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(INCOMPLETE_MESSAGES));
     let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
     let receiving = limits.subscriber_options(settings, &cloud);
-    let opened = topics.open(&node, settings, receiving).await.map_err(|error| unreachable(&error))?;
+    let opened = open(&topics, &**node, settings, receiving).await?;
     let clock = SharedClock::clone(dialler.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
@@ -76,7 +75,7 @@ pub(crate) async fn dial(
         ..SessionHello::default()
     };
     let mut response_info = opened.response_info;
-    welcome(&channel, &mut response_info, &opened.sessions, wire).await?;
+    welcome(&channel, &mut *response_info, &*opened.sessions, (&cloud, wire)).await?;
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
     let serving = Serving {
@@ -93,94 +92,44 @@ pub(crate) async fn dial(
     Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver) })
 }
 
-fn unreachable(error: &NodeError) -> DialFailure {
-    DialFailure::Unreachable(error.to_string())
+impl From<NodeFailure> for DialFailure {
+    fn from(failure: NodeFailure) -> Self {
+        Self::Unreachable(failure.0)
+    }
 }
 
-/// The topics of a connection.
-struct Topics {
-    cloud: String,
-    request: TopicPair,
-    response: TopicPair,
-}
-
-/// What an edge has of them.
+/// What an edge has of the topics of a connection.
 struct Opened {
-    sessions: Publisher,
-    request_info: Publisher,
-    response_info: Subscriber,
-    response: Subscriber,
+    sessions: Box<dyn SessionPublisher>,
+    request_info: Box<dyn SessionPublisher>,
+    response_info: Box<dyn SessionSubscriber>,
+    response: Box<dyn SessionSubscriber>,
 }
 
-impl Topics {
-    /// Checks with the master that the cloud is there, and that nobody else uses the pipeline's topics. Returns the name of
-    /// the cloud's node.
-    async fn check(&self, node: &Node, own_prefix: &str, address: &Address) -> Result<Arc<str>, DialFailure> {
-        let state = node.system_state().await.map_err(|error| unreachable(&error))?;
-        let sessions = sessions_topic(&self.cloud);
-        let is_cloud = |node: &&String| base_name(node) == cloud_node(&self.cloud);
-        let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
-        let mut clouds = node.running_nodes(&clouds).await.map_err(|error| unreachable(&error))?;
-        let Some(cloud) = clouds.pop() else {
-            return Err(DialFailure::Unreachable(format!(
-                "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
-                 this master and name",
-                address.authority(),
-                self.cloud
-            )));
-        };
-        let is_foreign = |node: &&String| !base_name(node).starts_with(own_prefix);
-        for topic in [&self.request.info, &self.request.payload] {
-            let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
-            if let Some(other) =
-                node.running_nodes(&others).await.map_err(|error| unreachable(&error))?.first()
-            {
-                return Err(DialFailure::Unreachable(format!(
-                    "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
-                     ROS_NAMESPACE to a namespace of this robot"
-                )));
-            }
-        }
-        let types = node.topic_types().await.map_err(|error| unreachable(&error))?;
-        let expected = MessageInfo::DEFINITION.name;
-        for topic in [&self.request.info, &self.response.info] {
-            let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
-            let other = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
-            if let Some((_, kind)) = other.filter(|_| is_used) {
-                return Err(DialFailure::Unreachable(format!(
-                    "topic {topic} has the message type {kind} and would need {expected}; give the pipeline another name, \
-                     or set ROS_NAMESPACE to a namespace of this robot"
-                )));
-            }
-        }
-        Ok(cloud.into())
-    }
-
-    async fn open(
-        &self,
-        node: &Node,
-        settings: &SessionSettings,
-        receiving: SubscriberOptions,
-    ) -> Result<Opened, NodeError> {
-        let sending = PublisherOptions { is_latching: false, queue: queue_limits(settings) };
-        let info = TopicType::of::<MessageInfo>();
-        Ok(Opened {
-            response_info: node.subscribe(&self.response.info, info.clone(), receiving.clone()).await?,
-            response: node.subscribe(&self.response.payload, TopicType::any(), receiving).await?,
-            request_info: node.publish(&self.request.info, info, sending).await?,
-            sessions: node
-                .publish(&sessions_topic(&self.cloud), TopicType::of::<SessionHello>(), sending)
-                .await?,
-        })
-    }
+async fn open(
+    topics: &EdgeTopics,
+    node: &dyn SessionNode,
+    settings: &SessionSettings,
+    receiving: SubscriberOptions,
+) -> Result<Opened, NodeFailure> {
+    let queue = queue_limits(settings);
+    let companions = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+    let payloads = (TopicUse::Payloads, TopicType::any());
+    let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
+    Ok(Opened {
+        response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
+        response: node.subscribe(&topics.response.payload, payloads, receiving).await?,
+        request_info: node.publish(&topics.request.info, companions, queue).await?,
+        sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
+    })
 }
 
 /// Says hello until the cloud answers.
 async fn welcome(
     channel: &Channel,
-    response_info: &mut Subscriber,
-    sessions: &Publisher,
-    mut hello: SessionHello,
+    response_info: &mut dyn SessionSubscriber,
+    sessions: &dyn SessionPublisher,
+    (cloud, mut hello): (&Arc<str>, SessionHello),
 ) -> Result<(), DialFailure> {
     let (mut next, mut interval) = (Instant::now(), MIN_HELLO_INTERVAL);
     loop {
@@ -188,16 +137,16 @@ async fn welcome(
             () = sleep_until(next) => {
                 channel.announce(MessageInfo::HELLO);
                 hello.header.frame_id = channel.lock().id().to_owned();
-                let message = hello.encode(WireForm::Ros1);
+                let message = hello.encode(channel.node.form());
                 let message = message.map_err(|error| DialFailure::Unreachable(error.to_string()))?;
-                sessions.publish(message).map_err(|error| unreachable(&error))?;
+                sessions.publish(message)?;
                 next = Instant::now() + interval;
                 interval = (interval * 2).min(MAX_HELLO_INTERVAL);
             }
             message = response_info.recv() => {
-                let message = message.map_err(|error| unreachable(&error))?;
-                let Ok(info) = MessageInfo::decode(WireForm::Ros1, message.bytes) else { continue };
-                if info.header.frame_id != channel.lock().id() {
+                let message = message?;
+                let Ok(info) = MessageInfo::decode(channel.node.form(), message.bytes) else { continue };
+                if info.header.frame_id != channel.lock().id() || message.publisher.node != *cloud {
                     continue;
                 }
                 let now = channel.now();
@@ -216,39 +165,24 @@ async fn welcome(
     }
 }
 
-/// A node that ends when this is dropped; the master is told in the background.
+/// A node that ends when this is dropped; others are told in the background.
 #[derive(Debug)]
 struct NodeGuard {
-    node: Arc<Node>,
+    node: Arc<dyn SessionNode>,
     patience: Duration,
 }
 
 impl std::ops::Deref for NodeGuard {
-    type Target = Node;
+    type Target = Arc<dyn SessionNode>;
 
-    fn deref(&self) -> &Node {
+    fn deref(&self) -> &Arc<dyn SessionNode> {
         &self.node
     }
 }
 
 impl Drop for NodeGuard {
     fn drop(&mut self) {
-        match tokio::runtime::Handle::try_current() {
-            Ok(runtime) => {
-                let (node, patience) = (Arc::clone(&self.node), self.patience);
-                runtime.spawn(async move { end_node(&node, patience).await });
-            }
-            Err(_) => self.node.close(),
-        }
-    }
-}
-
-/// Ends a node, whose registrations the master forgets if it answers in time.
-pub(super) async fn end_node(node: &Node, patience: Duration) {
-    match timeout(patience, node.shutdown()).await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::debug!(%error, node = node.name(), "a node stays in the master's lists"),
-        Err(_) => tracing::debug!(node = node.name(), "a node stays in the master's lists"),
+        end_in_background(Arc::clone(&self.node), self.patience);
     }
 }
 
@@ -280,7 +214,7 @@ impl Sink for EdgeSink {
 struct RosEdgeSender(Arc<Channel>);
 
 impl EdgeSender for RosEdgeSender {
-    // TCP repeats what is lost: the deadline is of no use.
+    // What is lost is sent again: the deadline is of no use.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         self.0.send(&frames, options)
     }
@@ -331,7 +265,7 @@ impl EdgeReceiver for RosEdgeReceiver {
                 self.abort.cancel();
             }
             // What was published goes out before the topics end.
-            end_node(&self.node, linger).await;
+            self.node.end(linger).await;
         })
     }
 }

@@ -11,10 +11,12 @@ mod cloud;
 mod connection;
 mod edge;
 mod frames;
+mod interface;
 mod names;
 mod pairing;
 mod payload;
 mod peers;
+mod ros1;
 mod serving;
 mod version;
 
@@ -22,8 +24,6 @@ pub(crate) use cloud::bind;
 pub(crate) use edge::dial;
 
 use std::io;
-
-use peernet_ros::ros1::{Environment, EnvironmentError, RpcUri};
 
 use super::AddressForm;
 use crate::Address;
@@ -35,10 +35,4 @@ pub(crate) const ADDRESS_FORM: AddressForm =
 /// Ports are the system's choice: there is nothing to try.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {
     Ok(())
-}
-
-/// Returns the settings of ROS: the address has the master, and environment variables have the rest.
-fn environment(address: &Address) -> Result<Environment, EnvironmentError> {
-    let master = RpcUri::parse(&format!("http://{}", address.authority()))?;
-    Ok(Environment { master, ..Environment::from_process()? })
 }

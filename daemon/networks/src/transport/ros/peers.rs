@@ -6,9 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{LogThrottle, SharedClock};
 use peernet_ros::messages::{MessageInfo, SessionHello};
-use peernet_ros::ros1::{
-    Node, NodeError, PublisherInfo, PublisherOptions, Subscriber, SubscriberOptions, TopicType,
-};
+use peernet_ros::ros1::{SubscriberOptions, TopicType};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
@@ -18,6 +16,7 @@ use super::channel::{
     Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, ReceiveLimits, largest_message, queue_limits,
 };
 use super::connection::Event;
+use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionSubscriber, TopicUse};
 use super::names::TopicPair;
 use super::serving::{Directive, Serving, Sink};
 use crate::SessionSettings;
@@ -47,7 +46,7 @@ pub(super) enum Standing {
 /// All connections of a cloud.
 #[derive(Debug)]
 pub(super) struct Peers {
-    node: Arc<Node>,
+    node: Arc<dyn SessionNode>,
     clock: SharedClock,
     settings: SessionSettings,
     budget: Arc<MemoryBudget>,
@@ -89,7 +88,7 @@ impl Entry {
 
 impl Peers {
     pub(super) fn new(
-        (node, clock): (Arc<Node>, SharedClock),
+        (node, clock): (Arc<dyn SessionNode>, SharedClock),
         (settings, budget, max_connections): (SessionSettings, Arc<MemoryBudget>, usize),
         deliveries: mpsc::Sender<Delivery>,
         (stop, abort, tasks): (CancellationToken, CancellationToken, TaskTracker),
@@ -117,7 +116,7 @@ impl Peers {
     }
 
     /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
-    pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &Arc<PublisherInfo>) {
+    pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let mut table = self.table();
         let id = &hello.header.frame_id;
         let earlier = table.entries.get(&hello.pipeline).cloned();
@@ -150,7 +149,7 @@ impl Peers {
         if let Some(earlier) = &earlier {
             earlier.abort.cancel();
         }
-        let (peers, edge) = (Arc::clone(self), Arc::clone(edge));
+        let (peers, edge) = (Arc::clone(self), edge.clone());
         self.tasks.spawn(async move {
             if let Some(earlier) = earlier {
                 // Its topics have the same names.
@@ -209,12 +208,11 @@ impl Peers {
         self: &Arc<Self>,
         entry: &Arc<Entry>,
         pipeline: &str,
-        edge: &Arc<PublisherInfo>,
-    ) -> Result<(), NodeError> {
+        edge: &RemoteNode,
+    ) -> Result<(), NodeFailure> {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
-        let (kind, queue) = (TopicType::of::<MessageInfo>(), queue_limits(&self.settings));
-        let options = PublisherOptions { is_latching: false, queue };
-        let publisher = self.node.publish(&response.info, kind.clone(), options).await?;
+        let kind = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+        let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
         // Of its own, so that nobody without a session takes memory from sessions, or from others without one.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
         let unadmitted =
@@ -224,7 +222,7 @@ impl Peers {
         let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
         let sending = (publisher, response.payload);
         let channel = Arc::new(Channel::new(shared, entry.id.clone(), &self.settings, budget, sending));
-        channel.set_peer(Arc::clone(edge));
+        channel.set_peer(edge.clone());
         *entry.channel() = Some(Arc::clone(&channel));
         let sink = CloudSink {
             peers: Arc::clone(self),
@@ -263,7 +261,7 @@ struct CloudSink {
     node: Arc<str>,
     payload_topic: String,
     /// The payload topic, once a session was accepted.
-    subscribing: Option<AbortOnDropHandle<Subscriber>>,
+    subscribing: Option<AbortOnDropHandle<Box<dyn SessionSubscriber>>>,
 }
 
 impl Sink for CloudSink {
@@ -304,7 +302,7 @@ impl Sink for CloudSink {
             result = subscribed => {
                 self.subscribing = None;
                 match result {
-                    Ok(subscriber) => Directive::Admit(Box::new(subscriber)),
+                    Ok(subscriber) => Directive::Admit(subscriber),
                     Err(error) => Directive::End(error.to_string()),
                 }
             }
@@ -338,7 +336,7 @@ impl CloudSink {
             let node = Arc::clone(&self.peers.node);
             let options = admitted.subscriber_options(settings, &self.node);
             // It asks the master, which may be away; what arrives meanwhile is in the companions.
-            let subscribing = tokio::spawn(async move { subscribe(&node, &topic, options).await });
+            let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options).await });
             self.subscribing = Some(AbortOnDropHandle::new(subscribing));
         }
         Directive::Limit(admitted)
@@ -346,10 +344,14 @@ impl CloudSink {
 }
 
 /// Subscribes to a payload topic, again and again while the master is away.
-async fn subscribe(node: &Node, topic: &str, options: SubscriberOptions) -> Subscriber {
+async fn subscribe(
+    node: &dyn SessionNode,
+    topic: &str,
+    options: SubscriberOptions,
+) -> Box<dyn SessionSubscriber> {
     let mut is_told = false;
     loop {
-        match node.subscribe(topic, TopicType::any(), options.clone()).await {
+        match node.subscribe(topic, (TopicUse::Payloads, TopicType::any()), options.clone()).await {
             Ok(subscriber) => return subscriber,
             Err(error) if !is_told => {
                 tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");

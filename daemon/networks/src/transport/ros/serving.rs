@@ -3,14 +3,14 @@
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use peernet_ros::messages::{Message, MessageInfo, WireForm};
-use peernet_ros::ros1::{NodeError, PublisherState, PublisherWatch, ReceivedMessage, Subscriber};
+use peernet_ros::messages::{Message, MessageInfo};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use super::channel::{Channel, ReceiveLimits};
 use super::connection::Event;
+use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
 use super::payload;
 
 /// Where the events of a connection go.
@@ -28,7 +28,7 @@ pub(super) trait Sink: Send {
 /// What a side wants of its connection's task.
 pub(super) enum Directive {
     /// Receive payloads, and longer companions.
-    Admit(Box<Subscriber>),
+    Admit(Box<dyn SessionSubscriber>),
     /// Other limits for companions.
     Limit(ReceiveLimits),
     /// End the connection.
@@ -38,8 +38,8 @@ pub(super) enum Directive {
 /// A task's parts.
 pub(super) struct Serving<S: Sink> {
     pub(super) channel: Arc<Channel>,
-    pub(super) info: Subscriber,
-    pub(super) payload: Option<Subscriber>,
+    pub(super) info: Box<dyn SessionSubscriber>,
+    pub(super) payload: Option<Box<dyn SessionSubscriber>>,
     pub(super) sink: S,
     pub(super) deliveries: mpsc::Sender<S::Delivery>,
     /// Ends the connection with a goodbye.
@@ -49,8 +49,8 @@ pub(super) struct Serving<S: Sink> {
 }
 
 enum Step {
-    Info(Result<ReceivedMessage, NodeError>),
-    Payload(Result<ReceivedMessage, NodeError>),
+    Info(Result<Received, NodeFailure>),
+    Payload(Result<Received, NodeFailure>),
     Directive(Directive),
     Other,
 }
@@ -80,9 +80,9 @@ impl<S: Sink> Serving<S> {
                 return;
             }
             // Made before looking, so that nothing that happens in between is missed.
-            let info_publishers = self.info.publisher_watch();
-            let payload_publishers = self.payload.as_ref().map(Subscriber::publisher_watch);
-            let changed = changed(&info_publishers, payload_publishers.as_ref());
+            let info_publishers = self.info.watch();
+            let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
+            let changed = changed(&*info_publishers, payload_publishers.as_deref());
             if let Some(topic) = self.topic_left(&mut connected)
                 && !self.channel.lock().is_closed()
             {
@@ -145,7 +145,7 @@ impl<S: Sink> Serving<S> {
                 }
             }
             Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
-            Step::Directive(Directive::Admit(payload)) => self.payload = Some(*payload),
+            Step::Directive(Directive::Admit(payload)) => self.payload = Some(payload),
             Step::Directive(Directive::Limit(limits)) => {
                 self.info.set_message_limits(limits.max_message_bytes, limits.memory());
                 self.channel.lock().set_budget(limits.budget);
@@ -160,7 +160,7 @@ impl<S: Sink> Serving<S> {
         let topics = [Some(&self.info), self.payload.as_ref()];
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
-            if !is_connected(subscriber, &self.channel) {
+            if !is_connected(&**subscriber, &self.channel) {
                 return connected.contains(topic).then(|| topic.to_owned());
             }
             if !connected.contains(topic) {
@@ -171,7 +171,7 @@ impl<S: Sink> Serving<S> {
     }
 
     /// Whether a message is of the node at the other end. Others are named once.
-    fn is_of_peer(&self, message: &ReceivedMessage, foreign: &mut BTreeSet<Arc<str>>) -> bool {
+    fn is_of_peer(&self, message: &Received, foreign: &mut BTreeSet<Arc<str>>) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -190,11 +190,11 @@ impl<S: Sink> Serving<S> {
     }
 
     // A message gives back its memory before the connection reserves it for the frames, which are the same bytes.
-    fn hear_info(&self, ReceivedMessage { bytes, memory, .. }: ReceivedMessage) {
+    fn hear_info(&self, Received { bytes, memory, .. }: Received) {
         drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
-        match MessageInfo::decode(WireForm::Ros1, bytes) {
+        match MessageInfo::decode(self.channel.node.form(), bytes) {
             // Of an earlier connection between the same nodes, or of a later one.
             Ok(info) if info.header.frame_id != state.id() => {}
             Ok(info) => state.hear_info(info, now),
@@ -202,9 +202,9 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    fn hear_payload(&self, ReceivedMessage { bytes, memory, publisher, .. }: ReceivedMessage) {
+    fn hear_payload(&self, Received { bytes, memory, type_name, .. }: Received) {
         drop(memory);
-        let decoded = payload::decode(WireForm::Ros1, &publisher.kind.name, bytes);
+        let decoded = payload::decode(self.channel.node.form(), &type_name, bytes);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match decoded {
@@ -233,7 +233,7 @@ impl<S: Sink> Serving<S> {
 /// Most second publishers that are named.
 const MAX_FOREIGN: usize = 16;
 
-async fn receive(subscriber: &mut Option<Subscriber>) -> Result<ReceivedMessage, NodeError> {
+async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<Received, NodeFailure> {
     match subscriber {
         Some(subscriber) => subscriber.recv().await,
         None => std::future::pending().await,
@@ -242,10 +242,10 @@ async fn receive(subscriber: &mut Option<Subscriber>) -> Result<ReceivedMessage,
 
 /// Waits until the publishers of a topic have changed after this call.
 fn changed<'a>(
-    info: &'a PublisherWatch,
-    payload: Option<&'a PublisherWatch>,
+    info: &'a dyn PublisherChanges,
+    payload: Option<&'a dyn PublisherChanges>,
 ) -> impl Future<Output = ()> + 'a {
-    let (info, payload) = (info.changed(), payload.map(PublisherWatch::changed));
+    let (info, payload) = (info.changed(), payload.map(PublisherChanges::changed));
     async move {
         match payload {
             Some(payload) => tokio::select! {
@@ -258,9 +258,6 @@ fn changed<'a>(
 }
 
 /// Whether the peer's messages arrive.
-fn is_connected(subscriber: &Subscriber, channel: &Channel) -> bool {
-    let Some(peer) = channel.peer() else { return false };
-    let is_peer =
-        |state: &PublisherState| matches!(state, PublisherState::Connected(info) if info.node == peer.node);
-    subscriber.publishers().iter().any(|publisher| is_peer(&publisher.state))
+fn is_connected(subscriber: &dyn SessionSubscriber, channel: &Channel) -> bool {
+    channel.peer().is_some_and(|peer| subscriber.is_connected(&peer.node))
 }

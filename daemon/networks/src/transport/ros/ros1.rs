@@ -1,0 +1,237 @@
+//! Nodes of ROS 1.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use peernet_clock::SharedClock;
+use peernet_ros::messages::{EncodedMessage, Message, MessageInfo, WireForm};
+use peernet_ros::ros1::{
+    Delivery, Environment, EnvironmentError, MemoryLimit, Node, NodeError, Publisher, PublisherInfo,
+    PublisherOptions, PublisherState, PublisherWatch, QueueLimits, ReceivedMessage, RpcUri, Subscriber,
+    SubscriberOptions, TopicType,
+};
+use tokio::time::timeout;
+
+use super::interface::{
+    EdgeTopics, NodeFailure, PublisherChanges, Received, RemoteNode, SessionNode, SessionPublisher,
+    SessionSubscriber, TopicUse,
+};
+use super::names::{base_name, cloud_node, sessions_topic};
+use crate::Address;
+
+/// A node, and the master that it is registered with.
+#[derive(Debug)]
+pub(super) struct Ros1Node {
+    node: Node,
+    /// Host and port.
+    master: String,
+}
+
+impl Ros1Node {
+    /// Registers a node with the address's master.
+    pub(super) async fn open(
+        address: &Address,
+        name: &str,
+        clock: &SharedClock,
+    ) -> Result<Self, NodeFailure> {
+        let node = Node::new(&environment(address)?, name, SharedClock::clone(clock)).await?;
+        Ok(Self { node, master: address.authority() })
+    }
+
+    async fn cloud(&self, topics: &EdgeTopics) -> Result<Arc<str>, NodeFailure> {
+        let state = self.node.system_state().await?;
+        let sessions = sessions_topic(&topics.cloud);
+        let is_cloud = |node: &&String| base_name(node) == cloud_node(&topics.cloud);
+        let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
+        let mut clouds = self.node.running_nodes(&clouds).await?;
+        let Some(cloud) = clouds.pop() else {
+            return Err(NodeFailure(format!(
+                "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
+                 this master and name",
+                self.master, topics.cloud
+            )));
+        };
+        let is_foreign = |node: &&String| !base_name(node).starts_with(&topics.own_prefix);
+        for topic in [&topics.request.info, &topics.request.payload] {
+            let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
+            if let Some(other) = self.node.running_nodes(&others).await?.first() {
+                return Err(NodeFailure(format!(
+                    "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
+                     ROS_NAMESPACE to a namespace of this robot"
+                )));
+            }
+        }
+        let types = self.node.topic_types().await?;
+        let expected = MessageInfo::DEFINITION.name;
+        for topic in [&topics.request.info, &topics.response.info] {
+            let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
+            let other = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
+            if let Some((_, kind)) = other.filter(|_| is_used) {
+                return Err(NodeFailure(format!(
+                    "topic {topic} has the message type {kind} and would need {expected}; give the pipeline another name, \
+                     or set ROS_NAMESPACE to a namespace of this robot"
+                )));
+            }
+        }
+        Ok(cloud.into())
+    }
+
+    /// A running node, other than the own one, that serves a name. Nodes that only watch the topic are none, and of one with
+    /// the own name the master knows the newer only.
+    async fn other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
+        let state = self.node.system_state().await?;
+        let own = base_name(self.node.name());
+        let is_cloud = |other: &&String| base_name(other) == own;
+        let subscribers = state.subscribers_of(&sessions_topic(cloud)).iter();
+        let clouds: Vec<String> = subscribers.filter(is_cloud).cloned().collect();
+        Ok(self.node.running_nodes(&clouds).await?.pop())
+    }
+}
+
+impl SessionNode for Ros1Node {
+    fn form(&self) -> WireForm {
+        WireForm::Ros1
+    }
+
+    fn name(&self) -> &str {
+        self.node.name()
+    }
+
+    fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
+        Ok(self.node.resolve(name)?)
+    }
+
+    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
+        self.cloud(topics).boxed()
+    }
+
+    fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
+        let check = async move {
+            match self.other_cloud(cloud).await? {
+                None => Ok(()),
+                Some(taken) => Err(NodeFailure(format!(
+                    "node {taken} serves the name {cloud} at this ROS master already; stop it, or end the address with \
+                     another name"
+                ))),
+            }
+        };
+        check.boxed()
+    }
+
+    fn publish<'a>(
+        &'a self,
+        topic: &'a str,
+        (_, kind): (TopicUse, TopicType),
+        queue: QueueLimits,
+    ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
+        let publish = async move {
+            let options = PublisherOptions { is_latching: false, queue };
+            let publisher = self.node.publish(topic, kind, options).await?;
+            Ok(Box::new(publisher) as Box<dyn SessionPublisher>)
+        };
+        publish.boxed()
+    }
+
+    fn subscribe<'a>(
+        &'a self,
+        topic: &'a str,
+        (_, kind): (TopicUse, TopicType),
+        options: SubscriberOptions,
+    ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
+        let subscribe = async move {
+            let subscriber = self.node.subscribe(topic, kind, options).await?;
+            Ok(Box::new(subscriber) as Box<dyn SessionSubscriber>)
+        };
+        subscribe.boxed()
+    }
+
+    // The master forgets the registrations if it answers in time.
+    fn end(&self, patience: Duration) -> BoxFuture<'_, ()> {
+        let end = async move {
+            match timeout(patience, self.node.shutdown()).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => {
+                    tracing::debug!(%error, node = self.name(), "a node stays in the master's lists");
+                }
+                Err(_) => tracing::debug!(node = self.name(), "a node stays in the master's lists"),
+            }
+        };
+        end.boxed()
+    }
+
+    fn close(&self) {
+        self.node.close();
+    }
+}
+
+impl SessionPublisher for Publisher {
+    fn topic(&self) -> &str {
+        Self::topic(self)
+    }
+
+    fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure> {
+        Self::publish(self, message)?;
+        Ok(())
+    }
+
+    fn publish_to(&self, node: &str, message: EncodedMessage) -> Result<Delivery, NodeFailure> {
+        Ok(Self::publish_to(self, node, message)?)
+    }
+}
+
+impl SessionSubscriber for Subscriber {
+    fn topic(&self) -> &str {
+        Self::topic(self)
+    }
+
+    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
+        async move { Ok(Received::from(Self::recv(self).await?)) }.boxed()
+    }
+
+    fn try_recv(&mut self) -> Option<Received> {
+        Self::try_recv(self).map(Received::from)
+    }
+
+    fn is_connected(&self, node: &str) -> bool {
+        let is_node =
+            |state: &PublisherState| matches!(state, PublisherState::Connected(info) if *info.node == *node);
+        self.publishers().iter().any(|publisher| is_node(&publisher.state))
+    }
+
+    fn watch(&self) -> Box<dyn PublisherChanges> {
+        Box::new(self.publisher_watch())
+    }
+
+    fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>) {
+        Self::set_message_limits(self, max_message_bytes, memory);
+    }
+}
+
+impl PublisherChanges for PublisherWatch {
+    // The inner future is made at once: it tells of changes from then on.
+    fn changed(&self) -> BoxFuture<'_, ()> {
+        Self::changed(self).boxed()
+    }
+}
+
+impl From<ReceivedMessage> for Received {
+    fn from(message: ReceivedMessage) -> Self {
+        let type_name = Arc::clone(&message.publisher.kind.name);
+        let publisher = RemoteNode::from(&*message.publisher);
+        Self { bytes: message.bytes, publisher, type_name, memory: message.memory }
+    }
+}
+
+impl From<&PublisherInfo> for RemoteNode {
+    fn from(info: &PublisherInfo) -> Self {
+        Self { node: Arc::clone(&info.node), local: info.local, remote: info.remote }
+    }
+}
+
+/// Returns the settings of ROS: the address has the master, and environment variables have the rest.
+fn environment(address: &Address) -> Result<Environment, EnvironmentError> {
+    let master = RpcUri::parse(&format!("http://{}", address.authority()))?;
+    Ok(Environment { master, ..Environment::from_process()? })
+}
