@@ -13,7 +13,8 @@ use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
-use peernet_networks::{Address, SessionSettings};
+use peernet_networks::{Address, SessionSettings, check_interfaces};
+use peernet_ros::ros2::{self, Ros2Error};
 use peernet_ros::topics::check_name;
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
@@ -84,6 +85,13 @@ impl Report {
     fn settings(&mut self, key: &str, settings: &SessionSettings) {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
+        }
+        self.unless_ok(format!("{key}.ros2.interfaces"), check_interfaces(&settings.ros2.interfaces));
+    }
+
+    fn version_of_ros(&mut self, key: impl Into<String>, address: &Address) {
+        if address.domain().is_some() && !ros2::IS_BUILT {
+            self.add(key, format!("{address}: {}", Ros2Error::NotBuilt));
         }
     }
 }
@@ -173,6 +181,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
     report.settings("serve.session", &serve.session);
     for address in serve.listen.all() {
         report.unless_ok("serve.network", address.check_network(serve.network));
+        report.version_of_ros("serve.listen", address);
         check_listen(report, address);
     }
 }
@@ -213,6 +222,7 @@ fn check_pipeline(
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.settings(&format!("{at}.placement.session"), &remote.session);
         report.unless_ok(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
+        report.version_of_ros(format!("{at}.placement.peer"), &remote.peer);
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)

@@ -50,6 +50,35 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
     Ok(name.map(|name| describe(Path::new(SYSFS), name)))
 }
 
+/// A network interface that this host lacks.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("this host has no network interface {name:?} with an IPv4 address; there is {known}")]
+pub struct UnknownInterface {
+    /// What was given.
+    pub name: String,
+    /// Those that there are.
+    pub known: String,
+}
+
+/// Checks that this host has network interfaces with these names or IPv4 addresses.
+///
+/// # Errors
+/// The first that it lacks.
+pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
+    // Where the system does not list them, joining a domain tells.
+    let Ok(entries) = getifaddrs() else { return Ok(()) };
+    let with_address = |entry: nix::ifaddrs::InterfaceAddress| {
+        let address = entry.address?.as_sockaddr_in()?.ip().to_string();
+        Some((entry.interface_name, address))
+    };
+    let known: Vec<(String, String)> = entries.filter_map(with_address).collect();
+    let is_known =
+        |wanted: &&String| known.iter().any(|(name, address)| name == *wanted || address == *wanted);
+    let Some(name) = names.iter().find(|name| !is_known(name)) else { return Ok(()) };
+    let known: Vec<String> = known.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+    Err(UnknownInterface { name: name.clone(), known: known.join(", ") })
+}
+
 fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
     let v4 = address.as_sockaddr_in().map(|address| IpAddr::V4(address.ip()));
     v4.or_else(|| address.as_sockaddr_in6().map(|address| IpAddr::V6(address.ip())))
@@ -74,6 +103,13 @@ mod tests {
     use std::net::{SocketAddr, UdpSocket};
 
     use super::*;
+
+    #[test]
+    fn interface_is_known_by_name_or_address() {
+        assert_eq!(check_interfaces(&["lo".into(), "127.0.0.1".into()]), Ok(()));
+        let error = check_interfaces(&["eth99".into()]).expect_err("no such interface").to_string();
+        assert!(error.contains("\"eth99\"") && error.contains("lo (127.0.0.1)"), "{error}");
+    }
 
     #[test]
     fn loopback_connection_leaves_by_loopback() {

@@ -13,13 +13,13 @@ mod settings;
 mod statistics;
 mod transport;
 
-pub use interface::interface_of;
+pub use interface::{UnknownInterface, check_interfaces, interface_of};
 pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session, StatisticsReader,
 };
-pub use settings::{InvalidSettings, SessionSettings};
+pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,

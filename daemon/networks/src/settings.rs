@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
 /// The longest time that can be set: a day. Milliseconds.
@@ -25,6 +26,7 @@ const IN_FLIGHT_BYTES: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES: (u64, u64) = (64 << 10, 1 << 30);
+const ROS2_DEPTH: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 
 /// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
 /// one holds.
@@ -62,8 +64,31 @@ pub struct SessionSettings {
     /// How long the fragments of a message are waited for that has left as a whole. Milliseconds. Networks of
     /// datagrams only.
     pub reassembly_timeout_ms: u64,
-    /// The system's buffers of each socket. Bytes. Networks of datagrams only.
+    /// The system's buffers of each socket. Bytes. Networks of datagrams, and ROS 2.
     pub socket_buffer_bytes: u64,
+    /// Topics of ROS 2.
+    pub ros2: Ros2SessionSettings,
+}
+
+/// What topics of ROS 2 are like that carry sessions.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ros2SessionSettings {
+    /// Whether payloads that are lost on the way are sent again. All else always is.
+    pub reliability: Reliability,
+    /// Payloads that a topic keeps until they are taken.
+    pub depth: u32,
+    /// Longest time between two payloads that this end promises, and for which it waits for a payload whose companion message
+    /// is there. Milliseconds.
+    pub deadline_ms: Option<u64>,
+    /// Names or IPv4 addresses of the network interfaces to use; none for what the environment variables of ROS 2 say.
+    pub interfaces: Vec<String>,
+}
+
+impl Default for Ros2SessionSettings {
+    fn default() -> Self {
+        Self { reliability: Reliability::default(), depth: 16, deadline_ms: None, interfaces: Vec::new() }
+    }
 }
 
 impl Default for SessionSettings {
@@ -83,6 +108,7 @@ impl Default for SessionSettings {
             max_send_bits_per_second: 0,
             reassembly_timeout_ms: 100,
             socket_buffer_bytes: 4 * 1024 * 1024,
+            ros2: Ros2SessionSettings::default(),
         }
     }
 }
@@ -124,6 +150,10 @@ impl SessionSettings {
         between("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
         between("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
         between("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
+        between("ros2.depth", u64::from(self.ros2.depth), ROS2_DEPTH)?;
+        if let Some(deadline_ms) = self.ros2.deadline_ms {
+            between("ros2.deadline_ms", deadline_ms, OPEN_TIMEOUT_MS)?;
+        }
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -156,6 +186,11 @@ impl SessionSettings {
             max_send_bits_per_second: self.max_send_bits_per_second,
             reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS),
             socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES),
+            ros2: Ros2SessionSettings {
+                depth: self.ros2.depth.clamp(1, QosProfile::MAX_DEPTH),
+                deadline_ms: self.ros2.deadline_ms.map(|ms| clamped(ms, OPEN_TIMEOUT_MS)),
+                ..self.ros2
+            },
         }
     }
 
@@ -213,6 +248,8 @@ mod tests {
             (with(|s| s.datagram_bytes = 9_000), "datagram_bytes"),
             (with(|s| s.reassembly_timeout_ms = 0), "reassembly_timeout_ms"),
             (with(|s| s.socket_buffer_bytes = 0), "socket_buffer_bytes"),
+            (with(|s| s.ros2.depth = 0), "ros2.depth"),
+            (with(|s| s.ros2.deadline_ms = Some(0)), "ros2.deadline_ms"),
         ] {
             assert_eq!(settings.check().expect_err(key).key, key);
             assert_eq!(settings.clamped().check(), Ok(()), "{key}");

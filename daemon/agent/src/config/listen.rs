@@ -40,7 +40,10 @@ impl ListenAddresses {
         if addresses.len() > MAX_ADDRESSES {
             return Err(ListenAddressesError::TooMany(addresses.len()));
         }
-        let twice = |at: &usize| addresses[*at].port() != 0 && addresses[..*at].contains(&addresses[*at]);
+        let twice = |at: &usize| {
+            (addresses[*at].port() != 0 || addresses[*at].domain().is_some())
+                && addresses[..*at].contains(&addresses[*at])
+        };
         if let Some(at) = (1..addresses.len()).find(twice) {
             return Err(ListenAddressesError::Twice(addresses[at].clone()));
         }

@@ -81,7 +81,7 @@ pub enum PlacementConfig {
         model: Slug,
     },
     /// On a peer, over a network.
-    Remote(RemoteConfig),
+    Remote(Box<RemoteConfig>),
     /// Nowhere: the sensor and its transforms alone, without answers. `actuator` does nothing then.
     None {},
     /// In a ROS system that runs already and is only observed.

@@ -86,7 +86,7 @@ impl Placement {
                 let clock = Arc::clone(&context.host.clock);
                 let session = Session::open(&remote.peer, hello, settings, clock).await?;
                 let link = context.links.attach(&session, &remote.peer, &config.name);
-                Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
+                Ok(Self::Remote { session, link, config: remote.clone() })
             }
             // An observed system is never asked: its runner goes another way.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),

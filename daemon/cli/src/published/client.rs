@@ -56,7 +56,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         "placement": {
             "kind": "remote",
             "peer": devices.address,
-            "session": { "open_timeout_ms": OPEN_TIMEOUT_MS },
+            "session": { "open_timeout_ms": OPEN_TIMEOUT_MS, "ros2": devices.ros2 },
         },
         "load": { "mode": "closed" },
         "timeout_ms": TIMEOUT_MS,

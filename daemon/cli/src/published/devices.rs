@@ -8,7 +8,7 @@ use crate::output::complain;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_logger::Slug;
-use peernet_networks::{Address, NetworkKind, UnknownAddress};
+use peernet_networks::{Address, NetworkKind, Ros2SessionSettings, UnknownAddress};
 use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -23,6 +23,9 @@ struct File {
     start_port: Option<u16>,
     /// 1 or 2, for the network `ros`.
     ros_version: Option<u64>,
+    /// What topics of ROS 2 are like.
+    #[serde(default)]
+    ros2: Ros2SessionSettings,
     #[serde(flatten)]
     other: BTreeMap<String, IgnoredAny>,
 }
@@ -44,7 +47,7 @@ impl File {
         if !read.other.is_empty() {
             let keys: Vec<&str> = read.other.keys().map(String::as_str).collect();
             complain(format_args!(
-                "{file}: passing over {}; there is devices, server, start_port and ros_version",
+                "{file}: passing over {}; there is devices, server, start_port, ros_version and ros2",
                 keys.join(", ")
             ));
         }
@@ -61,7 +64,7 @@ impl File {
         let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT), network);
         let invalid = |source| DeviceError::Address { at: at.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
-        if address.port() == 0 {
+        if address.port() == 0 && address.domain().is_none() {
             return Err(DeviceError::PortZero(name.to_owned()));
         }
         Ok(address)
@@ -101,6 +104,8 @@ pub(super) struct Devices {
     pub(super) address: Address,
     /// The file.
     pub(super) config: NetworkConfig,
+    /// What topics of ROS 2 are like.
+    pub(super) ros2: Ros2SessionSettings,
     known: Vec<String>,
 }
 
@@ -129,7 +134,7 @@ impl Devices {
         let agreed = address.check_network(network);
         agreed.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
-        Ok(Self { server, address, config, known })
+        Ok(Self { server, address, config, ros2: read.ros2, known })
     }
 
     /// Checks that this device may be started in this role.
@@ -194,6 +199,14 @@ server: cluster
         let text = text.replace("cluster.lab.example", "ros1://robot:7/gpu");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "ros1://robot:7/gpu");
+        let text =
+            format!("{PUBLISHED}ros_version: 2\nros2:\n  reliability: best-effort\n  interfaces: [lo]\n");
+        let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
+        assert!(devices.address.domain().is_some());
+        assert_eq!(devices.ros2.interfaces, ["lo"]);
+        let text = text.replace("cluster.lab.example", "ros2://7/gpu");
+        let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
+        assert_eq!(devices.address.to_string(), "ros2://7/gpu");
         let text = format!("{PUBLISHED}ros_version: 3\n");
         let error = Devices::parse(&text, "net.yaml", network).expect_err("no such version").to_string();
         assert!(error.contains("ros_version") && error.contains("cluster"), "{error}");

@@ -6,7 +6,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use anyhow::anyhow;
 use peernet_agent::config::ServeConfig;
-use peernet_networks::Address;
+use peernet_networks::{Address, SessionSettings};
 
 use super::devices::Devices;
 use super::serving::Serving;
@@ -24,8 +24,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let model = model::of(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
+    let session = SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() };
     config.serve =
-        Some(ServeConfig { listen: everywhere(&devices.address).into(), ..ServeConfig::default() });
+        Some(ServeConfig { listen: everywhere(&devices.address).into(), session, ..ServeConfig::default() });
     config.bank.folders.clear();
     config.models = vec![model];
     let home = Home::of(&config.agent)?;

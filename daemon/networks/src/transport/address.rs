@@ -5,6 +5,7 @@ use std::fmt;
 use std::net::{IpAddr, Ipv6Addr};
 use std::str::FromStr;
 
+use peernet_ros::ros2::Ros2Settings;
 use serde::{Deserialize, Serialize};
 
 use super::NetworkKind;
@@ -13,7 +14,8 @@ use super::NetworkKind;
 ///
 /// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on every
 /// interface; port 0 lets the system choose one. Where peers find each other by way of a third program, as in
-/// `ros1://master:11311/name`, host and port are that program's, and a name tells the listeners apart.
+/// `ros1://master:11311/name`, host and port are that program's, and a name tells the listeners apart; in a domain, as in
+/// `ros2://7/name`, there is no such program.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
@@ -35,6 +37,8 @@ pub(crate) enum AddressForm {
         port: u16,
         /// Name where none is given.
         name: &'static str,
+        /// The scheme of addresses that have a domain in place of host and port.
+        in_domain: &'static str,
         /// Returns the address of a listener of which only the name is known, by the environment of this process.
         find: fn(&str, Option<u64>) -> Result<String, UnknownAddress>,
     },
@@ -46,9 +50,10 @@ pub(crate) enum AddressForm {
 pub struct UnknownAddress(pub(crate) String);
 
 impl AddressForm {
-    const fn text(self) -> &'static str {
+    fn text(self, scheme: &str) -> &'static str {
         match self {
             Self::HostPort => "host:port",
+            Self::Named { in_domain, .. } if in_domain == scheme => "domain/name",
             Self::Named { .. } => "host:port/name",
         }
     }
@@ -79,6 +84,8 @@ impl Scheme {
 enum Host {
     Ip(IpAddr),
     Name(String),
+    /// Number of a domain.
+    Domain(u16),
 }
 
 /// A text that is not an address.
@@ -127,6 +134,9 @@ pub enum AddressProblem {
     /// The port is too large a number.
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
+    /// The domain is not a number of one.
+    #[error("{0:?} is not a domain; domains of ROS 2 go from 0 to {most}", most = Ros2Settings::MAX_DOMAIN_ID)]
+    InvalidDomain(String),
     /// The listener's name cannot be part of the name of a topic.
     #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]
     InvalidListenerName(String),
@@ -159,6 +169,14 @@ impl Address {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
+    /// The domain in which the listener is found, where it is in one.
+    pub const fn domain(&self) -> Option<u16> {
+        match &self.host {
+            Host::Domain(domain) => Some(*domain),
+            Host::Ip(_) | Host::Name(_) => None,
+        }
+    }
+
     /// The network that the scheme selects.
     pub const fn network(&self) -> NetworkKind {
         self.scheme.network
@@ -188,15 +206,16 @@ impl Address {
         if self.network() == NetworkKind::default() { Ok(()) } else { Err(NoEventStream(self.clone())) }
     }
 
-    /// The host, without brackets.
+    /// The host, without brackets; the number of a domain where that is in its place.
     pub fn host(&self) -> String {
         match &self.host {
+            Host::Domain(domain) => domain.to_string(),
             Host::Ip(ip) => ip.to_string(),
             Host::Name(name) => name.clone(),
         }
     }
 
-    /// The port; 0 asks the system to choose.
+    /// The port; 0 asks the system to choose. In a domain it means nothing.
     pub const fn port(&self) -> u16 {
         self.port
     }
@@ -211,12 +230,15 @@ impl Address {
         match &self.host {
             Host::Ip(ip) => ip.is_loopback(),
             Host::Name(name) => name.eq_ignore_ascii_case("localhost"),
+            // Its interfaces are settings.
+            Host::Domain(_) => false,
         }
     }
 
-    /// `host:port`, IPv6 in brackets.
+    /// `host:port`, IPv6 in brackets; the number of a domain where that is in its place.
     pub fn authority(&self) -> String {
         match &self.host {
+            Host::Domain(domain) => domain.to_string(),
             Host::Ip(IpAddr::V6(ip)) => format!("[{ip}]:{}", self.port),
             Host::Ip(IpAddr::V4(ip)) => format!("{ip}:{}", self.port),
             Host::Name(name) => format!("{name}:{}", self.port),
@@ -247,6 +269,9 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
             (rest, Some(parse_name(if name.is_empty() { default } else { name })?))
         }
     };
+    if matches!(form, AddressForm::Named { in_domain, .. } if in_domain == scheme.text) {
+        return Ok(Address { scheme, host: Host::Domain(parse_domain(rest)?), port: 0, name });
+    }
     let with_port;
     let rest = match form {
         AddressForm::Named { port, .. } if !has_port(rest) => {
@@ -271,6 +296,12 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
     Ok(Address { scheme, host, port, name })
 }
 
+fn parse_domain(text: &str) -> Result<u16, AddressProblem> {
+    let number = text.parse().ok().filter(|_| text.bytes().all(|byte| byte.is_ascii_digit()));
+    let domain = number.filter(|number| *number <= Ros2Settings::MAX_DOMAIN_ID);
+    domain.ok_or_else(|| AddressProblem::InvalidDomain(text.to_owned()))
+}
+
 fn has_port(authority: &str) -> bool {
     authority.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'))
 }
@@ -291,8 +322,8 @@ fn forms() -> String {
 /// How addresses of these networks are written.
 fn forms_of(networks: &[NetworkKind]) -> String {
     let form = |network: &NetworkKind| {
-        let after = network.address_form().text();
-        network.schemes().iter().map(move |scheme| format!("{scheme}://{after}"))
+        let form = network.address_form();
+        network.schemes().iter().map(move |scheme| format!("{scheme}://{}", form.text(scheme)))
     };
     let forms: BTreeSet<String> = networks.iter().flat_map(form).collect();
     forms.into_iter().collect::<Vec<_>>().join(" or ")
@@ -389,7 +420,9 @@ mod tests {
         for network in NetworkKind::ALL {
             assert_eq!(NetworkName::from(*network).as_str(), network.name());
             for scheme in network.schemes() {
-                let address: Address = format!("{scheme}://cloud:1").parse().expect("a scheme");
+                let is_in_domain = network.address_form().text(scheme).starts_with("domain");
+                let host = if is_in_domain { "1" } else { "cloud:1" };
+                let address: Address = format!("{scheme}://{host}").parse().expect("a scheme");
                 assert_eq!((address.network(), address.scheme()), (*network, *scheme));
                 assert_eq!(address.check_network(Some(*network)), Ok(()));
                 assert_eq!(address.check_network(None), Ok(()));
@@ -411,6 +444,19 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Address>().expect(text).to_string(), address);
         }
+        for (text, address) in [("ros2://7", "ros2://7/peernet"), ("ros2://232/gpu_1", "ros2://232/gpu_1")] {
+            let read: Address = text.parse().expect(text);
+            assert_eq!((read.to_string().as_str(), read.domain().is_some()), (address, true));
+        }
+        for (wrong, domain) in [("ros2://233", "233"), ("ros2://+1/a", "+1"), ("ros2://robot:1/a", "robot:1")]
+        {
+            let error = wrong.parse::<Address>().expect_err(wrong).to_string();
+            assert!(
+                error.contains(&format!("{domain:?} is not a domain"))
+                    && error.contains("ros2://domain/name"),
+                "{error}"
+            );
+        }
         for wrong in ["ros1://", "ros1:///gpu", "ros1://robot/a-b", "ros1://robot/a/b", "tcp://robot:7/gpu"] {
             assert!(wrong.parse::<Address>().is_err(), "{wrong}");
         }
@@ -418,7 +464,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_text_can_panic_and_what_parses_reads_back(text in "((tcp|ros1)://)?[a-z0-9./:\\[\\]-]{0,24}") {
+        fn no_text_can_panic_and_what_parses_reads_back(text in "((tcp|ros1|ros2)://)?[a-z0-9./:\\[\\]-]{0,24}") {
             if let Ok(address) = text.parse::<Address>() {
                 prop_assert_eq!(address.to_string().parse::<Address>(), Ok(address));
             }

@@ -101,7 +101,7 @@ networks! {
     /// RADIO and DISH datagrams over UDP, of which some may be lost.
     ZmqUdp = "zmq-udp" at "udp" in zmq_udp;
     /// Topics of ROS, which other programs of ROS can see.
-    Ros = "ros" at "ros1" in ros;
+    Ros = "ros" at "ros1" | "ros2" in ros;
 }
 
 impl NetworkKind {

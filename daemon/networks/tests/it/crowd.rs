@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_networks::{Incoming, NetworkKind, RequestError, Session};
+use peernet_networks::{Incoming, RequestError, Session};
 use peernet_sample::{Description, Sample};
 use tokio::task::JoinSet;
 
-use crate::support::{Cloud, accepted, hello, log, open, settings, within};
+use crate::support::{Cloud, TestNetwork, accepted, hello, log, open, settings, within};
 
 const EDGES: usize = 4;
 const TASKS: usize = 6;
@@ -31,15 +31,15 @@ async fn work(session: Session, task: usize) -> Result<(), RequestError> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_request_of_a_crowd_gets_its_own_answer() {
-    crowd(NetworkKind::ZmqTcp).await;
+    crowd(TestNetwork::ZmqTcp).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_datagram_request_of_a_crowd_gets_its_own_answer() {
-    crowd(NetworkKind::ZmqUdp).await;
+    crowd(TestNetwork::ZmqUdp).await;
 }
 
-async fn crowd(network: NetworkKind) {
+async fn crowd(network: TestNetwork) {
     let Cloud { host, mut listener } = Cloud::over(network).await;
     let address = listener.address().clone();
     let (done, mut all_done) = tokio::sync::oneshot::channel();

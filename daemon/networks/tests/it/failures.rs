@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
-use peernet_networks::{Address, CloseReason, NetworkKind, RequestError, SessionSettings};
+use peernet_networks::{Address, CloseReason, RequestError, SessionSettings};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
 use crate::support::{
-    Cloud, PATIENCE, accepted, echo, hello, log, open, over_every_network, request, sample, settings, within,
+    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, over_every_network, request, sample,
+    settings, within,
 };
 
 over_every_network!(
@@ -16,7 +17,7 @@ over_every_network!(
     a_vanished_edge_closes_its_sessions
 );
 
-async fn a_killed_cloud_loses_what_is_under_way_at_once(network: NetworkKind) {
+async fn a_killed_cloud_loses_what_is_under_way_at_once(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
@@ -40,7 +41,7 @@ async fn a_killed_cloud_loses_what_is_under_way_at_once(network: NetworkKind) {
     }
 }
 
-async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: NetworkKind) {
+async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (old, _) = cloud.session(settings()).await;
     let address = cloud.address();
@@ -56,8 +57,8 @@ async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: Network
 /// The port is free as soon as the old listener's task has noticed that it is gone.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
-        // The master is asked, which tells.
-        "ros1" => false,
+        // Who binds asks the master or the domain, which tell.
+        "ros1" | "ros2" => false,
         "udp" => std::net::UdpSocket::bind(address.authority()).is_err(),
         _ => std::net::TcpListener::bind(address.authority()).is_err(),
     };
@@ -67,7 +68,7 @@ async fn restart(address: &Address) -> Cloud {
     Cloud::start_at(&address.to_string(), settings()).await
 }
 
-async fn a_vanished_edge_closes_its_sessions(network: NetworkKind) {
+async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
     // The edge's runtime dies with all its sockets, without a goodbye.

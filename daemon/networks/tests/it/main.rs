@@ -9,6 +9,8 @@ mod hostile;
 mod limits;
 mod requests;
 mod ros;
+#[cfg(feature = "ros2")]
+mod ros2;
 mod ros_limits;
 mod ros_master;
 mod shutdown;

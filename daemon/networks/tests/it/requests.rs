@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{Failure, NetworkKind, RequestError, SessionSettings};
+use peernet_networks::{Failure, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 
 use crate::support::{
-    Cloud, PATIENCE, any_port, echo, log, over_every_network, request, sample, settings, text, within,
+    Cloud, PATIENCE, TestNetwork, any_port, echo, log, over_every_network, request, sample, settings, text,
+    within,
 };
 
 over_every_network!(
@@ -23,7 +24,7 @@ over_every_network!(
     samples_with_too_many_parts_or_too_much_to_say_fail_alone
 );
 
-async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: NetworkKind) {
+async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
@@ -39,7 +40,7 @@ async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: 
     }
 }
 
-async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: NetworkKind) {
+async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, id) = cloud.session(settings()).await;
     let opened = session.statistics();
@@ -102,7 +103,7 @@ async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: NetworkK
     assert_eq!((sent.messages, received.messages), (2, 2));
 }
 
-async fn answers_out_of_order_find_their_requests(network: NetworkKind) {
+async fn answers_out_of_order_find_their_requests(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
@@ -123,7 +124,7 @@ async fn answers_out_of_order_find_their_requests(network: NetworkKind) {
     worker.join().expect("no panic");
 }
 
-async fn failures_come_back_with_their_reason_and_what_was_measured(network: NetworkKind) {
+async fn failures_come_back_with_their_reason_and_what_was_measured(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
 
@@ -150,7 +151,7 @@ async fn failures_come_back_with_their_reason_and_what_was_measured(network: Net
     echo(&mut cloud, &session, "all is well").await;
 }
 
-async fn a_late_answer_is_dropped_and_counted(network: NetworkKind) {
+async fn a_late_answer_is_dropped_and_counted(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
@@ -169,7 +170,7 @@ async fn a_late_answer_is_dropped_and_counted(network: NetworkKind) {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-async fn a_request_that_is_given_up_frees_its_place(network: NetworkKind) {
+async fn a_request_that_is_given_up_frees_its_place(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
@@ -182,7 +183,7 @@ async fn a_request_that_is_given_up_frees_its_place(network: NetworkKind) {
     assert_eq!(session.statistics().late_messages, 1);
 }
 
-async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: NetworkKind) {
+async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: TestNetwork) {
     let two = SessionSettings { max_in_flight: 1, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), two).await;
     let (session, _) = cloud.session(settings()).await;
@@ -205,7 +206,7 @@ async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: NetworkKind)
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
 
-async fn a_sample_or_an_answer_too_large_fails_alone(network: NetworkKind) {
+async fn a_sample_or_an_answer_too_large_fails_alone(network: TestNetwork) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
@@ -227,7 +228,7 @@ async fn a_sample_or_an_answer_too_large_fails_alone(network: NetworkKind) {
     echo(&mut cloud, &session, "small").await;
 }
 
-async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone(network: NetworkKind) {
+async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_networks::{CloseReason, Incoming, Listener, NetworkKind, OpenError, Session};
+use peernet_networks::{CloseReason, Incoming, Listener, OpenError, Session};
 use peernet_ros::messages::{CompressedImage, Message, MessageInfo, StringMessage, WireForm};
 use peernet_ros::ros1::{
     Environment, Node, PublisherOptions, RpcUri, SubscriberOptions, TopicType, WhenFull,
@@ -11,7 +11,9 @@ use peernet_ros::ros1::{
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros_master::RosMaster;
-use crate::support::{Cloud, PATIENCE, accepted, clock, echo, hello, log, open, settings, within};
+use crate::support::{
+    Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+};
 
 /// A node of another program.
 pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
@@ -55,7 +57,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         Description::unshaped(MediaType::Jpeg),
         Description::pixels(PixelFormat::Rgb8, 400, 1_000),
     ] {
-        let mut cloud = Cloud::over(NetworkKind::Ros).await;
+        let mut cloud = Cloud::over(TestNetwork::Ros1).await;
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_000] {
             let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
@@ -134,7 +136,7 @@ async fn master_that_is_away_is_named() {
 
 #[tokio::test]
 async fn new_connection_of_same_pipeline_replaces_earlier_one() {
-    let mut cloud = Cloud::over(NetworkKind::Ros).await;
+    let mut cloud = Cloud::over(TestNetwork::Ros1).await;
     let hello = hello();
     let mut earlier: Option<Session> = None;
     for _ in 0..3 {
@@ -159,7 +161,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
 
 #[tokio::test]
 async fn name_that_another_cloud_has_is_refused() {
-    let cloud = Cloud::over(NetworkKind::Ros).await;
+    let cloud = Cloud::over(TestNetwork::Ros1).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
     assert!(error.contains("serves the name") && error.contains("another name"), "{error}");

@@ -5,10 +5,12 @@ use std::thread;
 use std::time::Duration;
 
 use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, WallTime};
-use peernet_networks::{CloseReason, NetworkKind, RequestError, SessionSettings};
+use peernet_networks::{CloseReason, RequestError, SessionSettings};
 use tokio::sync::oneshot;
 
-use crate::support::{Cloud, PATIENCE, any_port, clock, over_every_network, request, settings, text, within};
+use crate::support::{
+    Cloud, PATIENCE, TestNetwork, any_port, clock, over_every_network, request, settings, text, within,
+};
 
 over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
@@ -68,7 +70,7 @@ async fn closing_waits_for_the_answer_that_is_just_being_sent() {
     held.join().expect("no panic");
 }
 
-async fn closing_waits_for_answers_and_says_goodbye(network: NetworkKind) {
+async fn closing_waits_for_answers_and_says_goodbye(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "almost done", PATIENCE);
@@ -87,7 +89,7 @@ async fn closing_waits_for_answers_and_says_goodbye(network: NetworkKind) {
     within(close).await.expect("no panic");
 }
 
-async fn closing_does_not_wait_for_ever(network: NetworkKind) {
+async fn closing_does_not_wait_for_ever(network: TestNetwork) {
     let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), hasty).await;
     let (session, _) = cloud.session(settings()).await;

@@ -8,8 +8,9 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
-    Address, Exchange, Incoming, IncomingRequest, Listener, NetworkKind, OpenError, OpenRequest, PeerClock,
-    SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId, SessionSettings,
+    Address, Exchange, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PeerClock,
+    Ros2SessionSettings, SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId,
+    SessionSettings,
 };
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
@@ -19,53 +20,92 @@ use crate::ros_master::RosMaster;
 /// Far more than anything here needs; a test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Makes tests of a function that takes a [`NetworkKind`]: one for each network whose listeners have ports of their own.
+/// Makes tests of a function that takes a [`TestNetwork`]: one for each network whose listeners have ports of their own.
 macro_rules! over_every_port {
     ($($name:ident),*) => {$(
         mod $name {
             #[tokio::test]
             async fn zmq_tcp() {
-                super::$name(peernet_networks::NetworkKind::ZmqTcp).await;
+                super::$name(crate::support::TestNetwork::ZmqTcp).await;
             }
 
             #[tokio::test]
             async fn zmq_udp() {
-                super::$name(peernet_networks::NetworkKind::ZmqUdp).await;
+                super::$name(crate::support::TestNetwork::ZmqUdp).await;
             }
         }
     )*};
 }
 pub(crate) use over_every_port;
 
-/// Makes tests of a function that takes a [`NetworkKind`]: one for each network.
+/// Makes tests of a function that takes a [`TestNetwork`]: one for each network.
 macro_rules! over_every_network {
     ($($name:ident),*) => {$(
         mod $name {
             #[tokio::test]
             async fn zmq_tcp() {
-                super::$name(peernet_networks::NetworkKind::ZmqTcp).await;
+                super::$name(crate::support::TestNetwork::ZmqTcp).await;
             }
 
             #[tokio::test]
             async fn zmq_udp() {
-                super::$name(peernet_networks::NetworkKind::ZmqUdp).await;
+                super::$name(crate::support::TestNetwork::ZmqUdp).await;
             }
 
             #[tokio::test]
             async fn ros1() {
-                super::$name(peernet_networks::NetworkKind::Ros).await;
+                super::$name(crate::support::TestNetwork::Ros1).await;
+            }
+
+            #[cfg(feature = "ros2")]
+            #[tokio::test]
+            async fn ros2() {
+                super::$name(crate::support::TestNetwork::Ros2).await;
             }
         }
     )*};
 }
 pub(crate) use over_every_network;
 
-/// A free port of this machine, or a free name at a master of ROS 1.
-pub(crate) fn any_port(network: NetworkKind) -> String {
-    match network {
-        NetworkKind::Ros => RosMaster::shared().address(),
-        _ => format!("{}://127.0.0.1:0", network.schemes()[0]),
+/// A network, in one version where it has several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TestNetwork {
+    ZmqTcp,
+    ZmqUdp,
+    Ros1,
+    #[cfg(feature = "ros2")]
+    Ros2,
+}
+
+impl TestNetwork {
+    /// What addresses begin with.
+    pub(crate) fn scheme(self) -> &'static str {
+        match self {
+            Self::ZmqTcp => "tcp",
+            Self::ZmqUdp => "udp",
+            Self::Ros1 => "ros1",
+            #[cfg(feature = "ros2")]
+            Self::Ros2 => "ros2",
+        }
     }
+}
+
+/// A free port of this machine, a free name at a master of ROS 1, or a domain of ROS 2.
+pub(crate) fn any_port(network: TestNetwork) -> String {
+    match network {
+        TestNetwork::Ros1 => RosMaster::shared().address(),
+        #[cfg(feature = "ros2")]
+        TestNetwork::Ros2 => any_domain(),
+        _ => format!("{}://127.0.0.1:0", network.scheme()),
+    }
+}
+
+/// A domain of ROS 2 that few other tests have, and a name that none has. The ports of higher domains may be those of other
+/// sockets.
+#[cfg(feature = "ros2")]
+fn any_domain() -> String {
+    let (process, number) = (std::process::id() as usize, next_number());
+    format!("ros2://{}/cloud{number}", 1 + (process * 37 + number) % 100)
 }
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
@@ -77,7 +117,8 @@ pub(crate) fn clock() -> SharedClock {
 }
 
 pub(crate) fn settings() -> SessionSettings {
-    SessionSettings { open_timeout_ms: 10_000, ..SessionSettings::default() }
+    let ros2 = Ros2SessionSettings { interfaces: vec!["127.0.0.1".into()], ..Ros2SessionSettings::default() };
+    SessionSettings { open_timeout_ms: 10_000, ros2, ..SessionSettings::default() }
 }
 
 /// A number that no other call returns.
@@ -131,11 +172,11 @@ pub(crate) struct Cloud {
 
 impl Cloud {
     pub(crate) async fn start() -> Self {
-        Self::over(NetworkKind::ZmqTcp).await
+        Self::over(TestNetwork::ZmqTcp).await
     }
 
     /// A cloud at a port of a network.
-    pub(crate) async fn over(network: NetworkKind) -> Self {
+    pub(crate) async fn over(network: TestNetwork) -> Self {
         Self::start_at(&any_port(network), settings()).await
     }
 

@@ -4,13 +4,15 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::Span;
-use peernet_networks::{CloseReason, Incoming, NetworkKind, RequestError, Session, SessionSettings};
+use peernet_networks::{CloseReason, Incoming, RequestError, Session, SessionSettings};
 use peernet_sample::{Description, Sample};
 use peernet_stream::DirectionStatistics;
 use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 
-use crate::support::{Cloud, PATIENCE, accepted, echo, hello, log, open, request, settings, within};
+use crate::support::{
+    Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
+};
 use crate::udp_relay::{UdpRelay, Weather};
 
 fn payload(size: usize, seed: usize) -> Bytes {
@@ -65,7 +67,7 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn payloads_of_all_sizes_come_back_whole() {
-    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
     for datagram_bytes in [1_200, 8_192] {
@@ -81,7 +83,7 @@ async fn payloads_of_all_sizes_come_back_whole() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn answered_and_lost_are_all_that_was_sent() {
-    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let weather = Weather { loss: 2, doubled: 2, delayed: 5 };
     let relay = UdpRelay::before(&cloud.address(), weather, 2_026).await;
     let _echo = echo_all(cloud);
@@ -98,7 +100,7 @@ async fn answered_and_lost_are_all_that_was_sent() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn datagrams_of_both_directions_are_counted() {
-    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let weather = Weather { loss: 3, doubled: 3, delayed: 10 };
     let relay = UdpRelay::before(&cloud.address(), weather, 77).await;
     let _echo = echo_all(cloud);
@@ -133,7 +135,7 @@ async fn datagrams_of_both_directions_are_counted() {
 
 #[tokio::test]
 async fn cut_path_ends_session_and_next_one_works() {
-    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let edge = tokio::spawn({
@@ -175,7 +177,7 @@ async fn cut_path_ends_session_and_next_one_works() {
 
 #[tokio::test]
 async fn restarted_cloud_is_noticed_by_next_request() {
-    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
     let edge = tokio::spawn({
         let address = relay.address.clone();
@@ -200,7 +202,7 @@ async fn restarted_cloud_is_noticed_by_next_request() {
 
 #[tokio::test]
 async fn garbage_is_counted_and_harms_nothing() {
-    let mut cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
     let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
     stranger.connect(cloud.address().authority()).await.expect("an address");
@@ -228,7 +230,7 @@ async fn small_socket_buffers_lose_messages_but_no_count() {
 
 #[tokio::test]
 async fn configured_rate_is_kept() {
-    let cloud = Cloud::over(NetworkKind::ZmqUdp).await;
+    let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
     let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };

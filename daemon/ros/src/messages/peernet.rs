@@ -46,7 +46,8 @@ pub struct MessageInfo {
     pub request: u64,
     /// Whether frame 2 is the payload message's data instead of a part of [`frames`](Self::frames).
     pub has_payload: bool,
-    /// Bytes of each frame of the message: header, tree, and the parts of the sample.
+    /// Bytes of each frame of the message: header, tree, and the parts of the sample. In a [`HELLO`](Self::HELLO) and a
+    /// [`WELCOME`](Self::WELCOME) of ROS 2 one number: bytes that the sender's sockets hold, which no payload message may exceed.
     pub frame_lengths: Vec<u32>,
     /// The frames one after another.
     pub frames: Bytes,
@@ -78,6 +79,10 @@ impl MessageInfo {
     pub const LOST: u8 = 4;
     /// Kind that ends the connection.
     pub const GOODBYE: u8 = 5;
+    /// Kind that says that the sender receives the payload topic (ROS 2 only).
+    pub const SUBSCRIBED: u8 = 6;
+    /// Kind with the first bytes of the frames of a message with the same stamp, which follows (ROS 2 only).
+    pub const PART: u8 = 7;
     /// Value of [`request`](Self::request) without a request.
     pub const NO_REQUEST: u64 = u64::MAX;
 }
@@ -85,8 +90,9 @@ impl MessageInfo {
 impl Message for MessageInfo {
     const DEFINITION: &'static MessageDefinition = &MessageDefinition {
         name: "peernet_msgs/MessageInfo",
-        md5: "34b1a9f5cde763a5a2029f3b5bfc8824",
+        md5: "bcd1973f585a8ee7fae73511934453d5",
         text: "uint8 DATA=0\nuint8 HELLO=1\nuint8 WELCOME=2\nuint8 HEARTBEAT=3\nuint8 LOST=4\nuint8 GOODBYE=5\n\
+               uint8 SUBSCRIBED=6\nuint8 PART=7\n\
                std_msgs/Header header\nuint8 kind\nuint64 sequence\nuint64 request\nbool has_payload\n\
                uint32[] frame_lengths\nuint8[] frames\nstring reason\n",
         dependencies: &[&Header::DEFINITION],

@@ -2,7 +2,7 @@
 
 use std::net::IpAddr;
 
-use super::EndpointId;
+use super::{EndpointId, EndpointRole};
 
 /// A publisher of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,6 +13,17 @@ pub struct FoundPublisher {
     pub type_name: String,
     /// An address of the host that it runs on; `None` where that is this host.
     pub host: Option<IpAddr>,
+}
+
+/// A publisher or subscription of another participant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundEndpoint {
+    /// Identity.
+    pub id: EndpointId,
+    /// What it does.
+    pub role: EndpointRole,
+    /// Message type, as `std_msgs/msg/String`.
+    pub type_name: String,
 }
 
 /// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.

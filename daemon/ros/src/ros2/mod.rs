@@ -29,9 +29,9 @@ pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
 pub const IS_BUILT: bool = cfg!(feature = "ros2");
 
 pub use error::{NoPeer, Ros2Error};
-pub use found::FoundPublisher;
+pub use found::{FoundEndpoint, FoundPublisher};
 pub use names::{absolute_topic, dds_type};
-pub use peers::{EndpointId, EndpointRole, PeerTable, Refusal};
+pub use peers::{EndpointId, EndpointRole, ParticipantId, PeerTable, Refusal};
 pub use qos::{Durability, InvalidQos, QosProfile, Reliability};
 pub use sample::{ReceiveCounts, ReceivedSample};
 pub use settings::{Ros2Settings, SocketBufferWarning};

@@ -1,5 +1,6 @@
 //! The types of the ROS 2 client in a build without ROS 2. They have no values, because no node can be made.
 
+use std::net::IpAddr;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -7,8 +8,8 @@ use peernet_clock::WallTime;
 use tokio::sync::watch;
 
 use super::{
-    EndpointId, PeerTable, QosProfile, ReceiveCounts, ReceivedSample, Ros2Error, Ros2Settings,
-    SocketBufferWarning,
+    EndpointId, FoundEndpoint, ParticipantId, PeerTable, QosProfile, ReceiveCounts, ReceivedSample,
+    Ros2Error, Ros2Settings, SocketBufferWarning,
 };
 
 /// A node of ROS 2, which this build does not have.
@@ -38,6 +39,26 @@ impl Ros2Node {
 
     /// Returns the publishers that others have of a topic.
     pub fn publishers_of(&self, _topic: &str) -> Vec<super::FoundPublisher> {
+        match *self {}
+    }
+
+    /// Returns the endpoints that others have of a topic.
+    pub fn endpoints_of(&self, _topic: &str) -> Vec<FoundEndpoint> {
+        match *self {}
+    }
+
+    /// Returns an address of the host that a participant runs on.
+    pub fn host_of(&self, _participant: ParticipantId) -> Option<IpAddr> {
+        match *self {}
+    }
+
+    /// Identity of the node in the domain.
+    pub fn id(&self) -> ParticipantId {
+        match *self {}
+    }
+
+    /// Returns how many bytes a socket of this host takes before it is read.
+    pub fn receive_buffer_bytes(&self) -> usize {
         match *self {}
     }
 
@@ -111,6 +132,20 @@ impl Ros2Publisher {
     ///
     /// Never called.
     pub async fn publish(&self, _payload: Bytes, _source_time: WallTime) -> Result<i64, Ros2Error> {
+        match *self {}
+    }
+
+    /// Publishes a message without waiting.
+    ///
+    /// # Errors
+    ///
+    /// Never called.
+    pub fn try_publish(&self, _payload: Bytes, _source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
+        match *self {}
+    }
+
+    /// Counts everything so far as acknowledged.
+    pub fn forget_unacknowledged(&self) {
         match *self {}
     }
 

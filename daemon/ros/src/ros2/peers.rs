@@ -7,6 +7,10 @@ use std::fmt;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct EndpointId(pub [u8; 16]);
 
+/// Identity of a participant: the bytes that the identities of its endpoints begin with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ParticipantId(pub [u8; 12]);
+
 /// What an endpoint does on its topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndpointRole {
@@ -48,12 +52,26 @@ pub struct PeerTable {
     pub unmatched_total: u64,
 }
 
-#[cfg(feature = "ros2")]
 impl EndpointId {
-    /// Returns the identity of the participant.
-    pub(super) fn participant(self) -> [u8; 12] {
+    /// Returns the identity of the participant, which all endpoints of a node have in common.
+    pub fn participant(self) -> ParticipantId {
         let [own @ .., _, _, _, _] = self.0;
-        own
+        ParticipantId(own)
+    }
+
+    /// Returns the role, which the last byte says (RTPS 2.5, section 9.3.1.2); `None` where it is neither.
+    pub fn role(self) -> Option<EndpointRole> {
+        match self.0[15] & 0x0f {
+            0x02 | 0x03 => Some(EndpointRole::Publisher),
+            0x04 | 0x07 => Some(EndpointRole::Subscription),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for ParticipantId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
     }
 }
 

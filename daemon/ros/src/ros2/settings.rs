@@ -116,6 +116,18 @@ pub struct SocketBufferWarning {
     pub needed: usize,
 }
 
+impl SocketBufferWarning {
+    /// Whether it is the buffer for receiving that is limited.
+    #[cfg(feature = "ros2")]
+    pub(super) fn is_of_receiving(&self) -> bool {
+        self.sysctl == Self::RECEIVING
+    }
+
+    /// The setting of the kernel for buffers of receiving sockets.
+    #[cfg(feature = "ros2")]
+    pub(super) const RECEIVING: &'static str = "net.core.rmem_max";
+}
+
 impl fmt::Display for SocketBufferWarning {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { sysctl, granted, needed } = self;

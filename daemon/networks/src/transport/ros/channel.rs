@@ -6,15 +6,16 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_ros::messages::{Message, MessageInfo};
+use peernet_ros::messages::{EncodedMessage, Message, MessageInfo};
 use peernet_ros::ros1::{Delivery, MemoryLimit, QueueLimits, SubscriberOptions, WhenFull};
 use peernet_sample::Description;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep};
 
-use super::connection::{Connection, ConnectionLimits};
+use super::connection::{Connection, ConnectionLimits, PeerState};
 use super::frames::{self, PAYLOAD_FRAME};
 use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
+use super::parts;
 use super::payload::{self, PayloadType};
 use crate::SessionSettings;
 use crate::message::{Header, Outcome};
@@ -36,11 +37,12 @@ const WAITING_BYTES: usize = 64 * 1024;
 pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
 
 /// Bounds of a connection.
-pub(super) fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
+pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNode) -> ConnectionLimits {
     ConnectionLimits {
         max_message_bytes: settings.max_message_bytes,
         max_incomplete: settings.max_in_flight as usize + 16,
-        pairing_timeout: PAIRING_TIMEOUT,
+        confirms_payloads: node.receive_buffer_bytes().is_some(),
+        pairing_timeout: node.payload_patience().map_or(PAIRING_TIMEOUT, Span::from),
         heartbeat_interval: settings.heartbeat_interval().into(),
         heartbeat_timeout: settings.heartbeat_timeout().into(),
     }
@@ -118,6 +120,10 @@ pub(super) struct Channel {
     pub(super) wake: Notify,
     /// The node at the other end, once it is known, and the connection from it.
     peer: OnceLock<RemoteNode>,
+    /// Set when it was told that the other end's QoS does not fit.
+    refusal: OnceLock<()>,
+    /// Set when it was told that payloads are too long for the payload topic.
+    size_warning: OnceLock<()>,
 }
 
 /// What a message says of its first payload part and of its departure.
@@ -134,7 +140,8 @@ impl Channel {
         budget: Arc<MemoryBudget>,
         (info, payload_topic): (Box<dyn SessionPublisher>, String),
     ) -> Self {
-        let connection = Connection::new(id, connection_limits(settings), budget, MonoTime::default());
+        let connection =
+            Connection::new(id, connection_limits(settings, &*node), budget, MonoTime::default());
         Self {
             node,
             clock,
@@ -147,6 +154,8 @@ impl Channel {
             wanted: OnceLock::new(),
             wake: Notify::new(),
             peer: OnceLock::new(),
+            refusal: OnceLock::new(),
+            size_warning: OnceLock::new(),
         }
     }
 
@@ -177,7 +186,11 @@ impl Channel {
     /// Publishes a companion without frames, for whoever subscribes.
     pub(super) fn announce(&self, kind: u8) {
         let info = self.lock().begin(kind, self.clock.wall().unix_nanos(), self.now());
-        self.publish_for_all(&info);
+        let tells_buffer = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
+        let buffer = self.node.receive_buffer_bytes().filter(|_| tells_buffer);
+        let frame_lengths =
+            buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
+        self.publish_for_all(&MessageInfo { frame_lengths, ..info });
     }
 
     /// Says goodbye.
@@ -225,15 +238,22 @@ impl Channel {
         info.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
         let has_payload = match (&described, message.get(PAYLOAD_FRAME)) {
             (Some(described), Some(data)) => {
-                self.publish_payload(&info, &described.part, data, &peer.node)?
+                self.publish_payload(&info, state.peer(), (&described.part, data), &peer.node)?
             }
             _ => false,
         };
         if !frames::pack(&mut info, message, has_payload) {
             return Err(gone("a frame has 4 GiB or more".into()));
         }
-        let info = info.encode(self.node.form()).map_err(|error| gone(error.to_string()))?;
-        match self.info.publish_to(&peer.node, info).map_err(|error| gone(error.to_string()))? {
+        let mut companions = Vec::new();
+        for frames in parts::split(&mut info.frames, self.node.max_companion_bytes()) {
+            companions.push(MessageInfo { frames, ..state.begin_part(&mut info) });
+        }
+        companions.push(info);
+        let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
+        let encoded: Vec<EncodedMessage> =
+            encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
+        match self.info.publish_to(&peer.node, &encoded).map_err(|error| gone(error.to_string()))? {
             Delivery::Taken => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
             Delivery::Absent => Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic()))),
@@ -244,8 +264,8 @@ impl Channel {
     fn publish_payload(
         &self,
         info: &MessageInfo,
-        part: &Description,
-        data: &Bytes,
+        state: PeerState,
+        (part, data): (&Description, &Bytes),
         peer: &str,
     ) -> Result<bool, SendFailure> {
         let kind = PayloadType::of(part, data.len());
@@ -255,19 +275,42 @@ impl Channel {
             }
             return Ok(false);
         };
-        if *published != kind {
+        if *published != kind || !self.holds_payload(state, data.len(), publisher.topic()) {
             return Ok(false);
+        }
+        let is_confirmed = self.node.receive_buffer_bytes().is_none() || state.is_subscribed;
+        if !is_confirmed
+            && let Some(reason) = publisher.refusal(peer)
+            && self.refusal.set(()).is_ok()
+        {
+            tracing::warn!("payloads travel in their companions as well: {reason}");
         }
         // A value that this version of ROS cannot say travels in the companion.
         let Ok(message) = payload::encode(self.node.form(), &info.header, part, data) else {
             return Ok(false);
         };
-        match publisher.publish_to(peer, message) {
-            Ok(Delivery::Taken) => Ok(true),
-            Ok(Delivery::Full) => Err(SendFailure::Full),
-            Ok(Delivery::Absent) => Ok(false),
+        match publisher.publish_to(peer, &[message]) {
+            Ok(Delivery::Taken) => Ok(is_confirmed),
+            Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
+            Ok(Delivery::Full | Delivery::Absent) => Ok(false),
             Err(error) => Err(SendFailure::Gone(error.to_string())),
         }
+    }
+
+    /// Whether the sockets of both ends hold a payload of a number of bytes.
+    fn holds_payload(&self, state: PeerState, bytes: usize, topic: &str) -> bool {
+        let Some(own) = self.node.receive_buffer_bytes() else { return true };
+        let most = state.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize));
+        if bytes > most && self.size_warning.set(()).is_ok() {
+            tracing::warn!(
+                topic,
+                bytes,
+                most,
+                "payloads of more than the sockets of both hosts hold travel in parts, where no other program sees them; raise \
+                 session.socket_buffer_bytes, and net.core.rmem_max, on both"
+            );
+        }
+        bytes <= most
     }
 
     /// Opens the payload topic, again and again while the master is away.

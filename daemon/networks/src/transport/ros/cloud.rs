@@ -59,6 +59,9 @@ pub(crate) async fn bind(
     };
     let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
+    if let Some(caveat) = node.caveat() {
+        tracing::warn!(%address, "{caveat}");
+    }
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
     let (stop, abort, tasks) = (CancellationToken::new(), CancellationToken::new(), TaskTracker::new());
     let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);

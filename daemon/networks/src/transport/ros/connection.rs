@@ -12,6 +12,7 @@ use peernet_ros::messages::{Header, MessageInfo, Time};
 
 use super::frames;
 use super::pairing::{Half, Pairing, request_of};
+use super::parts::Parts;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss};
 
@@ -23,6 +24,8 @@ const MAX_STAMP: i64 = i32::MAX as i64 * 1_000_000_000;
 pub(super) struct ConnectionLimits {
     /// Bytes of all frames of a message.
     pub(super) max_message_bytes: u64,
+    /// Whether this end says that it receives the payload topic, which the other one cannot know.
+    pub(super) confirms_payloads: bool,
     /// Messages of which only one half is there.
     pub(super) max_incomplete: usize,
     /// How long the other half is awaited.
@@ -64,7 +67,36 @@ pub(super) struct Connection {
     events: VecDeque<Event>,
     /// Requests whose message arrived in part; the peer is told.
     notices: VecDeque<u64>,
+    /// The first bytes of a message whose companion is still to come.
+    parts: Option<Parts>,
+    /// Stamp of the last companion with all frames of its message.
+    last_whole: i64,
+    /// Whether a payload arrived, which is to be confirmed once.
+    confirmation: Confirmation,
+    /// Reason of a goodbye that waits for payloads which it overtook.
+    goodbye: Option<String>,
+    /// What the other end says of itself.
+    peer: PeerState,
     is_closed: bool,
+}
+
+/// Whether the other end knows that payloads arrive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Confirmation {
+    NothingArrived,
+    Due,
+    Sent,
+}
+
+/// What the other end of a connection says of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct PeerState {
+    /// Bytes of the longest payload message that it takes, if that is bounded.
+    pub(super) receive_buffer_bytes: Option<u32>,
+    /// Payloads of this connection arrive there: they need not travel in their companions as well.
+    pub(super) is_subscribed: bool,
+    /// It has said goodbye.
+    pub(super) has_left: bool,
 }
 
 impl Connection {
@@ -87,6 +119,11 @@ impl Connection {
             sent_at: now,
             events: VecDeque::new(),
             notices: VecDeque::new(),
+            parts: None,
+            last_whole: i64::MIN,
+            confirmation: Confirmation::NothingArrived,
+            goodbye: None,
+            peer: PeerState::default(),
             is_closed: false,
         }
     }
@@ -97,6 +134,10 @@ impl Connection {
 
     pub(super) fn is_closed(&self) -> bool {
         self.is_closed
+    }
+
+    pub(super) fn peer(&self) -> PeerState {
+        self.peer
     }
 
     /// Companions of the peer that never arrived.
@@ -118,6 +159,20 @@ impl Connection {
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
     }
 
+    /// Returns a companion for the first bytes of a message, and gives the message the number after it.
+    pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
+        let header = message.header.clone();
+        let part = MessageInfo {
+            header,
+            kind: MessageInfo::PART,
+            sequence: message.sequence,
+            ..MessageInfo::default()
+        };
+        message.sequence = self.next_sequence;
+        self.next_sequence += 1;
+        MessageInfo { request: message.request, ..part }
+    }
+
     /// A companion of this connection arrived.
     pub(super) fn hear_info(&mut self, info: MessageInfo, now: MonoTime) {
         if self.is_closed {
@@ -129,21 +184,48 @@ impl Connection {
         self.expected = Some(info.sequence.saturating_add(1).max(expected));
         match info.kind {
             MessageInfo::DATA => self.hear_data(info, now),
-            MessageInfo::HELLO => self.events.push_back(Event::Hello),
-            MessageInfo::WELCOME => self.events.push_back(Event::Welcome),
+            MessageInfo::HELLO => {
+                self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
+                self.events.push_back(Event::Hello);
+            }
+            MessageInfo::WELCOME => {
+                self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
+                self.events.push_back(Event::Welcome);
+            }
             MessageInfo::HEARTBEAT => {}
+            MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
+            MessageInfo::PART => {
+                let parts = self.parts.take();
+                self.parts = Parts::extended(parts, &info, &self.budget, self.limits.max_message_bytes);
+            }
             MessageInfo::LOST => {
                 let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
                 self.events.push_back(Event::Lost(loss));
             }
             MessageInfo::GOODBYE => {
-                self.end(peernet_sample::printable_line(&info.reason).into_owned());
+                self.peer.has_left = true;
+                self.goodbye = Some(peernet_sample::printable_line(&info.reason).into_owned());
+                self.end_after_payloads();
             }
             kind => self.events.push_back(Event::Garbage(format!("a message of the unknown kind {kind}"))),
         }
     }
 
-    fn hear_data(&mut self, info: MessageInfo, now: MonoTime) {
+    /// Ends the connection after a goodbye. Both topics have no common order: payloads whose companions came are awaited.
+    fn end_after_payloads(&mut self) {
+        if self.pairing.awaits_payloads() {
+            return;
+        }
+        if let Some(reason) = self.goodbye.take() {
+            self.end(reason);
+        }
+    }
+
+    fn hear_data(&mut self, mut info: MessageInfo, now: MonoTime) {
+        // Parts of another message are of one that was given up. The memory of the whole is counted below.
+        if let Some(parts) = self.parts.take().filter(|parts| parts.is_of(&info)) {
+            info.frames = parts.joined(&info.frames);
+        }
         if let Err(problem) = frames::check(&info, self.limits.max_message_bytes) {
             self.events.push_back(Event::Garbage(problem.to_string()));
             return;
@@ -162,6 +244,9 @@ impl Connection {
                 self.deliver(&pair.info, Some(&pair.payload), pair.reserved.into());
             }
         } else {
+            // The payload may come as well, until it is confirmed that payloads do.
+            self.last_whole = stamp.max(self.last_whole);
+            self.pairing.drop_payload(stamp);
             self.pairing.skip(stamp, &mut lost);
             self.lose(lost);
             self.deliver(&info, None, vec![reserved]);
@@ -174,6 +259,13 @@ impl Connection {
             return;
         }
         self.heard_at = now;
+        if self.limits.confirms_payloads && self.confirmation == Confirmation::NothingArrived {
+            self.confirmation = Confirmation::Due;
+        }
+        // Its companion had all frames.
+        if self.limits.confirms_payloads && stamp <= self.last_whole && !self.pairing.awaits_payload(stamp) {
+            return;
+        }
         let length = payload.len() as u64;
         if length > self.limits.max_message_bytes {
             self.events.push_back(Event::Garbage(format!("a payload of {length} bytes")));
@@ -187,6 +279,7 @@ impl Connection {
         if let Some(pair) = pair {
             self.deliver(&pair.info, Some(&pair.payload), pair.reserved.into());
         }
+        self.end_after_payloads();
     }
 
     /// Changes the budget of messages that arrive from now on.
@@ -218,8 +311,10 @@ impl Connection {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
         self.lose(lost);
+        self.end_after_payloads();
         if !self.is_closed && now - self.heard_at >= self.limits.heartbeat_timeout {
-            self.end("the peer has been silent for too long".to_owned());
+            let goodbye = self.goodbye.take();
+            self.end(goodbye.unwrap_or_else(|| "the peer has been silent for too long".to_owned()));
         }
     }
 
@@ -230,6 +325,10 @@ impl Connection {
         }
         if let Some(request) = self.notices.pop_front() {
             return Some(MessageInfo { request, ..self.begin(MessageInfo::LOST, wall, now) });
+        }
+        if self.confirmation == Confirmation::Due {
+            self.confirmation = Confirmation::Sent;
+            return Some(self.begin(MessageInfo::SUBSCRIBED, wall, now));
         }
         let is_due = now - self.sent_at >= self.limits.heartbeat_interval;
         is_due.then(|| self.begin(MessageInfo::HEARTBEAT, wall, now))

@@ -223,6 +223,10 @@ impl EdgeSender for RosEdgeSender {
         self.0.addresses()
     }
 
+    fn caveat(&self) -> Option<&str> {
+        self.0.node.caveat()
+    }
+
     fn statistics(&self) -> TransportStatistics {
         self.0.statistics()
     }

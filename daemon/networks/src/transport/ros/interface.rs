@@ -17,16 +17,20 @@ use peernet_ros::ros1::{
 
 use super::names::TopicPair;
 use super::ros1::Ros1Node;
+use super::ros2::Ros2SessionNode;
 use crate::{Address, SessionSettings};
 
 /// Opens a node of the version that the address's scheme says.
 pub(super) async fn open_node(
     address: &Address,
     name: &str,
-    _settings: &SessionSettings,
+    settings: &SessionSettings,
     clock: &SharedClock,
 ) -> Result<Arc<dyn SessionNode>, NodeFailure> {
-    Ok(Arc::new(Ros1Node::open(address, name, clock).await?))
+    Ok(match address.domain() {
+        None => Arc::new(Ros1Node::open(address, name, clock).await?),
+        Some(_) => Arc::new(Ros2SessionNode::open(address, name, settings, clock).await?),
+    })
 }
 
 /// Something that could not be done, and why.
@@ -108,6 +112,19 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Checks that no other cloud serves a name.
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
+    /// Bytes that the sockets of this node hold before they are read; the other end sends no longer payload message. `None` where
+    /// that has no limit: then the node also knows who receives its messages, and they need not say so.
+    fn receive_buffer_bytes(&self) -> Option<usize>;
+
+    /// Bytes of frames that one companion may have.
+    fn max_companion_bytes(&self) -> usize;
+
+    /// How long a payload is awaited whose companion is there, if that is not the default.
+    fn payload_patience(&self) -> Option<Duration>;
+
+    /// What makes connections worse than they could be, and what to do about it.
+    fn caveat(&self) -> Option<&str>;
+
     fn publish<'a>(
         &'a self,
         topic: &'a str,
@@ -138,8 +155,11 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// Publishes a message for whoever subscribes, without waiting.
     fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure>;
 
-    /// As [`publish`](Self::publish), and returns what became of the message for one node.
-    fn publish_to(&self, node: &str, message: EncodedMessage) -> Result<Delivery, NodeFailure>;
+    /// Publishes messages as [`publish`](Self::publish) does, and returns what became of them for one node.
+    fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
+
+    /// Why a node subscribes to the topic and gets nothing, with what to do.
+    fn refusal(&self, node: &str) -> Option<String>;
 }
 
 /// Receives a topic until it is dropped.

@@ -14,9 +14,11 @@ mod frames;
 mod interface;
 mod names;
 mod pairing;
+mod parts;
 mod payload;
 mod peers;
 mod ros1;
+mod ros2;
 mod serving;
 mod version;
 
@@ -30,7 +32,7 @@ use crate::Address;
 
 /// How addresses are written: where the master is, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm =
-    AddressForm::Named { port: 11311, name: "peernet", find: version::find };
+    AddressForm::Named { port: 11311, name: "peernet", in_domain: "ros2", find: version::find };
 
 /// Ports are the system's choice: there is nothing to try.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {

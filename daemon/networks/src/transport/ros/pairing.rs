@@ -118,6 +118,23 @@ impl Pairing {
         lost.extend(self.waiting.extract_if(.., is_over).map(|(_, waiting)| waiting.half.loss()));
     }
 
+    /// Whether a companion waits for its payload.
+    pub(super) fn awaits_payload(&self, stamp: i64) -> bool {
+        self.waiting.get(&stamp).is_some_and(|waiting| waiting.half.is_info())
+    }
+
+    /// Drops a payload that its companion does not need.
+    pub(super) fn drop_payload(&mut self, stamp: i64) {
+        if self.waiting.get(&stamp).is_some_and(|waiting| !waiting.half.is_info()) {
+            self.waiting.remove(&stamp);
+        }
+    }
+
+    /// Whether companions wait for their payloads.
+    pub(super) fn awaits_payloads(&self) -> bool {
+        self.waiting.values().any(|waiting| waiting.half.is_info())
+    }
+
     /// When the next half's time is over.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         self.waiting.values().map(|waiting| waiting.deadline).min()

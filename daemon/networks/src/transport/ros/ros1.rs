@@ -120,6 +120,22 @@ impl SessionNode for Ros1Node {
         check.boxed()
     }
 
+    fn receive_buffer_bytes(&self) -> Option<usize> {
+        None
+    }
+
+    fn max_companion_bytes(&self) -> usize {
+        usize::MAX
+    }
+
+    fn payload_patience(&self) -> Option<Duration> {
+        None
+    }
+
+    fn caveat(&self) -> Option<&str> {
+        None
+    }
+
     fn publish<'a>(
         &'a self,
         topic: &'a str,
@@ -176,8 +192,19 @@ impl SessionPublisher for Publisher {
         Ok(())
     }
 
-    fn publish_to(&self, node: &str, message: EncodedMessage) -> Result<Delivery, NodeFailure> {
-        Ok(Self::publish_to(self, node, message)?)
+    fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        for message in messages {
+            let delivery = Self::publish_to(self, node, message.clone())?;
+            if delivery != Delivery::Taken {
+                return Ok(delivery);
+            }
+        }
+        Ok(Delivery::Taken)
+    }
+
+    // The master and the headers of connections tell before.
+    fn refusal(&self, _node: &str) -> Option<String> {
+        None
     }
 }
 

@@ -67,6 +67,7 @@ impl<S: Sink> Serving<S> {
         let mut waiting = VecDeque::new();
         let mut foreign = BTreeSet::new();
         let mut connected = BTreeSet::new();
+        let mut is_closing = false;
         loop {
             self.send_due();
             self.collect(&mut waiting);
@@ -77,6 +78,9 @@ impl<S: Sink> Serving<S> {
                 permit.send(delivery);
             }
             if self.channel.lock().is_closed() && waiting.is_empty() {
+                if self.answers_goodbye() && !is_closing {
+                    self.channel.say_goodbye("");
+                }
                 return;
             }
             // Made before looking, so that nothing that happens in between is missed.
@@ -99,10 +103,21 @@ impl<S: Sink> Serving<S> {
             let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
             let step = tokio::select! {
                 biased;
-                () = abort.cancelled() => return,
-                () = stop.cancelled(), if !channel.lock().is_closed() => {
-                    channel.say_goodbye(goodbye);
+                () = abort.cancelled() => {
+                    // A later connection may have topics of the same names and nodes, so that their end tells nothing.
+                    if channel.node.receive_buffer_bytes().is_some() {
+                        channel.say_goodbye("the other end has given up the connection");
+                    }
                     return;
+                }
+                () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
+                    channel.say_goodbye(goodbye);
+                    // Where topics end without their last messages, the other end's goodbye says that it has all.
+                    if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
+                        return;
+                    }
+                    is_closing = true;
+                    Step::Other
                 }
                 permit = deliveries.reserve(), if !is_idle => {
                     match permit {
@@ -155,9 +170,16 @@ impl<S: Sink> Serving<S> {
         }
     }
 
+    /// Whether the other end waits for an answer to its goodbye.
+    fn answers_goodbye(&self) -> bool {
+        self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
+    }
+
     /// A topic on which messages of the peer arrived until now.
     fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
-        let topics = [Some(&self.info), self.payload.as_ref()];
+        // Where payloads are confirmed, their topic may also be that of an earlier connection, which ends.
+        let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
+        let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
             if !is_connected(&**subscriber, &self.channel) {

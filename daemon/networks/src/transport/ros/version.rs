@@ -1,38 +1,49 @@
 //! The cloud's address where only its name is known.
 
+use std::ffi::OsString;
+
 use peernet_ros::ros1::Environment;
+use peernet_ros::ros2::Ros2Settings;
 use peernet_ros::topics::{RosVersion, VersionError};
 
 use super::names::allowed;
 use crate::transport::UnknownAddress;
 
-/// Returns the address of the cloud with a name. The version is the one given, or else that of the environment; the master
-/// is that of `ROS_MASTER_URI`.
+/// Returns the address of the cloud with a name. The version is the one given, or else that of the environment. In ROS 1 the
+/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain that of `ROS_DOMAIN_ID`.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, UnknownAddress> {
-    check_version(version, |name| std::env::var(name).ok())?;
-    let environment = Environment::from_process().map_err(|error| UnknownAddress(error.to_string()))?;
-    let master = environment.master;
-    let host =
-        if master.host().contains(':') { format!("[{}]", master.host()) } else { master.host().to_owned() };
-    Ok(format!("ros1://{host}:{}/{}", master.port(), allowed(name)))
+    find_by(name, version, |name| std::env::var(name).ok())
 }
 
-fn check_version(
+fn find_by(
+    name: &str,
+    version: Option<u64>,
+    variable: impl Fn(&str) -> Option<String>,
+) -> Result<String, UnknownAddress> {
+    let name = allowed(name);
+    if chosen(version, &variable)? == RosVersion::Ros2 {
+        let settings = Ros2Settings::default().with_environment(variable);
+        let settings = settings.map_err(|error| UnknownAddress(error.to_string()))?;
+        return Ok(format!("ros2://{}/{name}", settings.domain_id.unwrap_or_default()));
+    }
+    let environment = Environment::from_variables(|name| variable(name).map(OsString::from));
+    let master = environment.map_err(|error| UnknownAddress(error.to_string()))?.master;
+    let host =
+        if master.host().contains(':') { format!("[{}]", master.host()) } else { master.host().to_owned() };
+    Ok(format!("ros1://{host}:{}/{name}", master.port()))
+}
+
+/// The version that is asked for; ROS 1 where nothing says which.
+fn chosen(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
-) -> Result<(), UnknownAddress> {
-    let unknown = |error: VersionError| UnknownAddress(format!("ros_version: {error}"));
+) -> Result<RosVersion, UnknownAddress> {
     // A number that no byte holds is no version either.
     let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
-    match RosVersion::resolve(given.transpose().map_err(unknown)?, variable) {
-        // Where nothing says which, it is the one that this network speaks.
-        Ok(RosVersion::Ros1) | Err(VersionError::NotGiven) => Ok(()),
-        Ok(RosVersion::Ros2) => Err(UnknownAddress(
-            "the network ros speaks ROS 1, but ROS 2 is asked for; write ros_version: 1 into the network configuration and \
-             start a master (roscore), or use another network"
-                .to_owned(),
-        )),
-        Err(error) => Err(UnknownAddress(error.to_string())),
+    let given = given.transpose().map_err(|error| UnknownAddress(format!("ros_version: {error}")))?;
+    match RosVersion::resolve(given, variable) {
+        Err(VersionError::NotGiven) => Ok(RosVersion::Ros1),
+        other => other.map_err(|error| UnknownAddress(error.to_string())),
     }
 }
 
@@ -40,24 +51,34 @@ fn check_version(
 mod tests {
     use super::*;
 
-    #[test]
-    fn other_version_is_refused_with_next_step() {
-        let check = |given, distribution: Option<&str>| {
-            check_version(given, |name| distribution.filter(|_| name == "ROS_DISTRO").map(str::to_owned))
-        };
-        for asked in [check(Some(2), None), check(None, Some("jazzy"))] {
-            let error = asked.expect_err("not spoken").to_string();
-            assert!(error.contains("ROS 2") && error.contains("ros_version: 1"), "{error}");
-        }
-        assert!(check(Some(300), None).is_err());
-        for accepted in [check(Some(1), Some("jazzy")), check(None, Some("noetic")), check(None, None)] {
-            assert!(accepted.is_ok());
-        }
+    fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, UnknownAddress> {
+        find_by("jetson-orin", version, |name| {
+            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+        })
     }
 
     #[test]
-    fn address_has_the_name_as_ros_allows_it() {
-        let address = find("jetson-orin", Some(1)).expect("ROS 1");
-        assert!(address.starts_with("ros1://") && address.ends_with("/jetson_orin"), "{address}");
+    fn version_and_place_come_from_configuration_and_environment() {
+        let (noetic, jazzy) = (("ROS_DISTRO", "noetic"), ("ROS_DISTRO", "jazzy"));
+        let ros1 = Ok("ros1://localhost:11311/jetson_orin".to_owned());
+        for (version, variables) in [(Some(1), &[jazzy][..]), (None, &[noetic]), (None, &[])] {
+            assert_eq!(found(version, variables), ros1);
+        }
+        let master = ("ROS_MASTER_URI", "http://[::1]:7");
+        assert_eq!(found(None, &[master]), Ok("ros1://[::1]:7/jetson_orin".to_owned()));
+        let domain = ("ROS_DOMAIN_ID", "7");
+        assert_eq!(found(Some(2), &[noetic]), Ok("ros2://0/jetson_orin".to_owned()));
+        assert_eq!(found(None, &[("ROS_VERSION", "2"), domain]), Ok("ros2://7/jetson_orin".to_owned()));
+        assert_eq!(found(None, &[jazzy, domain]), Ok("ros2://7/jetson_orin".to_owned()));
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named() {
+        for number in [3, 300] {
+            let error = found(Some(number), &[]).expect_err("no such version").to_string();
+            assert!(error.contains("ros_version"), "{error}");
+        }
+        let error = found(Some(2), &[("ROS_DOMAIN_ID", "x")]).expect_err("no domain").to_string();
+        assert!(error.contains("ROS_DOMAIN_ID"), "{error}");
     }
 }

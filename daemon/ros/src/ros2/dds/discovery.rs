@@ -5,10 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use tokio::sync::watch;
 
 use crate::ros2::names::ros_type;
-use crate::ros2::{EndpointId, EndpointRole, PeerTable, Refusal};
-
-/// Identity of a participant: the bytes that the identities of its endpoints begin with.
-pub(super) type ParticipantId = [u8; 12];
+use crate::ros2::{EndpointId, EndpointRole, FoundEndpoint, ParticipantId, PeerTable, Refusal};
 
 /// Something that discovery found out.
 #[derive(Clone, Debug)]
@@ -88,6 +85,18 @@ impl DiscoveryState {
             .filter_map(|(_, (topic, _))| topic.strip_prefix("rt").filter(|name| name.starts_with('/')))
             .collect();
         names.into_iter().map(str::to_owned).collect()
+    }
+
+    /// Returns the endpoints that others have of a topic, by its DDS name.
+    pub(super) fn endpoints_of(&self, dds_topic: &str) -> Vec<FoundEndpoint> {
+        let of_topic = self
+            .endpoints
+            .iter()
+            .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own);
+        let found = of_topic.filter_map(|(id, (_, type_name))| {
+            Some(FoundEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name) })
+        });
+        found.collect()
     }
 
     /// Whether a publisher gives the topic of one of our subscriptions another type. `rustdds` matches by the name of
@@ -176,7 +185,7 @@ mod tests {
     const REMOTE: EndpointId = EndpointId([2; 16]);
 
     fn state() -> (DiscoveryState, watch::Receiver<PeerTable>) {
-        let mut state = DiscoveryState::new([1; 12]);
+        let mut state = DiscoveryState::new(ParticipantId([1; 12]));
         let peers = state.add_local(LOCAL, EndpointRole::Subscription, "std_msgs::msg::dds_::String_");
         (state, peers)
     }
@@ -188,14 +197,14 @@ mod tests {
     #[test]
     fn peer_is_matched_until_its_participant_is_gone() {
         let (mut state, peers) = state();
-        state.apply(DiscoveryEvent::ParticipantFound([2; 12]));
-        state.apply(DiscoveryEvent::ParticipantFound([1; 12]));
+        state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([2; 12])));
+        state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([1; 12])));
         assert_eq!(state.participants(), 1, "our own participant is no other one");
         state.apply(found("std_msgs::msg::dds_::String_"));
         state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
         assert!(peers.borrow().matched.contains(&REMOTE));
         assert_eq!(state.topics(), ["/chatter"]);
-        state.apply(DiscoveryEvent::ParticipantGone([2; 12]));
+        state.apply(DiscoveryEvent::ParticipantGone(ParticipantId([2; 12])));
         let expected = PeerTable { matched_total: 1, unmatched_total: 1, ..PeerTable::default() };
         assert_eq!((*peers.borrow()).clone(), expected);
         assert_eq!((state.participants(), state.topics().len()), (0, 0));
@@ -227,5 +236,26 @@ mod tests {
         assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
         state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
         assert!(peers.borrow().refused.is_empty() && peers.borrow().matched.contains(&REMOTE));
+    }
+
+    #[test]
+    fn endpoints_of_others_are_found_by_topic_and_role() {
+        let (mut state, _) = state();
+        for (last, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
+            let mut id = REMOTE;
+            id.0[15] = last;
+            id.0[14] = topic.as_bytes()[3];
+            let (topic, type_name) = (topic.to_owned(), "std_msgs::msg::dds_::String_".to_owned());
+            state.apply(DiscoveryEvent::EndpointFound {
+                id,
+                topic: topic.clone(),
+                type_name: type_name.clone(),
+            });
+            state.apply(DiscoveryEvent::EndpointFound { id: LOCAL, topic, type_name });
+        }
+        let found = state.endpoints_of("rt/a");
+        assert!(found.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
+        let roles: Vec<EndpointRole> = found.iter().map(|endpoint| endpoint.role).collect();
+        assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
     }
 }

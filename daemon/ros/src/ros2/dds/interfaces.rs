@@ -91,7 +91,7 @@ pub(super) fn check_socket_buffers(needed: usize) -> io::Result<Vec<SocketBuffer
     socket.set_send_buffer_size(needed)?;
     // Linux reports twice what it grants, because it counts its own bookkeeping.
     let granted = [
-        ("net.core.rmem_max", socket.recv_buffer_size()? / 2),
+        (SocketBufferWarning::RECEIVING, socket.recv_buffer_size()? / 2),
         ("net.core.wmem_max", socket.send_buffer_size()? / 2),
     ];
     let is_too_small = |(sysctl, granted): (&'static str, usize)| {

@@ -23,7 +23,7 @@ use super::sequence_tracker::SequenceTracker;
 use super::subscription::Ros2Subscription;
 use crate::ros2::names::{absolute_topic, dds_topic, dds_type};
 use crate::ros2::{
-    Durability, EndpointId, EndpointRole, QosProfile, ReceiveCounts, Ros2Error, Ros2Settings,
+    Durability, EndpointId, EndpointRole, ParticipantId, QosProfile, ReceiveCounts, Ros2Error, Ros2Settings,
     SocketBufferWarning,
 };
 
@@ -47,6 +47,7 @@ pub(super) struct Parts {
 
 /// What the endpoints of a node share.
 pub(super) struct NodeState {
+    pub(super) id: ParticipantId,
     pub(super) domain_id: u16,
     pub(super) interfaces: String,
     pub(super) closed: CancellationToken,
@@ -96,11 +97,13 @@ impl Ros2Node {
         let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
         let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
         let node_list = NodeList::new(&settings, &participant, &publisher)?;
+        let id = endpoint_id(participant.guid()).participant();
         let state = Arc::new(NodeState {
+            id,
             domain_id: participant.domain_id(),
             interfaces,
             closed: CancellationToken::new(),
-            discovery: Mutex::new(DiscoveryState::new(endpoint_id(participant.guid()).participant())),
+            discovery: Mutex::new(DiscoveryState::new(id)),
             node_list: Mutex::new(node_list),
         });
         state.announce();
@@ -117,6 +120,18 @@ impl Ros2Node {
     /// Limits of the kernel below the socket buffers that were asked for.
     pub fn socket_buffer_warnings(&self) -> &[SocketBufferWarning] {
         &self.socket_buffer_warnings
+    }
+
+    /// Returns how many bytes a socket of this host takes before it is read. A message is lost in part where the sockets of its
+    /// subscriptions take less than it has.
+    pub fn receive_buffer_bytes(&self) -> usize {
+        let granted = self.socket_buffer_warnings.iter().find(|warning| warning.is_of_receiving());
+        granted.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
+    }
+
+    /// Identity of the node in the domain.
+    pub fn id(&self) -> ParticipantId {
+        self.state.id
     }
 
     /// Returns how many other participants of the domain are there.
@@ -149,7 +164,10 @@ impl Ros2Node {
         self.state.announce();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
-        Ok(Ros2Publisher { writer, endpoint, qos: qos.clone(), unacknowledged: AtomicUsize::new(0) })
+        let most = self.receive_buffer_bytes() / 2;
+        let most_unacknowledged = most.min(Ros2Publisher::MAX_UNACKNOWLEDGED_BYTES);
+        let (qos, unacknowledged) = (qos.clone(), AtomicUsize::new(0));
+        Ok(Ros2Publisher { writer, endpoint, qos, unacknowledged, most_unacknowledged })
     }
 
     /// Opens a subscription of a topic. `type_name` is as `std_msgs/msg/String`.
@@ -327,7 +345,7 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
 
 fn translate(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent> {
     use DomainParticipantStatusEvent as Event;
-    let participant = |prefix: &[u8]| <[u8; 12]>::try_from(prefix).ok();
+    let participant = |prefix: &[u8]| prefix.try_into().ok().map(ParticipantId);
     Some(match event {
         Event::ParticipantDiscovered { dpd } => {
             DiscoveryEvent::ParticipantFound(endpoint_id(dpd.guid).participant())

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use bytes::Bytes;
+use futures::FutureExt;
 use peernet_clock::WallTime;
 use rustdds::dds::{WriteError, WriteResult};
 use rustdds::no_key::DataWriter;
@@ -23,14 +24,16 @@ pub struct Ros2Publisher {
     pub(super) qos: QosProfile,
     /// Bytes that were published since everything was acknowledged, roughly where several tasks publish at once.
     pub(super) unacknowledged: AtomicUsize,
+    /// Bytes that may be.
+    pub(super) most_unacknowledged: usize,
 }
 
-/// Bytes that may be unacknowledged; a single message may be larger. What does not fit into the receive buffer of a peer
-/// is lost, and repairing several large messages between `rustdds` and Fast DDS does not succeed. Cyclone DDS asks for
-/// a receive buffer of this size.
-const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
-
 impl Ros2Publisher {
+    /// Bytes that may be unacknowledged, or half of the receive buffer where that is less; a single message may be larger. What
+    /// does not fit into the receive buffer of a peer is lost, and repairing several large messages between `rustdds` and Fast DDS
+    /// does not succeed. Cyclone DDS asks for a receive buffer of this size.
+    pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
+
     /// Identity of the publisher, which subscriptions receive with each message.
     pub fn id(&self) -> EndpointId {
         self.endpoint.id
@@ -89,19 +92,50 @@ impl Ros2Publisher {
         }
     }
 
+    /// As [`publish`](Self::publish) without waiting. Returns `None` when there is no room.
+    ///
+    /// # Errors
+    ///
+    /// As those of `publish`, but for the time limit.
+    pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
+        let topic = || self.endpoint.topic.clone();
+        if self.endpoint.node.closed.is_cancelled() {
+            return Err(self.endpoint.shut_down());
+        }
+        let message =
+            RawMessage::from_payload(payload).ok_or_else(|| Ros2Error::NotCdr { topic: topic() })?;
+        let options = WriteOptionsBuilder::new().source_timestamp(timestamp(source_time)).build();
+        match self.write(message, options).now_or_never() {
+            None | Some(Err(WriteError::WouldBlock { .. })) => Ok(None),
+            Some(Ok(identity)) => Ok(Some(i64::from(identity.sequence_number))),
+            Some(Err(error)) => {
+                Err(Ros2Error::Publish { topic: topic(), reason: error.forget_data().to_string() })
+            }
+        }
+    }
+
+    /// Counts everything so far as acknowledged, so that a subscription that does not keep up stops nobody else's messages.
+    /// Messages that it lacks are kept for it as before.
+    pub fn forget_unacknowledged(&self) {
+        self.unacknowledged.store(0, Ordering::Relaxed);
+    }
+
     async fn write(
         &self,
         message: RawMessage,
         options: WriteOptions,
     ) -> WriteResult<SampleIdentity, RawMessage> {
         let size = message.0.len();
-        if self.unacknowledged.load(Ordering::Relaxed).saturating_add(size) > MAX_UNACKNOWLEDGED_BYTES {
+        if self.unacknowledged.load(Ordering::Relaxed).saturating_add(size) > self.most_unacknowledged
+            && self.unacknowledged.load(Ordering::Relaxed) > 0
+        {
             // Fails for reasons only for which the write fails as well.
             let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
             self.unacknowledged.store(0, Ordering::Relaxed);
         }
+        let identity = self.writer.async_write_with_options(message, options).await?;
         self.unacknowledged.fetch_add(size, Ordering::Relaxed);
-        self.writer.async_write_with_options(message, options).await
+        Ok(identity)
     }
 
     /// Waits until all matched reliable subscriptions have everything that was published.

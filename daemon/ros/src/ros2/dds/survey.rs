@@ -8,10 +8,10 @@ use tokio::sync::watch;
 use super::conversions::endpoint_id;
 use super::interfaces::own_addresses;
 use super::node::Ros2Node;
-use crate::ros2::FoundPublisher;
 use crate::ros2::error::advise;
 use crate::ros2::found::other_host;
 use crate::ros2::names::{dds_topic, ros_type};
+use crate::ros2::{FoundEndpoint, FoundPublisher, ParticipantId};
 
 impl Ros2Node {
     /// Returns the publishers that others have of a topic, by its absolute name, in the order of their identities.
@@ -28,6 +28,21 @@ impl Ros2Node {
             of_topic.map(|writer| found_publisher(&writer, &own)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
         publishers
+    }
+
+    /// Returns the endpoints that others have of a topic, by its absolute name.
+    pub fn endpoints_of(&self, topic: &str) -> Vec<FoundEndpoint> {
+        self.state.discovery().endpoints_of(&dds_topic(topic))
+    }
+
+    /// Returns an address of the host that a participant with a publisher runs on; `None` where that is this host.
+    pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
+        let own = own_addresses().unwrap_or_default();
+        let found = self.parts.as_ref()?.participant.discovered_writers().into_iter();
+        let mut of_participant = found.filter(|writer| {
+            endpoint_id(writer.writer_proxy.remote_writer_guid).participant() == participant
+        });
+        of_participant.find_map(|writer| found_publisher(&writer, &own).host)
     }
 
     /// Returns a number that changes with everything that discovery finds out.

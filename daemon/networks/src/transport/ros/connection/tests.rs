@@ -7,6 +7,7 @@ use super::*;
 
 const LIMITS: ConnectionLimits = ConnectionLimits {
     max_message_bytes: 1_000,
+    confirms_payloads: false,
     max_incomplete: 4,
     pairing_timeout: Span::from_seconds(30),
     heartbeat_interval: Span::from_seconds(1),

@@ -1,0 +1,97 @@
+//! Frames that come in several companions, without I/O.
+
+use std::sync::Arc;
+
+use bytes::{Bytes, BytesMut};
+use peernet_ros::messages::{MessageInfo, Time};
+
+use crate::transport::memory::{MemoryBudget, Reservation};
+
+/// The first bytes of the frames of a message.
+#[derive(Debug)]
+pub(super) struct Parts {
+    stamp: Time,
+    bytes: BytesMut,
+    reserved: Reservation,
+}
+
+impl Parts {
+    /// Returns the parts with one more; those of another message are dropped. `None` if they exceed a bound: the message is not
+    /// whole then.
+    pub(super) fn extended(
+        parts: Option<Self>,
+        part: &MessageInfo,
+        budget: &Arc<MemoryBudget>,
+        most_bytes: u64,
+    ) -> Option<Self> {
+        let begin = || Self {
+            stamp: part.header.stamp,
+            bytes: BytesMut::new(),
+            reserved: Reservation::empty(budget),
+        };
+        let mut parts = parts.filter(|parts| parts.is_of(part)).unwrap_or_else(begin);
+        let length = (parts.bytes.len() + part.frames.len()) as u64;
+        if length > most_bytes || parts.reserved.set(budget, length).is_err() {
+            return None;
+        }
+        parts.bytes.extend_from_slice(&part.frames);
+        Some(parts)
+    }
+
+    /// Whether they are of the message that a companion is of.
+    pub(super) fn is_of(&self, info: &MessageInfo) -> bool {
+        self.stamp == info.header.stamp
+    }
+
+    /// Returns all frames of the message.
+    pub(super) fn joined(mut self, last: &Bytes) -> Bytes {
+        self.bytes.extend_from_slice(last);
+        self.bytes.freeze()
+    }
+}
+
+/// Splits the frames of a message into pieces of `most` bytes; the last is for its companion itself.
+pub(super) fn split(frames: &mut Bytes, most: usize) -> Vec<Bytes> {
+    let mut pieces = Vec::new();
+    while frames.len() > most {
+        pieces.push(frames.split_to(most));
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_ros::messages::Header;
+
+    use super::*;
+
+    fn part(stamp: i64, frames: &'static [u8]) -> MessageInfo {
+        let header = Header { stamp: Time::from_nanos(stamp), ..Header::default() };
+        MessageInfo { header, frames: Bytes::from_static(frames), ..MessageInfo::default() }
+    }
+
+    #[test]
+    fn pieces_are_joined_as_split() {
+        let mut frames = Bytes::from_static(b"abcdefg");
+        let pieces = split(&mut frames, 3);
+        assert_eq!((&pieces[..], &frames[..]), (&[Bytes::from("abc"), Bytes::from("def")][..], &b"g"[..]));
+        let budget = MemoryBudget::new(10);
+        let parts = Parts::extended(None, &part(1, b"abc"), &budget, 10);
+        let parts = Parts::extended(parts, &part(1, b"def"), &budget, 10).expect("fits");
+        assert!(parts.is_of(&part(1, b"")) && !parts.is_of(&part(2, b"")));
+        assert_eq!(budget.held(), 6);
+        assert_eq!(parts.joined(&frames), "abcdefg");
+        assert_eq!(budget.held(), 0);
+    }
+
+    #[test]
+    fn parts_of_another_message_or_beyond_a_bound_are_dropped() {
+        let budget = MemoryBudget::new(5);
+        let parts = Parts::extended(None, &part(1, b"abc"), &budget, 10);
+        let parts = Parts::extended(parts, &part(2, b"de"), &budget, 10);
+        assert_eq!(budget.held(), 2);
+        assert!(Parts::extended(parts, &part(2, b"fghi"), &budget, 10).is_none());
+        assert!(Parts::extended(None, &part(3, b"abc"), &budget, 2).is_none());
+        assert_eq!(budget.held(), 0);
+    }
+}

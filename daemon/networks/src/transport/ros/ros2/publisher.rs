@@ -1,0 +1,218 @@
+//! Publishing of messages in their order, without waiting.
+//!
+//! `rustdds` sends a message as fast as it can, and what does not fit into a receive buffer is repaired slowly: so little may be
+//! unacknowledged. What finds no room waits in a queue for a task.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::SharedClock;
+use peernet_ros::messages::EncodedMessage;
+use peernet_ros::ros1::Delivery;
+use peernet_ros::ros2::{EndpointId, Ros2Error, Ros2Publisher};
+use tokio::sync::Notify;
+use tokio::time::{Instant, timeout};
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
+
+/// How long acknowledgments are awaited while other programs subscribe as well, which may be slow.
+const WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
+
+/// How long nothing may be acknowledged.
+const MAX_STALL: Duration = Duration::from_secs(5);
+
+/// Bytes that are kept for subscriptions that acknowledge nothing.
+const MAX_KEPT_BYTES: usize = 256 * 1024 * 1024;
+
+/// A publisher and what waits to be published.
+pub(super) struct Ros2SessionPublisher {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    publisher: Ros2Publisher,
+    topic: String,
+    clock: SharedClock,
+    queue: Mutex<Queue>,
+    /// Something was put into the queue, or nothing will be any more.
+    changed: Notify,
+}
+
+#[derive(Default)]
+struct Queue {
+    messages: VecDeque<Bytes>,
+    bytes: usize,
+    most_bytes: usize,
+    /// The task has the oldest message.
+    is_busy: bool,
+    /// Bytes that were published since everything was acknowledged.
+    kept_bytes: usize,
+    is_closed: bool,
+    failure: Option<NodeFailure>,
+}
+
+impl Ros2SessionPublisher {
+    pub(super) fn new(
+        publisher: Ros2Publisher,
+        most_bytes: usize,
+        clock: SharedClock,
+        (tasks, stop): (&TaskTracker, CancellationToken),
+    ) -> Self {
+        let queue = Mutex::new(Queue { most_bytes, ..Queue::default() });
+        let topic = publisher.topic().to_owned();
+        let shared = Arc::new(Shared { publisher, topic, clock, queue, changed: Notify::new() });
+        tasks.spawn(Arc::clone(&shared).run(stop));
+        Self { shared }
+    }
+
+    fn offer(&self, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        let shared = &*self.shared;
+        let mut queue = shared.queue();
+        if let Some(failure) = &queue.failure {
+            return Err(failure.clone());
+        }
+        let bytes: usize = messages.iter().map(EncodedMessage::len).sum();
+        let is_empty = queue.messages.is_empty() && !queue.is_busy;
+        if !is_empty && queue.bytes.saturating_add(bytes) > queue.most_bytes {
+            return Ok(Delivery::Full);
+        }
+        for message in messages {
+            let message = message.clone().into_bytes();
+            // Whoever sends publishes at once if there is room.
+            if queue.messages.is_empty() && !queue.is_busy && shared.publish(&mut queue, &message)? {
+                continue;
+            }
+            queue.bytes += message.len();
+            queue.messages.push_back(message);
+            shared.changed.notify_one();
+        }
+        Ok(Delivery::Taken)
+    }
+}
+
+impl Shared {
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Publishes a message if there is room.
+    fn publish(&self, queue: &mut Queue, message: &Bytes) -> Result<bool, Ros2Error> {
+        let published = self.publisher.try_publish(message.clone(), self.clock.wall())?.is_some();
+        if published {
+            queue.kept_bytes += message.len();
+        }
+        Ok(published)
+    }
+
+    /// Publishes what is in the queue, and ends when no more comes and all is acknowledged.
+    async fn run(self: Arc<Self>, stop: CancellationToken) {
+        loop {
+            let changed = self.changed.notified();
+            let next = {
+                let mut queue = self.queue();
+                let next = queue.messages.pop_front();
+                queue.is_busy = next.is_some();
+                match next {
+                    Some(next) => Ok(next),
+                    None => Err(queue.is_closed),
+                }
+            };
+            match next {
+                Ok(message) => {
+                    if let Err(failure) = self.publish_in_time(&message).await {
+                        tracing::warn!(topic = self.topic, %failure, "a topic of ROS 2 is given up");
+                        let mut queue = self.queue();
+                        *queue = Queue { failure: Some(failure), ..Queue::default() };
+                        return;
+                    }
+                    self.queue().bytes -= message.len();
+                }
+                Err(true) => break,
+                Err(false) => {
+                    if stop.run_until_cancelled(changed).await.is_none() {
+                        break;
+                    }
+                }
+            }
+        }
+        if let Err(error) = self.publisher.await_acknowledgment(MAX_STALL).await {
+            tracing::debug!(topic = self.topic, %error, "a topic of ROS 2 ended before all was acknowledged");
+        }
+    }
+
+    async fn publish_in_time(&self, message: &Bytes) -> Result<(), NodeFailure> {
+        let begin = Instant::now();
+        loop {
+            if self.publish(&mut self.queue(), message)? {
+                return Ok(());
+            }
+            let others = self.publisher.peers().borrow().matched.len();
+            let wait = if others > 1 { WAIT_BESIDE_OTHERS } else { MAX_STALL };
+            match timeout(wait, self.publisher.await_acknowledgment(wait)).await {
+                Ok(Ok(())) => self.queue().kept_bytes = 0,
+                // What another program misses is kept for it, but stops nobody.
+                Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
+                Ok(Err(error)) => return Err(error.into()),
+            }
+            let kept = self.queue().kept_bytes;
+            if begin.elapsed() >= MAX_STALL || kept > MAX_KEPT_BYTES {
+                return Err(NodeFailure(format!(
+                    "{others} subscriptions of topic {} do not acknowledge what was published ({kept} bytes); stop programs that \
+                     only watch it and do not keep up, or raise net.core.rmem_max on their hosts",
+                    self.topic
+                )));
+            }
+        }
+    }
+}
+
+fn is_of(id: EndpointId, node: &str) -> bool {
+    id.participant().to_string() == node
+}
+
+impl fmt::Debug for Ros2SessionPublisher {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("Ros2SessionPublisher").field("topic", &self.shared.topic).finish()
+    }
+}
+
+impl Drop for Ros2SessionPublisher {
+    fn drop(&mut self) {
+        self.shared.queue().is_closed = true;
+        self.shared.changed.notify_one();
+    }
+}
+
+impl SessionPublisher for Ros2SessionPublisher {
+    fn topic(&self) -> &str {
+        &self.shared.topic
+    }
+
+    fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure> {
+        match self.offer(&[message])? {
+            Delivery::Full => Err(NodeFailure("the queue is full".to_owned())),
+            _ => Ok(()),
+        }
+    }
+
+    // DDS does not tell whether the other end knows the publisher as well: a payload topic is used when companions say so, and a
+    // node that has gone is noticed by the topics of its own.
+    fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        self.offer(messages)
+    }
+
+    fn refusal(&self, node: &str) -> Option<String> {
+        let peers = self.shared.publisher.peers();
+        let peers = peers.borrow();
+        let refused = peers.refused.iter().find(|(id, _)| is_of(**id, node))?;
+        Some(format!(
+            "topic {}: {}; give both ends the same keys in session.ros2",
+            self.shared.topic, refused.1
+        ))
+    }
+}

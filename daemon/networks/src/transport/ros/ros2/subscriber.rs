@@ -1,0 +1,300 @@
+//! Receiving of messages as they come.
+//!
+//! `rustdds` drops messages that are not read soon, so a task takes them out of its cache at once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use peernet_ros::messages::{CompressedImage, Image, Message, UInt8MultiArray};
+use peernet_ros::ros1::{MemoryLimit, MessageMemory, SubscriberOptions};
+use peernet_ros::ros2::{
+    EndpointId, EndpointRole, FoundEndpoint, ParticipantId, QosProfile, Ros2Node, Ros2Subscription,
+};
+use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::{mpsc, watch};
+use tokio_util::task::AbortOnDropHandle;
+
+use super::{Publishers, remote_node, ros2_name};
+use crate::transport::ros::interface::{
+    NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
+};
+
+/// Bytes of received messages that wait to be taken. Nobody stops a publisher of ROS 2: more is dropped.
+const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
+
+/// The same, in messages.
+const MAX_WAITING_MESSAGES: usize = 8_192;
+
+/// Publishers of which discovery has not told yet.
+const MAX_HEARD: usize = 64;
+
+/// Receives a topic.
+pub(super) struct Ros2SessionSubscriber {
+    topic: String,
+    messages: mpsc::Receiver<Result<Received, NodeFailure>>,
+    publishers: Publishers,
+    bounds: Arc<Bounds>,
+    _task: AbortOnDropHandle<()>,
+}
+
+#[derive(Debug, Default)]
+struct Bounds {
+    max_message_bytes: AtomicUsize,
+    waiting_bytes: AtomicUsize,
+}
+
+/// Why a subscription ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ended {
+    ForGood,
+    OtherType,
+}
+
+/// What the task of a subscriber has.
+struct Receiving {
+    node: Arc<Ros2Node>,
+    topic: String,
+    /// The only participant whose messages are of use, if that is known.
+    publisher: Option<Arc<str>>,
+    takes_any_type: bool,
+    messages: mpsc::Sender<Result<Received, NodeFailure>>,
+    publishers: watch::Sender<BTreeSet<Arc<str>>>,
+    bounds: Arc<Bounds>,
+    /// Participants whose messages arrived.
+    known: BTreeMap<ParticipantId, RemoteNode>,
+}
+
+impl Ros2SessionSubscriber {
+    /// Receives the messages of a subscription.
+    pub(super) fn of(
+        node: &Arc<Ros2Node>,
+        subscription: Ros2Subscription,
+        type_name: Arc<str>,
+        options: &SubscriberOptions,
+    ) -> Self {
+        let topic = subscription.topic().to_owned();
+        Self::start(node, topic, options, |mut receiving| async move {
+            receiving.run(subscription, type_name).await;
+        })
+    }
+
+    /// Receives messages of the type that the publisher gives the topic, once it is there.
+    pub(super) fn of_any_type(
+        node: &Arc<Ros2Node>,
+        topic: &str,
+        qos: QosProfile,
+        options: &SubscriberOptions,
+    ) -> Self {
+        Self::start(node, topic.to_owned(), options, |mut receiving| async move {
+            receiving.takes_any_type = true;
+            // The next connection of a pipeline may give its topic another type.
+            loop {
+                let type_name = receiving.payload_type().await;
+                match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
+                    Ok(subscription) => {
+                        if receiving.run(subscription, type_name.into()).await == Ended::ForGood {
+                            return;
+                        }
+                    }
+                    Err(error) => return receiving.fail(error.into()).await,
+                }
+            }
+        })
+    }
+
+    fn start<F: Future<Output = ()> + Send + 'static>(
+        node: &Arc<Ros2Node>,
+        topic: String,
+        options: &SubscriberOptions,
+        run: impl FnOnce(Receiving) -> F,
+    ) -> Self {
+        let ((sender, messages), (found, publishers)) =
+            (mpsc::channel(MAX_WAITING_MESSAGES), watch::channel(BTreeSet::new()));
+        let bounds = Arc::new(Bounds::default());
+        bounds.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
+        let receiving = Receiving {
+            node: Arc::clone(node),
+            topic: topic.clone(),
+            publisher: options.publisher.clone(),
+            takes_any_type: false,
+            messages: sender,
+            publishers: found,
+            bounds: Arc::clone(&bounds),
+            known: BTreeMap::new(),
+        };
+        let task = AbortOnDropHandle::new(tokio::spawn(run(receiving)));
+        Self { topic, messages, publishers, bounds, _task: task }
+    }
+
+    fn taken(&self, message: Result<Received, NodeFailure>) -> Result<Received, NodeFailure> {
+        let bytes = message.as_ref().map_or(0, |message| message.bytes.len());
+        self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+        message
+    }
+}
+
+impl Receiving {
+    /// The types that the publisher gives the topic now, of those that payloads have.
+    fn payload_types(&self) -> Vec<&'static str> {
+        let types =
+            [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
+        let is_wanted = |found: &&FoundEndpoint| {
+            let wanted = self.publisher.as_deref();
+            found.role == EndpointRole::Publisher
+                && wanted.is_none_or(|wanted| found.id.participant().to_string() == wanted)
+        };
+        let found = self.node.endpoints_of(&self.topic);
+        let found = found.iter().filter(is_wanted);
+        found.filter_map(|found| types.into_iter().find(|kind| ros2_name(kind) == found.type_name)).collect()
+    }
+
+    /// Waits for a publisher of payloads; returns the type that it gives the topic.
+    async fn payload_type(&self) -> &'static str {
+        let mut changes = self.node.discovery_changes();
+        loop {
+            if let Some(kind) = self.payload_types().pop() {
+                return kind;
+            }
+            if changes.changed().await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        }
+    }
+
+    /// Receives until there are publishers of another type only, or until nobody takes messages.
+    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> Ended {
+        let mut peers = subscription.peers();
+        // Messages may come before discovery tells of their publisher, and after it tells that an earlier one has gone.
+        let mut heard: BTreeSet<EndpointId> = BTreeSet::new();
+        loop {
+            let (matched, is_refused) = {
+                let peers = peers.borrow_and_update();
+                (peers.matched.clone(), !peers.refused.is_empty())
+            };
+            if matched.is_empty() && is_refused && self.takes_any_type {
+                let types = self.payload_types();
+                if !types.is_empty() && !types.contains(&&*type_name) {
+                    return Ended::OtherType;
+                }
+            }
+            heard.retain(|id| !matched.contains(id));
+            let names: BTreeSet<Arc<str>> =
+                matched.iter().chain(&heard).map(|id| self.remote(id.participant()).node).collect();
+            self.publishers.send_if_modified(|known| {
+                let is_changed = *known != names;
+                *known = names;
+                is_changed
+            });
+            let message = tokio::select! {
+                message = subscription.receive() => message,
+                changed = peers.changed() => match changed {
+                    Ok(()) => continue,
+                    Err(_) => return Ended::ForGood,
+                },
+            };
+            let message = match message {
+                Ok(message) => message,
+                Err(error) => {
+                    self.fail(error.into()).await;
+                    return Ended::ForGood;
+                }
+            };
+            if !matched.contains(&message.writer) && heard.len() < MAX_HEARD {
+                heard.insert(message.writer);
+            }
+            let (bytes, waiting) = (message.payload.len(), self.bounds.waiting_bytes.load(Ordering::Relaxed));
+            let longest = self.bounds.max_message_bytes.load(Ordering::Relaxed);
+            if bytes > longest || waiting.saturating_add(bytes) > MAX_WAITING_BYTES {
+                tracing::debug!(
+                    topic = subscription.topic(),
+                    bytes,
+                    waiting,
+                    "a message of ROS 2 is dropped"
+                );
+                continue;
+            }
+            self.bounds.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+            let publisher = self.remote(message.writer.participant());
+            let memory = MessageMemory::default();
+            let received =
+                Received { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
+            match self.messages.try_send(Ok(received)) {
+                Ok(()) => {}
+                Err(TrySendError::Full(_)) => {
+                    self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+                    tracing::debug!(topic = subscription.topic(), bytes, "a message of ROS 2 is dropped");
+                }
+                Err(TrySendError::Closed(_)) => return Ended::ForGood,
+            }
+        }
+    }
+
+    fn remote(&mut self, id: ParticipantId) -> RemoteNode {
+        self.known.entry(id).or_insert_with(|| remote_node(&self.node, id)).clone()
+    }
+
+    async fn fail(&self, failure: NodeFailure) {
+        // Nobody receives any more if it cannot be told.
+        let _ = self.messages.send(Err(failure)).await;
+    }
+}
+
+impl fmt::Debug for Ros2SessionSubscriber {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("Ros2SessionSubscriber").field("topic", &self.topic).finish_non_exhaustive()
+    }
+}
+
+impl SessionSubscriber for Ros2SessionSubscriber {
+    fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
+        let receive = async {
+            let ended = || Err(NodeFailure(format!("topic {} has ended", self.topic)));
+            let message = self.messages.recv().await.unwrap_or_else(ended);
+            self.taken(message)
+        };
+        receive.boxed()
+    }
+
+    fn try_recv(&mut self) -> Option<Received> {
+        let message = self.messages.try_recv().ok()?;
+        self.taken(message).ok()
+    }
+
+    fn is_connected(&self, node: &str) -> bool {
+        self.publishers.borrow().contains(node)
+    }
+
+    fn watch(&self) -> Box<dyn PublisherChanges> {
+        let mut publishers = self.publishers.clone();
+        publishers.mark_unchanged();
+        Box::new(Changes(publishers))
+    }
+
+    // Memory is counted when frames are made of a message; rustdds cannot be told to take less.
+    fn set_message_limits(&self, max_message_bytes: usize, _memory: Option<Arc<dyn MemoryLimit>>) {
+        self.bounds.max_message_bytes.store(max_message_bytes, Ordering::Relaxed);
+    }
+}
+
+struct Changes(Publishers);
+
+impl PublisherChanges for Changes {
+    fn changed(&self) -> BoxFuture<'_, ()> {
+        let mut publishers = self.0.clone();
+        let changed = async move {
+            if publishers.changed().await.is_err() {
+                // The subscriber has ended; its own receiving tells why.
+                std::future::pending::<()>().await;
+            }
+        };
+        changed.boxed()
+    }
+}

@@ -1,0 +1,267 @@
+//! What sessions over topics of ROS 2 have of their own.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_networks::{
+    CloseReason, Incoming, Listener, OpenError, RequestError, Ros2SessionSettings, Session, SessionSettings,
+};
+use peernet_ros::messages::{CompressedImage, Message, MessageInfo, WireForm};
+use peernet_ros::ros2::{QosProfile, Reliability, Ros2Node, Ros2Settings};
+use peernet_sample::{Description, MediaType, PixelFormat, Sample};
+
+use crate::ros::{exchange, session};
+use crate::support::{
+    Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
+};
+
+/// Settings with others for the topics of ROS 2.
+fn with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
+    let mut settings = settings();
+    change(&mut settings.ros2);
+    settings
+}
+
+async fn cloud() -> Cloud {
+    Cloud::over(TestNetwork::Ros2).await
+}
+
+/// A node of another program in the cloud's domain.
+async fn foreign_node(cloud: &Cloud) -> Ros2Node {
+    let settings = Ros2Settings {
+        domain_id: cloud.address().domain(),
+        interfaces: vec!["127.0.0.1".into()],
+        node_name: "viewer".into(),
+        ..Ros2Settings::default()
+    };
+    Ros2Node::new(settings).await.expect("a node")
+}
+
+fn topic(pipeline: &str, name: &str) -> String {
+    format!("/{}/{name}", pipeline.replace('-', "_"))
+}
+
+fn picture(bytes: usize) -> Sample {
+    let bytes: Vec<u8> = (0..bytes).map(|at| (at % 251) as u8).collect();
+    Sample::of(Description::unshaped(MediaType::Jpeg), bytes.into())
+}
+
+const INFO: &str = "peernet_msgs/msg/MessageInfo";
+
+// The clients of ROS 2 have threads of their own, which must not wait for this one.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn payloads_of_all_sizes_and_types_come_back_identical() {
+    for description in [
+        Description::bytes(),
+        Description::unshaped(MediaType::Jpeg),
+        Description::pixels(PixelFormat::Rgb8, 400, 1_000),
+    ] {
+        let mut cloud = cloud().await;
+        let (session, _) = session(&mut cloud).await;
+        for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_200_000, 1_000] {
+            let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
+            let sample = Sample::of(description.clone(), bytes);
+            assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample, "{size} bytes");
+        }
+        let statistics = session.statistics();
+        assert_eq!((statistics.sent.messages, statistics.received.messages), (9, 9));
+        assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn other_programs_see_pictures_as_their_own_type() {
+    let mut cloud = cloud().await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let viewer = foreign_node(&cloud).await;
+    let kind = "sensor_msgs/msg/CompressedImage";
+    let mut pictures = viewer
+        .subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
+        .expect("a subscription");
+    let sample = picture(300_000);
+    // The first pictures travel in the companions, until the topic is there.
+    let seen = loop {
+        exchange(&mut cloud, &session, sample.clone()).await;
+        let seen = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
+        if let Ok(message) = seen {
+            let payload = message.expect("the node runs").payload;
+            break CompressedImage::decode(WireForm::Cdr, payload).expect("an image");
+        }
+    };
+    assert_eq!((&*seen.format, &seen.data[..]), ("jpeg", &sample.parts[0].bytes[..]));
+    assert!(seen.header.stamp.sec > 1_000_000_000, "the departure is in the header");
+    assert_eq!(session.statistics().lost_messages, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn cloud_in_another_domain_is_not_found_and_domain_is_named() {
+    let cloud = cloud().await;
+    let domain = cloud.address().domain().expect("a domain");
+    let name = cloud.address().listener_name().expect("a name").to_owned();
+    let other = format!("ros2://{}/{name}", 101 + domain);
+    let hasty = SessionSettings { open_timeout_ms: 2_000, ..settings() };
+    let error =
+        open(&other.parse().expect("an address"), hello(), hasty).await.expect_err("nobody").to_string();
+    for part in [&*name, &format!("ROS_DOMAIN_ID {}", 101 + domain), "127.0.0.1", "/sessions"] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn name_that_another_cloud_has_is_refused() {
+    let cloud = cloud().await;
+    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
+    let error = again.expect_err("the name is taken").to_string();
+    assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn topic_of_another_publisher_or_type_is_refused() {
+    let cloud = cloud().await;
+    let node = foreign_node(&cloud).await;
+    let qos = QosProfile::default();
+    for (ending, kind) in [("request_info", INFO), ("request", "sensor_msgs/msg/Image")] {
+        let hello = hello();
+        let topic = topic(hello.pipeline.as_str(), ending);
+        let _publisher = node.publisher(&topic, kind, &qos).expect("a publisher");
+        let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
+        assert!(
+            error.contains(&format!("publishes topic {topic}")) && error.contains("ROS_NAMESPACE"),
+            "{error}"
+        );
+    }
+    let hello = hello();
+    let topic = topic(hello.pipeline.as_str(), "response_info");
+    let _publisher = node.publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
+    let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
+    assert!(error.contains("std_msgs/msg/String") && error.contains(&topic), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn messages_of_second_publishers_are_dropped() {
+    let mut cloud = cloud().await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let node = foreign_node(&cloud).await;
+    let publisher =
+        node.publisher(&topic(&pipeline, "request_info"), INFO, &QosProfile::default()).expect("a publisher");
+    publisher.await_peer(PATIENCE).await.expect("the cloud subscribes");
+    let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
+    let goodbye = goodbye.encode(WireForm::Cdr).expect("can be written").into_bytes();
+    for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
+        publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
+    }
+    publisher.await_acknowledgment(PATIENCE).await.expect("the cloud has them");
+    echo(&mut cloud, &session, "the session goes on").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn new_connection_of_same_pipeline_replaces_earlier_one() {
+    let mut cloud = cloud().await;
+    let hello = hello();
+    let mut earlier: Option<Session> = None;
+    for _ in 0..3 {
+        let (address, hello) = (cloud.address(), hello.clone());
+        let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+        let request = loop {
+            match cloud.next().await {
+                Incoming::Open(request) => break request,
+                Incoming::Closed { .. } => {}
+                Incoming::Request(request) => panic!("expected a hello, not {request:?}"),
+            }
+        };
+        assert!(request.accept(accepted(cloud.host)));
+        let session = within(edge).await.expect("no panic").expect("accepted");
+        if let Some(earlier) = earlier {
+            assert!(matches!(within(earlier.closed()).await, CloseReason::Broken(_)));
+        }
+        echo(&mut cloud, &session, "the new one works").await;
+        earlier = Some(session);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn connection_without_session_ends_after_hello_timeout() {
+    let hasty = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
+    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), hasty).await;
+    let address = cloud.address();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    cloud.next_open().await.refuse("no");
+    assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
+    let (session, _) = session(&mut cloud).await;
+    tokio::time::sleep(Duration::from_millis(2_500)).await;
+    echo(&mut cloud, &session, "an open session is not ended").await;
+    within(cloud.listener.close()).await;
+    assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn payloads_stay_in_companions_where_qos_does_not_fit() {
+    let mut cloud = cloud().await;
+    let (address, hello) = (cloud.address(), hello());
+    let best_effort = with(|ros2| ros2.reliability = Reliability::BestEffort);
+    let edge = tokio::spawn(async move { open(&address, hello, best_effort).await });
+    assert!(cloud.next_open().await.accept(accepted(cloud.host)));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    // The cloud requests more than the edge offers; nothing is lost all the same.
+    for _ in 0..20 {
+        exchange(&mut cloud, &session, picture(100_000)).await;
+    }
+    assert_eq!(session.statistics().lost_messages, 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
+    let best_effort = || {
+        with(|ros2| {
+            ros2.reliability = Reliability::BestEffort;
+            ros2.deadline_ms = Some(500);
+        })
+    };
+    let mut cloud = Cloud::start_at(&crate::support::any_port(TestNetwork::Ros2), best_effort()).await;
+    let (address, hello) = (cloud.address(), hello());
+    let edge = tokio::spawn(async move { open(&address, hello, best_effort()).await });
+    assert!(cloud.next_open().await.accept(accepted(cloud.host)));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    let host = tokio::spawn(async move {
+        while let Some(incoming) = cloud.listener.next().await {
+            if let Incoming::Request(request) = incoming {
+                request.reply.send(request.log, Ok(request.sample));
+            }
+        }
+    });
+    let (mut answered, mut lost) = (0, 0);
+    for _ in 0..10 {
+        let burst = (0..8).map(|_| {
+            let session = session.clone();
+            tokio::spawn(async move { session.request(log(), &picture(2_000_000), PATIENCE).await.result })
+        });
+        for request in burst.collect::<Vec<_>>() {
+            match within(request).await.expect("no panic") {
+                Ok(_) => answered += 1,
+                Err(RequestError::Lost(_)) => lost += 1,
+                Err(error) => panic!("neither answered nor lost: {error}"),
+            }
+        }
+    }
+    assert_eq!(answered + lost, 80);
+    assert!(answered > 0, "{lost} lost");
+    host.abort();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn program_that_only_watches_and_is_slow_delays_nothing() {
+    let mut cloud = cloud().await;
+    let (session, pipeline) = session(&mut cloud).await;
+    let viewer = foreign_node(&cloud).await;
+    // It never takes a message.
+    let watching = viewer
+        .subscription(&topic(&pipeline, "request"), "std_msgs/msg/UInt8MultiArray", &QosProfile::default())
+        .expect("a subscription");
+    for _ in 0..60 {
+        let sample = Sample::of(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
+        exchange(&mut cloud, &session, sample).await;
+    }
+    assert_eq!(session.statistics().lost_messages, 0);
+    drop(watching);
+}
