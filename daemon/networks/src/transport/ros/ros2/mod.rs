@@ -32,8 +32,9 @@ use super::names::sessions_topic;
 use crate::settings::Ros2SessionSettings;
 use crate::{Address, SessionSettings};
 
-/// How long a cloud is looked for, and another one with the same name. Discovery takes less than a second where multicast works.
-const FIND_CLOUD: Duration = Duration::from_secs(5);
+/// How long a cloud is looked for, and another one with the same name. Discovery takes less than a second where multicast works;
+/// whoever asks tries again.
+const FIND_CLOUD: Duration = Duration::from_secs(2);
 const FIND_OTHER_CLOUD: Duration = Duration::from_secs(1);
 
 /// How long others that use the topics of a pipeline are looked for once the cloud is found.
