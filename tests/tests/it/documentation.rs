@@ -106,7 +106,7 @@ fn links_lead_to_files_and_sections_that_exist() {
 }
 
 /// A section of the reference, and a file with a key or a value `zz` in what the section describes.
-const PROBES: [(&str, &str); 28] = [
+const PROBES: [(&str, &str); 30] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
     ("lifecycle", "[lifecycle]\nzz = 1"),
@@ -126,6 +126,8 @@ const PROBES: [(&str, &str); 28] = [
     ("serve", "[serve]\nzz = 1"),
     ("serve", "[serve]\nnetwork = \"zz\""),
     ("session", "[serve.session]\nzz = 1"),
+    ("session", "[serve.session.ros2]\nzz = 1"),
+    ("session", "[serve.session.ros2]\nreliability = \"zz\""),
     ("onnxruntime", "[onnxruntime]\nzz = 1"),
     ("pipeline", "[[pipeline]]\nzz = 1"),
     ("pipeline", "[[pipeline]]\nstart = \"zz\""),

@@ -92,6 +92,85 @@ fn goodbye_ends_connection_with_its_reason() {
     assert!(far.next_notice(0, at(100)).is_none());
 }
 
+#[test]
+fn goodbye_waits_for_payload_that_it_overtook() {
+    let (mut near, mut far) = (end(), end());
+    let (info, payload) = message(&mut near, 7, 10);
+    let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
+    far.hear_info(info.clone(), at(0));
+    far.hear_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    assert!(far.next_event().is_none() && far.peer().has_left);
+    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    assert!(matches!(far.next_event(), Some(Event::Message(..))));
+    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
+}
+
+#[test]
+fn goodbye_without_its_payload_ends_connection_all_the_same() {
+    let (mut near, mut far) = (end(), end());
+    let (info, _) = message(&mut near, 7, 10);
+    let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
+    far.hear_info(info, at(0));
+    far.hear_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    far.tick(at(5));
+    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
+}
+
+#[test]
+fn payload_that_travels_twice_is_taken_once_and_confirmed() {
+    let limits = ConnectionLimits { confirms_payloads: true, ..LIMITS };
+    let confirming = || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
+    for is_payload_first in [true, false] {
+        let (mut near, mut far) = (confirming(), confirming());
+        let mut info = MessageInfo { request: 7, ..near.begin(MessageInfo::DATA, 10, at(0)) };
+        let payload = Bytes::from_static(b"payload");
+        let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
+        assert!(frames::pack(&mut info, &frames, false));
+        let stamp = info.header.stamp.as_nanos();
+        if is_payload_first {
+            far.hear_payload(stamp, payload, at(0));
+            far.hear_info(info, at(0));
+        } else {
+            far.hear_info(info, at(0));
+            far.hear_payload(stamp, payload, at(0));
+        }
+        assert!(
+            matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
+        );
+        assert!(far.next_event().is_none());
+        near.hear_info(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
+        assert!(near.peer().is_subscribed && far.next_notice(0, at(0)).is_none());
+        far.tick(at(4));
+        assert!(far.next_event().is_none(), "nothing is waited for");
+    }
+}
+
+#[test]
+fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
+    let (mut near, mut far) = (end(), end());
+    for is_whole in [false, true] {
+        let (mut info, payload) = message(&mut near, 7, 10);
+        let stamp = info.header.stamp.as_nanos();
+        let pieces = crate::transport::ros::parts::split(&mut info.frames, 4);
+        let parts: Vec<MessageInfo> =
+            pieces.into_iter().map(|frames| MessageInfo { frames, ..near.begin_part(&mut info) }).collect();
+        assert_eq!(parts.len(), 2);
+        parts.into_iter().for_each(|part| far.hear_info(part, at(0)));
+        if is_whole {
+            far.hear_info(info, at(0));
+            far.hear_payload(stamp, payload, at(0));
+        }
+    }
+    assert!(
+        matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
+    );
+    assert_eq!(
+        (far.next_event().is_none(), far.missed()),
+        (true, 1),
+        "the companion of the first never came"
+    );
+}
+
 /// What a peer that keeps no rule may bring.
 #[derive(Clone, Debug)]
 enum Step {
