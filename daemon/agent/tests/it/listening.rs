@@ -94,7 +94,9 @@ fn networks_that_disagree_with_their_addresses_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     for named in NetworkKind::ALL {
         for scheme in NetworkKind::ALL.iter().flat_map(|kind| kind.schemes()) {
-            let address: Address = format!("{scheme}://127.0.0.1:0").parse().expect("an address");
+            // A domain of ROS 2 has no host.
+            let rest = if *scheme == "ros2" { "0/peernet" } else { "127.0.0.1:0" };
+            let address: Address = format!("{scheme}://{rest}").parse().expect("an address");
             let mut config = config(&format!(
                 "[serve]\nlisten = '{address}'\nnetwork = '{named}'\n{MODEL}\
                  [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
@@ -102,7 +104,13 @@ fn networks_that_disagree_with_their_addresses_are_refused() {
             ));
             config.agent.state_dir = state.path().to_owned();
             let found = peernet_agent::Agent::check(&config, &clock("system"));
-            let found: Vec<String> = found.iter().map(ToString::to_string).collect();
+            // Of ROS 2 a build without it says so, too.
+            let not_built = peernet_ros::ros2::Ros2Error::NotBuilt.to_string();
+            let found: Vec<String> = found
+                .iter()
+                .map(ToString::to_string)
+                .filter(|problem| !problem.ends_with(&not_built))
+                .collect();
             if address.network() == *named {
                 assert_eq!(found, Vec::<String>::new());
                 continue;

@@ -92,7 +92,8 @@ async fn a_clock_that_is_set_in_mid_run_spoils_nothing() {
             ("the clock of cloud was", "the clock of cloud went ", " forward against that of edge")
         };
         assert!([set, went, way].iter().all(|part| told.text.contains(part)), "{}", told.text);
-        assert!(told.text.contains("went 3.0") || told.text.contains("went 2.99"), "{}", told.text);
+        // As exactly as messages of a busy machine tell.
+        assert!(told.text.contains("went 3.0") || told.text.contains("went 2.9"), "{}", told.text);
 
         edge.stop().await.expect("stops well");
         let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
