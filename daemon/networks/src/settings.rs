@@ -80,6 +80,8 @@ pub struct Ros2SessionSettings {
     pub depth: u32,
     /// Longest time between two payloads that this end promises, and for which it waits for a payload whose companion message
     /// is there. Milliseconds.
+    // The record of a run has no null, which TOML does not know.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<u64>,
     /// Names or IPv4 addresses of the network interfaces to use; none for what the environment variables of ROS 2 say.
     pub interfaces: Vec<String>,
