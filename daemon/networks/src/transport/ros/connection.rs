@@ -73,6 +73,8 @@ pub(super) struct Connection {
     last_whole: i64,
     /// Whether a payload arrived, which is to be confirmed once.
     confirmation: Confirmation,
+    /// Messages about the session itself that wait for payloads which they overtook.
+    overtaking: Vec<(MessageInfo, Reservation)>,
     /// Reason of a goodbye that waits for payloads which it overtook.
     goodbye: Option<String>,
     /// What the other end says of itself.
@@ -122,6 +124,7 @@ impl Connection {
             parts: None,
             last_whole: i64::MIN,
             confirmation: Confirmation::NothingArrived,
+            overtaking: Vec::new(),
             goodbye: None,
             peer: PeerState::default(),
             is_closed: false,
@@ -216,8 +219,15 @@ impl Connection {
         if self.pairing.awaits_payloads() {
             return;
         }
+        self.deliver_overtaking();
         if let Some(reason) = self.goodbye.take() {
             self.end(reason);
+        }
+    }
+
+    fn deliver_overtaking(&mut self) {
+        for (info, reserved) in std::mem::take(&mut self.overtaking) {
+            self.deliver(&info, None, vec![reserved]);
         }
     }
 
@@ -249,7 +259,12 @@ impl Connection {
             self.pairing.drop_payload(stamp);
             self.pairing.skip(stamp, &mut lost);
             self.lose(lost);
-            self.deliver(&info, None, vec![reserved]);
+            // It may end the session, of which answers would be lost then.
+            if info.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
+                self.overtaking.push((info, reserved));
+            } else {
+                self.deliver(&info, None, vec![reserved]);
+            }
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
 use peernet_ros::messages::{Message, MessageInfo};
 use tokio::sync::mpsc;
@@ -68,6 +69,7 @@ impl<S: Sink> Serving<S> {
         let mut foreign = BTreeSet::new();
         let mut connected = BTreeSet::new();
         let mut is_closing = false;
+        let mut left_until = None;
         loop {
             self.send_due();
             self.collect(&mut waiting);
@@ -94,11 +96,20 @@ impl<S: Sink> Serving<S> {
                 while let Some(message) = self.info.try_recv() {
                     self.take(Step::Info(Ok(message)), &mut foreign);
                 }
+                while let Some(message) = self.payload.as_mut().and_then(|payload| payload.try_recv()) {
+                    self.take(Step::Payload(Ok(message)), &mut foreign);
+                }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
-                self.channel.lock().end(format!("node {peer} has left topic {topic}"));
-                continue;
+                let until = *left_until.get_or_insert_with(|| Instant::now() + LEAVE_TIMEOUT);
+                if !self.has_connected_topic() || Instant::now() >= until {
+                    self.channel.lock().end(format!("node {peer} has left topic {topic}"));
+                    continue;
+                }
+            } else {
+                left_until = None;
             }
             let next = self.channel.lock().next_timer().map(|next| self.channel.instant(next));
+            let next = next.into_iter().chain(left_until).min();
             let is_idle = waiting.is_empty();
             let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
             let step = tokio::select! {
@@ -173,6 +184,12 @@ impl<S: Sink> Serving<S> {
     /// Whether the other end waits for an answer to its goodbye.
     fn answers_goodbye(&self) -> bool {
         self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
+    }
+
+    /// Whether the last messages of a peer that leaves may still be on their way.
+    fn has_connected_topic(&self) -> bool {
+        let topics = [Some(&self.info), self.payload.as_ref()];
+        topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
     /// A topic on which messages of the peer arrived until now.
@@ -251,6 +268,9 @@ impl<S: Sink> Serving<S> {
         }
     }
 }
+
+/// How long the rest of a peer's messages is awaited once it has left one of both topics, which have no common order.
+const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Most second publishers that are named.
 const MAX_FOREIGN: usize = 16;
