@@ -69,7 +69,7 @@ impl<S: Sink> Serving<S> {
         let mut foreign = BTreeSet::new();
         let mut connected = BTreeSet::new();
         let mut is_closing = false;
-        let mut left_until = None;
+        let mut left = None;
         loop {
             self.send_due();
             self.collect(&mut waiting);
@@ -89,7 +89,11 @@ impl<S: Sink> Serving<S> {
             let info_publishers = self.info.watch();
             let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
             let changed = changed(&*info_publishers, payload_publishers.as_deref());
-            if let Some(topic) = self.topic_left(&mut connected)
+            // Also when it comes back: what was on its way may be lost.
+            left = left.or_else(|| {
+                self.topic_left(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
+            });
+            if let Some((topic, until)) = &left
                 && !self.channel.lock().is_closed()
             {
                 // What it published before it left is there, with its reason perhaps.
@@ -100,16 +104,13 @@ impl<S: Sink> Serving<S> {
                     self.take(Step::Payload(Ok(message)), &mut foreign);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
-                let until = *left_until.get_or_insert_with(|| Instant::now() + LEAVE_TIMEOUT);
-                if !self.has_connected_topic() || Instant::now() >= until {
+                if !self.has_connected_topic() || Instant::now() >= *until {
                     self.channel.lock().end(format!("node {peer} has left topic {topic}"));
                     continue;
                 }
-            } else {
-                left_until = None;
             }
             let next = self.channel.lock().next_timer().map(|next| self.channel.instant(next));
-            let next = next.into_iter().chain(left_until).min();
+            let next = next.into_iter().chain(left.as_ref().map(|(_, until)| *until)).min();
             let is_idle = waiting.is_empty();
             let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
             let step = tokio::select! {
