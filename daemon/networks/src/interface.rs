@@ -54,7 +54,7 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this host has no network interface {name:?} with an IPv4 address; there is {known}")]
 pub struct UnknownInterface {
-    /// What was given.
+    /// The interface as it was given.
     pub name: String,
     /// Those that there are.
     pub known: String,

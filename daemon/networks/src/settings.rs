@@ -70,7 +70,7 @@ pub struct SessionSettings {
     pub ros2: Ros2SessionSettings,
 }
 
-/// What topics of ROS 2 are like that carry sessions.
+/// QoS and interfaces of the topics of ROS 2 that carry sessions.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2SessionSettings {

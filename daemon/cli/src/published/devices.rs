@@ -23,7 +23,7 @@ struct File {
     start_port: Option<u16>,
     /// 1 or 2, for the network `ros`.
     ros_version: Option<u64>,
-    /// What topics of ROS 2 are like.
+    /// QoS and interfaces of the topics of ROS 2.
     #[serde(default)]
     ros2: Ros2SessionSettings,
     #[serde(flatten)]
@@ -104,7 +104,7 @@ pub(super) struct Devices {
     pub(super) address: Address,
     /// The file.
     pub(super) config: NetworkConfig,
-    /// What topics of ROS 2 are like.
+    /// QoS and interfaces of the topics of ROS 2.
     pub(super) ros2: Ros2SessionSettings,
     known: Vec<String>,
 }

@@ -136,7 +136,11 @@ async fn master_that_is_away_is_named() {
 
 #[tokio::test]
 async fn new_connection_of_same_pipeline_replaces_earlier_one() {
-    let mut cloud = Cloud::over(TestNetwork::Ros1).await;
+    replace_connections(Cloud::over(TestNetwork::Ros1).await).await;
+}
+
+/// Opens three connections of one pipeline in a row: each ends the one before, and works.
+pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let hello = hello();
     let mut earlier: Option<Session> = None;
     for _ in 0..3 {

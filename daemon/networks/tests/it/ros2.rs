@@ -1,17 +1,17 @@
-//! What sessions over topics of ROS 2 have of their own.
+//! Sessions over topics of ROS 2.
 
 use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_networks::{
-    CloseReason, Incoming, Listener, OpenError, RequestError, Ros2SessionSettings, Session, SessionSettings,
+    CloseReason, Incoming, Listener, OpenError, RequestError, Ros2SessionSettings, SessionSettings,
 };
 use peernet_ros::messages::{CompressedImage, Message, MessageInfo, WireForm};
 use peernet_ros::ros2::{QosProfile, Reliability, Ros2Node, Ros2Settings};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
-use crate::ros::{exchange, session};
+use crate::ros::{exchange, replace_connections, session};
 use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
@@ -157,27 +157,7 @@ async fn messages_of_second_publishers_are_dropped() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn new_connection_of_same_pipeline_replaces_earlier_one() {
-    let mut cloud = cloud().await;
-    let hello = hello();
-    let mut earlier: Option<Session> = None;
-    for _ in 0..3 {
-        let (address, hello) = (cloud.address(), hello.clone());
-        let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
-        let request = loop {
-            match cloud.next().await {
-                Incoming::Open(request) => break request,
-                Incoming::Closed { .. } => {}
-                Incoming::Request(request) => panic!("expected a hello, not {request:?}"),
-            }
-        };
-        assert!(request.accept(accepted(cloud.host)));
-        let session = within(edge).await.expect("no panic").expect("accepted");
-        if let Some(earlier) = earlier {
-            assert!(matches!(within(earlier.closed()).await, CloseReason::Broken(_)));
-        }
-        echo(&mut cloud, &session, "the new one works").await;
-        earlier = Some(session);
-    }
+    replace_connections(cloud().await).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

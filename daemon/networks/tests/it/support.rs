@@ -78,7 +78,7 @@ pub(crate) enum TestNetwork {
 }
 
 impl TestNetwork {
-    /// What addresses begin with.
+    /// Scheme and host of an address.
     pub(crate) fn scheme(self) -> &'static str {
         match self {
             Self::ZmqTcp => "tcp",

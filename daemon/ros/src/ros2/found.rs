@@ -20,7 +20,7 @@ pub struct FoundPublisher {
 pub struct FoundEndpoint {
     /// Identity.
     pub id: EndpointId,
-    /// What it does.
+    /// Whether it publishes or subscribes.
     pub role: EndpointRole,
     /// Message type, as `std_msgs/msg/String`.
     pub type_name: String,

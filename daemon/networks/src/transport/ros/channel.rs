@@ -120,9 +120,9 @@ pub(super) struct Channel {
     pub(super) wake: Notify,
     /// The node at the other end, once it is known, and the connection from it.
     peer: OnceLock<RemoteNode>,
-    /// Set when it was told that the other end's QoS does not fit.
+    /// Set when a warning has said that the other end's QoS does not fit.
     refusal: OnceLock<()>,
-    /// Set when it was told that payloads are too long for the payload topic.
+    /// Set when a warning has said that payloads are too long for the payload topic.
     size_warning: OnceLock<()>,
 }
 

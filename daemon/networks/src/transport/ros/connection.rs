@@ -77,7 +77,7 @@ pub(super) struct Connection {
     overtaking: Vec<(MessageInfo, Reservation)>,
     /// Reason of a goodbye that waits for payloads which it overtook.
     goodbye: Option<String>,
-    /// What the other end says of itself.
+    /// State of the other end, as it says.
     peer: PeerState,
     is_closed: bool,
 }
@@ -90,7 +90,7 @@ enum Confirmation {
     Sent,
 }
 
-/// What the other end of a connection says of itself.
+/// State of the other end of a connection, as it says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct PeerState {
     /// Bytes of the longest payload message that it takes, if that is bounded.

@@ -98,7 +98,7 @@ impl From<NodeFailure> for DialFailure {
     }
 }
 
-/// What an edge has of the topics of a connection.
+/// The edge's publishers and subscribers of a connection.
 struct Opened {
     sessions: Box<dyn SessionPublisher>,
     request_info: Box<dyn SessionPublisher>,
@@ -165,7 +165,7 @@ async fn welcome(
     }
 }
 
-/// A node that ends when this is dropped; others are told in the background.
+/// A node that ends when this is dropped; its registrations are removed in the background.
 #[derive(Debug)]
 struct NodeGuard {
     node: Arc<dyn SessionNode>,

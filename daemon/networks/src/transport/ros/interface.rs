@@ -1,4 +1,4 @@
-//! What a version of ROS does for sessions: a node, its publishers and its subscribers. Whoever has a node need not know its
+//! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Its users do not depend on the
 //! version.
 
 use std::fmt::Debug;
@@ -69,11 +69,11 @@ pub(super) struct Received {
     pub(super) publisher: RemoteNode,
     /// Type of the message, as `sensor_msgs/Image`.
     pub(super) type_name: Arc<str>,
-    /// What it takes of the subscriber's memory.
+    /// Share of the subscriber's memory that the message takes.
     pub(super) memory: MessageMemory,
 }
 
-/// What a topic carries.
+/// Purpose of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TopicUse {
     /// Requests for connections.
@@ -91,13 +91,13 @@ pub(super) struct EdgeTopics {
     pub(super) cloud: String,
     pub(super) request: TopicPair,
     pub(super) response: TopicPair,
-    /// What the names of all nodes of this pipeline begin with.
+    /// Prefix of the names of all nodes of this pipeline.
     pub(super) own_prefix: String,
 }
 
 /// A node of either version.
 pub(super) trait SessionNode: Debug + Send + Sync {
-    /// How messages are written.
+    /// Serialisation of messages.
     fn form(&self) -> WireForm;
 
     /// The name by which messages of this node are recognised at the other end.
@@ -106,7 +106,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Returns the global name of a topic or of a pipeline.
     fn resolve(&self, name: &str) -> Result<String, NodeFailure>;
 
-    /// Checks that the cloud is there, and that nobody else uses the topics. Returns the name of the cloud's node.
+    /// Checks that the cloud is there, and that no other program uses the topics. Returns the name of the cloud's node.
     fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>>;
 
     /// Checks that no other cloud serves a name.
@@ -119,10 +119,10 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Bytes of frames that one companion may have.
     fn max_companion_bytes(&self) -> usize;
 
-    /// How long a payload is awaited whose companion is there, if that is not the default.
+    /// Timeout of a payload whose companion has arrived, if it is not the default.
     fn payload_patience(&self) -> Option<Duration>;
 
-    /// What makes connections worse than they could be, and what to do about it.
+    /// A limit of this host that makes connections worse, such as small socket buffers, with its remedy.
     fn caveat(&self) -> Option<&str>;
 
     fn publish<'a>(

@@ -89,7 +89,7 @@ impl<S: Sink> Serving<S> {
             let info_publishers = self.info.watch();
             let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
             let changed = changed(&*info_publishers, payload_publishers.as_deref());
-            // Also when it comes back: what was on its way may be lost.
+            // Also when the peer comes back to the topic: messages that were on their way may be lost.
             left = left.or_else(|| {
                 self.topic_left(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
@@ -270,7 +270,7 @@ impl<S: Sink> Serving<S> {
     }
 }
 
-/// How long the rest of a peer's messages is awaited once it has left one of both topics, which have no common order.
+/// Time in which the last messages of a peer may arrive once it has left one of both topics, which have no common order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Most second publishers that are named.

@@ -114,7 +114,7 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts everything so far as acknowledged, so that a subscription that does not keep up stops nobody else's messages.
+    /// Counts everything so far as acknowledged, so that a slow subscription does not stop others messages.
     /// Messages that it lacks are kept for it as before.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged.store(0, Ordering::Relaxed);

@@ -106,6 +106,21 @@ fn goodbye_waits_for_payload_that_it_overtook() {
 }
 
 #[test]
+fn session_message_waits_for_payload_that_it_overtook() {
+    let (mut near, mut far) = (end(), end());
+    let (info, payload) = message(&mut near, 7, 10);
+    let mut session = near.begin(MessageInfo::DATA, 20, at(0));
+    assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
+    far.hear_info(info.clone(), at(0));
+    far.hear_info(session, at(0));
+    assert!(far.next_event().is_none());
+    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() != b"close"));
+    assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"close"));
+    assert!(far.next_event().is_none());
+}
+
+#[test]
 fn goodbye_without_its_payload_ends_connection_all_the_same() {
     let (mut near, mut far) = (end(), end());
     let (info, _) = message(&mut near, 7, 10);

@@ -32,12 +32,12 @@ use super::names::sessions_topic;
 use crate::settings::Ros2SessionSettings;
 use crate::{Address, SessionSettings};
 
-/// How long a cloud is looked for, and another one with the same name. Discovery takes less than a second where multicast works;
+/// Time in which a cloud, or another one with the same name, is looked for. Discovery takes less than a second where multicast works;
 /// whoever asks tries again.
 const FIND_CLOUD: Duration = Duration::from_secs(2);
 const FIND_OTHER_CLOUD: Duration = Duration::from_secs(1);
 
-/// How long others that use the topics of a pipeline are looked for once the cloud is found.
+/// Time in which others that use the topics of a pipeline are looked for once the cloud is found.
 const FIND_OTHERS: Duration = Duration::from_millis(250);
 
 /// Companions that may be received and not yet handed on: those of a large payload come in many parts.
@@ -177,7 +177,7 @@ impl Ros2SessionNode {
         }
     }
 
-    /// Checks that nobody else uses the topics of a pipeline.
+    /// Checks that no other program uses the topics of a pipeline.
     fn check(&self, node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure> {
         let remedy = "give the pipeline another name, or set ROS_NAMESPACE to a namespace of this robot";
         let expected = ros2_name(MessageInfo::DEFINITION.name);
@@ -257,7 +257,7 @@ fn ros2_name(name: &str) -> String {
     name.replacen('/', "/msg/", 1)
 }
 
-/// What is known of the way to a participant. Its host is what it says; ports mean nothing.
+/// Name and addresses of a participant. Its host is the one that it announces; ports mean nothing.
 fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
     let loopback = IpAddr::V4(Ipv4Addr::LOCALHOST);
     let remote = SocketAddr::new(node.host_of(id).unwrap_or(loopback), 0);

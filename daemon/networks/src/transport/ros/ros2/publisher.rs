@@ -20,10 +20,10 @@ use tokio_util::task::TaskTracker;
 
 use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
 
-/// How long acknowledgments are awaited while other programs subscribe as well, which may be slow.
+/// Timeout of acknowledgments while other programs subscribe as well, which may be slow.
 const WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
 
-/// How long nothing may be acknowledged.
+/// Longest time without an acknowledgment.
 const MAX_STALL: Duration = Duration::from_secs(5);
 
 /// Bytes that are kept for subscriptions that acknowledge nothing.

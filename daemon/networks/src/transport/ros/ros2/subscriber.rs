@@ -23,13 +23,13 @@ use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
 };
 
-/// Bytes of received messages that wait to be taken. Nobody stops a publisher of ROS 2: more is dropped.
+/// Bytes of received messages that wait to be taken. A publisher of ROS 2 cannot be held back: more is dropped.
 const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
 
 /// The same, in messages.
 const MAX_WAITING_MESSAGES: usize = 8_192;
 
-/// Publishers of which discovery has not told yet.
+/// Publishers that discovery has not found yet.
 const MAX_HEARD: usize = 64;
 
 /// Receives a topic.
@@ -54,7 +54,7 @@ enum Ended {
     OtherType,
 }
 
-/// What the task of a subscriber has.
+/// State of a subscriber's task.
 struct Receiving {
     node: Arc<Ros2Node>,
     topic: String,
@@ -165,7 +165,7 @@ impl Receiving {
         }
     }
 
-    /// Receives until there are publishers of another type only, or until nobody takes messages.
+    /// Receives until there are publishers of another type only, or until the subscriber is dropped.
     async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> Ended {
         let mut peers = subscription.peers();
         // Messages may come before discovery tells of their publisher, and after it tells that an earlier one has gone.
