@@ -51,7 +51,7 @@ impl Relation {
             (interval, estimate)
         });
         let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
-        Knowledge { in_band, other: same.or_else(|| self.discipline()) }
+        Knowledge { in_band, other: same.or_else(|| self.claims.offset()) }
     }
 
     /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
@@ -61,7 +61,9 @@ impl Relation {
         if !combined.agree || (in_band && self.in_doubt()) {
             return Verdict::Inconsistent;
         }
-        if in_band && (!fresh || self.band.exchanges() < LEAST_EXCHANGES || self.suspects.any()) {
+        if in_band
+            && (!fresh || self.band.exchanges() < LEAST_EXCHANGES || self.contradictions.suspects.any())
+        {
             return Verdict::Stale;
         }
         Verdict::Ok

@@ -2,20 +2,28 @@
 //! daemons claim, and from their identities.
 
 mod judging;
-mod learning;
 mod presence;
 mod sources;
+mod steps;
 mod suspects;
 #[cfg(test)]
 mod tests;
 mod types;
 
-use crate::band::{Band, DriftLimit};
-use crate::{ClockIdentity, DelaySource, Discipline, Interval, Span, WallTime};
-use learning::{Barrier, Epochs};
+use crate::band::{Band, Bounds, DriftLimit};
+use crate::{ClockIdentity, Discipline, Exchange, Span, WallTime, Witnessed};
 use presence::Presence;
-use suspects::{Surprises, Suspects};
+use sources::Claims;
+use steps::Steps;
+use suspects::Contradictions;
 pub use types::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
+
+/// Offsets and stamps beyond are no clock's (±73 years; a host without a battery starts in 1970).
+const ABSURD: Span = Span::from_nanos(1 << 61);
+/// A wall clock that moved on differently from the monotonic one by more was stepped: two reads of two clocks, and
+/// what a rehearsed clock drifts.
+const STEADY: Span = Span::from_micros(50);
+const STEADY_PPM: i64 = 500;
 
 /// The relation between the wall clocks of an edge and a cloud; it belongs to the pair of hosts, fed by all
 /// their links.
@@ -28,14 +36,11 @@ pub struct Relation {
     drift: DriftLimit,
     band: Band,
     presence: Presence,
-    suspects: Suspects,
-    surprises: Surprises,
-    epochs: Epochs,
-    barrier: Barrier,
+    contradictions: Contradictions,
+    steps: Steps,
     /// The band was begun by a step and took nothing yet; with the last estimate before.
     restarted: Option<Option<Span>>,
-    edge: Option<Discipline>,
-    cloud: Option<Discipline>,
+    claims: Claims,
     counts: ExchangeCounts,
 }
 
@@ -49,13 +54,10 @@ impl Relation {
             drift,
             band: Band::new(drift, settings.window),
             presence: Presence::new(settings.fresh, settings.window),
-            suspects: Suspects::default(),
-            surprises: Surprises::default(),
-            epochs: Epochs::default(),
-            barrier: Barrier::Open,
+            contradictions: Contradictions::default(),
+            steps: Steps::default(),
             restarted: None,
-            edge: None,
-            cloud: None,
+            claims: Claims::default(),
             counts: ExchangeCounts::default(),
         }
     }
@@ -73,7 +75,7 @@ impl Relation {
     /// What the two hosts' time daemons say now; `None` for one that says nothing. A claim counts until the next
     /// call, or until the clock it is about is stepped.
     pub fn set_disciplines(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
-        (self.edge, self.cloud) = (edge, cloud);
+        self.claims = Claims { edge, cloud };
     }
 
     /// The offset at a time of the edge's wall clock within the window or shortly after; `None` when nothing is
@@ -108,18 +110,124 @@ impl Relation {
     /// Whether exchanges contradict each other again and again: the clocks drift apart faster than the limit, or a peer
     /// lies. Delays are `inconsistent` then.
     pub fn in_doubt(&self) -> bool {
-        self.band.newest().is_some_and(|newest| self.surprises.cast_doubt(newest))
+        self.band.newest().is_some_and(|newest| self.contradictions.surprises.cast_doubt(newest))
     }
 
     /// Bytes of memory that the exchanges of the window take.
     pub fn memory_bytes(&self) -> usize {
-        self.band.memory_bytes() + self.suspects.memory_bytes() + self.presence.memory_bytes()
+        self.band.memory_bytes() + self.contradictions.suspects.memory_bytes() + self.presence.memory_bytes()
     }
 
-    fn discipline(&self) -> Option<(DelaySource, Interval)> {
-        let (edge, cloud) = (self.edge.as_ref()?, self.cloud.as_ref()?);
-        let chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
-        let source = if chrony { DelaySource::Chrony } else { edge.source };
-        Some((source, Discipline::offset(edge, cloud)))
+    /// An exchange of probes finished.
+    pub fn learn(&mut self, witnessed: &Witnessed) -> Learned {
+        let learned = self.consider(witnessed);
+        let counts = &mut self.counts;
+        match learned {
+            Learned::Taken | Learned::Restarted(_) => {
+                counts.taken += 1;
+                self.presence.note(witnessed.exchange.returned);
+            }
+            Learned::Refused(Refusal::Impossible) => counts.impossible += 1,
+            Learned::Refused(Refusal::Outlier) => counts.outliers += 1,
+            Learned::Refused(Refusal::Stepped) => counts.stepped += 1,
+        }
+        learned
     }
+
+    /// The host's own clock was stepped, or ran off faster than the limit: what was learnt before is void.
+    pub fn edge_stepped(&mut self, epoch: u32) {
+        if self.steps.edge_stepped(epoch) {
+            self.claims.edge = None;
+            self.restart();
+        }
+    }
+
+    /// The peer says that its clock was.
+    pub fn cloud_stepped(&mut self, epoch: u32) {
+        if self.steps.cloud_stepped(epoch) {
+            self.claims.cloud = None;
+            self.restart();
+        }
+    }
+
+    fn consider(&mut self, witnessed: &Witnessed) -> Learned {
+        let exchange = &witnessed.exchange;
+        if !self.is_possible(exchange) {
+            return Learned::Refused(Refusal::Impossible);
+        }
+        // What one that spans a step tells of it is news all the same.
+        let told = self.steps.compare(witnessed);
+        self.claims.edge.take_if(|_| told.of_edge);
+        self.claims.cloud.take_if(|_| told.of_cloud);
+        if told.of_edge || told.of_cloud {
+            self.restart();
+        }
+        if !told.is_current || !is_steady(witnessed) || self.steps.keep_out(exchange) {
+            return Learned::Refused(Refusal::Stepped);
+        }
+        let bounds = Bounds::from(exchange);
+        if self.band.excludes(&bounds) {
+            let empty = || Band::new(self.drift, self.settings.window);
+            let Some(believed) = self.contradictions.suspects.add(&bounds, empty) else {
+                return Learned::Refused(Refusal::Outlier);
+            };
+            self.steps.open();
+            self.restart();
+            self.contradictions.surprises.note(exchange.returned);
+            self.band = believed;
+        } else {
+            self.contradictions.suspects.hear(&bounds);
+            self.band.insert(&bounds);
+        }
+        match self.restarted.take() {
+            None => Learned::Taken,
+            Some(before) => {
+                let now = self.estimate_at(exchange.returned);
+                Learned::Restarted(before.zip(now).map(|(before, now)| now - before))
+            }
+        }
+    }
+
+    /// Whether any two clocks can show this: an answer after the message, and a round trip that is not negative, by more
+    /// than the stamps are wrong and than the clocks can run apart meanwhile.
+    fn is_possible(&self, exchange: &Exchange) -> bool {
+        let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
+        let apart = Span::from_nanos(self.drift.between(sent.unix_nanos(), returned.unix_nanos()));
+        let absurd = [sent, received, replied, returned]
+            .into_iter()
+            .map(|stamp| stamp - WallTime::from_unix_nanos(0))
+            .chain([exchange.upper(), exchange.lower(), uncertainty])
+            .any(|span| span.abs() > ABSURD);
+        !absurd
+            && !uncertainty.is_negative()
+            && returned >= sent
+            && replied >= received
+            && exchange.round_trip() + uncertainty + uncertainty + apart >= Span::ZERO
+    }
+
+    /// A clock was stepped: what was learnt before is void.
+    fn restart(&mut self) {
+        self.contradictions.suspects.clear();
+        let Some(newest) = self.band.newest() else { return };
+        self.restarted = Some(self.estimate_at(newest));
+        self.band = Band::new(self.drift, self.settings.window);
+        self.presence.clear();
+        self.counts.restarts += 1;
+    }
+
+    fn estimate_at(&self, at: WallTime) -> Option<Span> {
+        self.band.interval(at).map(|interval| self.band.estimate(at, interval))
+    }
+}
+
+/// Whether each wall clock moved on like its monotonic clock.
+fn is_steady(witnessed: &Witnessed) -> bool {
+    let Exchange { sent, received, replied, returned, .. } = witnessed.exchange;
+    let alike = |wall: Span, mono: Option<Span>| {
+        mono.is_none_or(|mono| {
+            let limit = STEADY + Span::from_nanos(mono.abs().nanos() / 1_000_000 * STEADY_PPM);
+            (wall - mono).abs() <= limit
+        })
+    };
+    alike(returned - sent, witnessed.edge_elapsed) && alike(replied - received, witnessed.cloud_elapsed)
 }

@@ -1,7 +1,24 @@
 //! Several sources, one answer: the intersection of what they say (RFC 5905, section 11.2.1, after Marzullo 1984; with two
 //! sources that must both be right it is their overlap, and without one they are reported, not averaged).
 
-use crate::{DelaySource, Interval, Span};
+use crate::{DelaySource, Discipline, Interval, Span};
+
+/// What the two hosts' time daemons say now.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Claims {
+    pub(super) edge: Option<Discipline>,
+    pub(super) cloud: Option<Discipline>,
+}
+
+impl Claims {
+    /// The offset by both claims together.
+    pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
+        let (edge, cloud) = (self.edge.as_ref()?, self.cloud.as_ref()?);
+        let chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
+        let source = if chrony { DelaySource::Chrony } else { edge.source };
+        Some((source, Discipline::offset(edge, cloud)))
+    }
+}
 
 /// What each source says of the offset at one time.
 #[derive(Clone, Debug)]

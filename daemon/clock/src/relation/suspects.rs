@@ -10,6 +10,13 @@ const BELIEVED: u64 = 4;
 /// limit, or somebody lies. Nothing is believed for as long after the last time.
 const DOUBT: Span = Span::from_seconds(60);
 
+/// What contradicts the band now, and how often a window began because of it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Contradictions {
+    pub(super) suspects: Suspects,
+    pub(super) surprises: Surprises,
+}
+
 /// When windows began without notice.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surprises {

@@ -6,7 +6,7 @@ mod truth;
 
 use super::*;
 use crate::simulation::{Dice, Path, Trip, Wall, World};
-use crate::{Exchange, OneWayDelay, Verdict, Witnessed};
+use crate::{DelaySource, Interval, OneWayDelay, Verdict};
 
 fn identity(clock: &str) -> ClockIdentity {
     ClockIdentity::new("boot", clock)

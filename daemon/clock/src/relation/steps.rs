@@ -1,0 +1,114 @@
+//! Steps of the two clocks that were told of, and the exchanges that were under way meanwhile.
+
+use crate::{Exchange, Span, WallTime, Witnessed};
+
+/// A peer's counter of steps that went back is a new process, if so many in a row say so. Before, it is an answer that
+/// was overtaken.
+const NEW_COUNTER: u32 = 8;
+/// An exchange that ends so long after the one that told of a step may still have begun before it. For the edge it
+/// is short: its stamps themselves may have been set back. Longer ones show against the monotonic clock.
+const EDGE_REACH: Span = Span::from_seconds(2);
+const CLOUD_REACH: Span = Span::from_seconds(60);
+
+/// The counters of steps of both hosts, and which exchanges the last step keeps out.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Steps {
+    edge: Option<u32>,
+    cloud: Option<u32>,
+    /// An older one of the cloud, and how often in a row.
+    older: Option<(u32, u32)>,
+    barrier: Barrier,
+}
+
+/// What keeps out exchanges that were under way during a step. Who makes exchanges compares the edge's counter before and
+/// after them; the cloud's is read after its stamps, so that a stamp may be older than it says, never younger.
+#[derive(Clone, Copy, Debug, Default)]
+enum Barrier {
+    /// Nothing.
+    #[default]
+    Open,
+    /// The next exchange is kept out and tells the time.
+    Next(Span),
+    /// Those sent before, but not by more than the reach.
+    Before(WallTime, Span),
+}
+
+/// What an exchange told of steps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ToldSteps {
+    pub(super) of_edge: bool,
+    pub(super) of_cloud: bool,
+    /// Whether the exchange itself is of the time after the last step that was known before.
+    pub(super) is_current: bool,
+}
+
+impl Steps {
+    /// The edge says that its clock was stepped. Returns whether that is news.
+    pub(super) fn edge_stepped(&mut self, epoch: u32) -> bool {
+        let is_news = self.edge.is_none_or(|known| known < epoch);
+        if is_news {
+            (self.edge, self.barrier) = (Some(epoch), Barrier::Next(EDGE_REACH));
+        }
+        is_news
+    }
+
+    /// The cloud says that its clock was stepped. Returns whether that is news.
+    pub(super) fn cloud_stepped(&mut self, epoch: u32) -> bool {
+        let is_news = self.cloud.is_none_or(|known| known < epoch);
+        if is_news {
+            (self.cloud, self.barrier) = (Some(epoch), Barrier::Next(CLOUD_REACH));
+        }
+        is_news
+    }
+
+    /// Compares the counters of an exchange with those known.
+    pub(super) fn compare(&mut self, witnessed: &Witnessed) -> ToldSteps {
+        let returned = witnessed.exchange.returned;
+        let edge = *self.edge.get_or_insert(witnessed.edge_epoch);
+        let of_edge = witnessed.edge_epoch > edge;
+        if of_edge {
+            self.edge = Some(witnessed.edge_epoch);
+            self.barrier = Barrier::Before(returned, EDGE_REACH);
+        }
+        let cloud = witnessed.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
+        let is_overtaken = cloud.is_some_and(|(told, known)| told < known && !self.is_new_counter(told));
+        let mut of_cloud = false;
+        if let Some((told, known)) = cloud.filter(|_| !is_overtaken) {
+            self.older = None;
+            of_cloud = told != known;
+            if of_cloud {
+                self.cloud = Some(told);
+                self.barrier = Barrier::Before(returned, CLOUD_REACH);
+            }
+        }
+        let is_current = witnessed.edge_epoch == edge && cloud.is_none_or(|(told, known)| told == known);
+        ToldSteps { of_edge, of_cloud, is_current }
+    }
+
+    /// Whether so many in a row tell of the same older counter that it is a new one.
+    fn is_new_counter(&mut self, told: u32) -> bool {
+        let times = match self.older {
+            Some((older, times)) if older == told => times + 1,
+            _ => 1,
+        };
+        self.older = Some((told, times));
+        times >= NEW_COUNTER
+    }
+
+    /// Whether an exchange may have begun before the last step.
+    pub(super) fn keep_out(&mut self, exchange: &Exchange) -> bool {
+        match self.barrier {
+            Barrier::Open => false,
+            Barrier::Next(reach) => {
+                self.barrier = Barrier::Before(exchange.returned, reach);
+                true
+            }
+            Barrier::Before(time, reach) => exchange.sent < time && time - exchange.sent <= reach,
+        }
+    }
+
+    /// A step showed in the exchanges themselves: those that follow are of the time after it.
+    pub(super) fn open(&mut self) {
+        self.barrier = Barrier::Open;
+    }
+}
