@@ -81,7 +81,7 @@ pub enum Verdict {
     Unsynchronised,
     /// A clock was stepped near this sample.
     Stepped,
-    /// Two sources exclude each other.
+    /// Two sources exclude each other, or exchanges contradict each other: there is neither a value nor an interval.
     Inconsistent,
 }
 

@@ -17,6 +17,8 @@ pub struct ClockConfig {
     /// A delay with no other exchange so near in time is `stale`; seconds, 0.1 to 3600, at most `window_s`.
     /// Default: 10.
     pub fresh_s: f64,
+    /// Whether the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
+    pub trust_time_daemons: bool,
     /// Who stamps probes. Default: `kernel`.
     pub timestamps: Timestamps,
     /// Whose claims about this host's wall clock are read. Default: `["kernel", "chrony"]`.
@@ -35,6 +37,7 @@ impl Default for ClockConfig {
             max_drift_ppm: 50.0,
             window_s: 600.0,
             fresh_s: 10.0,
+            trust_time_daemons: false,
             timestamps: Timestamps::default(),
             discipline: vec![DisciplineSource::Kernel, DisciplineSource::Chrony],
             discipline_interval_s: 5.0,
@@ -51,6 +54,7 @@ impl ClockConfig {
             max_drift_ppm: self.max_drift_ppm,
             window: Span::from_seconds_f64(self.window_s),
             fresh: Span::from_seconds_f64(self.fresh_s),
+            trust_time_daemons: self.trust_time_daemons,
         }
     }
 

@@ -51,7 +51,8 @@ impl Relation {
             (interval, estimate)
         });
         let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
-        Knowledge { in_band, other: same.or_else(|| self.claims.offset()) }
+        let claimed = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
+        Knowledge { in_band, other: same.or_else(claimed) }
     }
 
     /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
@@ -113,10 +114,11 @@ impl Relation {
             Verdict::Ok if bounds.width() > Span::from_nanos(value.nanos() / 2) => Verdict::Limited,
             verdict => verdict,
         };
+        let is_known = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,
-            value: (verdict != Verdict::Inconsistent).then_some(value),
-            bounds: Some(bounds),
+            value: is_known.then_some(value),
+            bounds: is_known.then_some(bounds),
             source: known.source,
             verdict,
         }

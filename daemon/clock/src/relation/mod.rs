@@ -72,8 +72,8 @@ impl Relation {
         &self.settings
     }
 
-    /// What the two hosts' time daemons say now; `None` for one that says nothing. A claim counts until the next
-    /// call, or until the clock it is about is stepped.
+    /// What the two hosts' time daemons say now; `None` for one that says nothing. A claim counts, where the settings trust it,
+    /// until the next call, or until the clock it is about is stepped.
     pub fn set_disciplines(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }

@@ -23,11 +23,19 @@ pub struct RelationSettings {
     pub window: Span,
     /// A delay with no other exchange so near in time is `stale`.
     pub fresh: Span,
+    /// Whether what both hosts' time daemons claim narrows the interval. A claim is nothing that an exchange proves: where a
+    /// daemon is wrong about its clock, so is the interval.
+    pub trust_time_daemons: bool,
 }
 
 impl Default for RelationSettings {
     fn default() -> Self {
-        Self { max_drift_ppm: 50.0, window: Span::from_seconds(600), fresh: Span::from_seconds(10) }
+        Self {
+            max_drift_ppm: 50.0,
+            window: Span::from_seconds(600),
+            fresh: Span::from_seconds(10),
+            trust_time_daemons: false,
+        }
     }
 }
 

@@ -40,10 +40,11 @@ pub(super) struct Simulation {
 impl Simulation {
     pub(super) fn new(hosts: (HostId, HostId)) -> Self {
         let clock = |name| ClockIdentity::new("boot", name);
+        let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
         Self {
             hosts,
             numbers: Numbers(11),
-            relation: Relation::new(&clock("edge"), &clock("cloud"), RelationSettings::default()),
+            relation: Relation::new(&clock("edge"), &clock("cloud"), settings),
             now: Span::ZERO,
             cloud_ahead: Span::from_millis(1_250),
             edge_ahead: Span::ZERO,

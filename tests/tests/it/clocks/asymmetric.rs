@@ -14,14 +14,17 @@ fn wire(folder: &Path) -> Network {
     Network::wire(folder, way(40), way(5))
 }
 
-/// Runs 300 iterations with both clocks rehearsed.
+/// Runs 300 iterations with both clocks rehearsed; what they claim is trusted.
 fn run(discipline: &str) -> (Vec<Iteration>, HostClock, HostClock) {
     let plant = Plant::new(wire);
     let more = format!("discipline = \"{discipline}\"");
     let _cloud = plant.cloud(&rehearsal(700.0, -20.0, &more));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
     let pipeline = plant.pipeline("far", 1000, load);
-    let _edge = plant.edge(&format!("{}{pipeline}", rehearsal(-300.0, 20.0, &more)), &[]);
+    let _edge = plant.edge(
+        &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", rehearsal(-300.0, 20.0, &more)),
+        &[],
+    );
     let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
     plant.finished(1);
     let iterations = plant.iterations();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_clock::Span;
 use peernet_tests::network::{Network, TimeDaemons, Way};
-use peernet_tests::truth::{Delay, HostClock, Iteration, truth};
+use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{Plant, Process, until};
 use serde_json::Value;
 
@@ -25,15 +25,16 @@ struct Scene {
 }
 
 impl Scene {
-    /// `identity` and `rehearsal` are the edge's.
-    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str) -> Self {
+    /// `identity` and `rehearsal` are the edge's, which trusts the daemons or does not.
+    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str, trusts: bool) -> Self {
         let plant = Plant::new(network);
         let daemons = TimeDaemons::start(&plant.network, plant.folder());
         let clock = TimeDaemons::table();
         let cloud = plant.cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
         let pipeline = plant.pipeline("kept", 1000, load);
-        let edge = plant.edge(&format!("{identity}{clock}{rehearsal}{pipeline}"), &[]);
+        let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
+        let edge = plant.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
         Self { edge, _cloud: cloud, _daemons: daemons, plant }
     }
 
@@ -85,7 +86,7 @@ fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
 
 /// The machine's clock on both hosts: the true offset is zero.
 fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
-    let scene = Scene::new(network, OWN, "");
+    let scene = Scene::new(network, OWN, "", true);
     let offset = scene.offset("ok");
     for source in ["in-band", "chrony"] {
         assert!(holds(said(&offset, source), Span::ZERO), "{source}: {offset}");
@@ -120,23 +121,15 @@ fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
 fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
     const AHEAD: Span = Span::from_millis(50);
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
-    let scene = Scene::new(|_| Network::direct(), "", &wrong);
+    let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
     let offset = scene.offset("inconsistent");
     let (in_band, chrony) = (said(&offset, "in-band"), said(&offset, "chrony"));
     assert!(holds(in_band, -AHEAD) && !holds(in_band, Span::ZERO), "{offset}");
     assert!(holds(chrony, Span::ZERO) && !holds(chrony, -AHEAD), "{offset}");
 
-    let edge = scene.plant.clock_of("edge");
     let iterations = scene.iterations("verdict.text = 'inconsistent'");
-    let cloud = HostClock::kernels();
-    let ups = iterations.iter().map(|iteration| (&iteration.up, &edge, &cloud));
-    let downs = iterations.iter().map(|iteration| (&iteration.down, &cloud, &edge));
-    let mut exposed = 0;
-    for (delay, sender, receiver) in ups.chain(downs) {
-        let (truth, (lo, hi)) = (truth(delay, sender, receiver), delay.bounds.expect("bounds"));
-        assert!(holds((lo, hi), truth), "{truth} is not in [{lo}, {hi}]: {delay:?}");
-        exposed += u64::from(is_exposed(delay));
-    }
+    let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
+    let exposed = delays.filter(|delay| is_exposed(delay)).count() as u64;
     say(&format!("unaware by {AHEAD}: {exposed} of {} delays exposed", 2 * iterations.len()));
     assert!(exposed >= ENOUGH);
 }
@@ -144,6 +137,25 @@ fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
 /// Whether a delay is told as contradictory; before the daemons' claims are known it rests on the exchanges alone.
 fn is_exposed(delay: &Delay) -> bool {
     let exposed = delay.verdict == "inconsistent";
-    assert_eq!((delay.value.is_some(), delay.source.as_str()), (!exposed, "in-band"), "{delay:?}");
+    let known = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
+    assert_eq!(known, (!exposed, !exposed, "in-band"), "{delay:?}");
     exposed
+}
+
+/// The same daemon, which nobody was told to trust.
+#[test]
+fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
+    let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
+    let scene = Scene::new(|_| Network::direct(), "", &wrong, false);
+    for host in ["edge", "cloud"] {
+        scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
+    }
+    let edge = scene.plant.clock_of("edge");
+    let sources = scene.plant.api.until("/api/v1/links/edge~cloud", |link| {
+        let offset = &link["now"]["offset"];
+        (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
+    });
+    assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
+    let iterations = scene.iterations("verdict.text IN ('ok', 'limited')");
+    hold_to_the_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::kernels());
 }

@@ -1,6 +1,6 @@
 //! Where the bound of an offset comes from, and what would narrow it.
 
-use peernet_clock::{DelaySource, Interval, Offset};
+use peernet_clock::{DelaySource, Discipline, Interval, Offset};
 use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
@@ -41,8 +41,8 @@ fn row(name: String, interval: Interval, sum: bool) -> SourceRow {
 pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
     match source {
         DelaySource::InBand => format!("in-band, {} exchanges", count(exchanges)),
-        DelaySource::Kernel => "the kernels of both hosts".to_owned(),
-        DelaySource::Chrony => "chrony on both hosts".to_owned(),
+        DelaySource::Kernel => "as claimed by the kernels of both hosts".to_owned(),
+        DelaySource::Chrony => "as claimed by chrony on both hosts".to_owned(),
         DelaySource::SameClock => "one clock".to_owned(),
         DelaySource::Intersection => "intersection".to_owned(),
         DelaySource::None => "none".to_owned(),
@@ -87,6 +87,7 @@ impl Origin {
                 hints: vec![hint.to_owned()],
             };
         };
+        rows.extend(unused_claims(subject, offset));
         rows.push(row(if several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
         let then = if subject.connected { "comes" } else { "came" };
         Self {
@@ -98,6 +99,19 @@ impl Origin {
         }
     }
 }
+
+/// What both hosts' time daemons claim now, where no delay rests on it.
+fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
+    let link = subject.live?;
+    let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
+    let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
+    let is_used = offset.sources.iter().any(|(source, _)| *source != DelaySource::InBand);
+    let name = format!("{}, not used", source(cloud.source, 0));
+    (!is_used).then(|| row(name, Discipline::offset(&edge, &cloud), false))
+}
+
+/// The key that lets claims of time daemons narrow a bound.
+const TRUST: &str = "[clock] trust_time_daemons";
 
 /// Of sources that exclude each other: what that means and what to do.
 const EXCLUDE: (&str, &str) = (
@@ -182,7 +196,13 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let own = width(|source| source == DelaySource::InBand);
     let told = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
     if !without.is_empty() {
-        hints.push(format!("PTP or chrony on {}, which gives a second source", without.join(" and ")));
+        let hosts = without.join(" and ");
+        hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST} is set"));
+    } else if let Some(offset) = offset
+        && unused_claims(subject, offset).is_some()
+    {
+        let edge = &subject.edge;
+        hints.push(format!("{TRUST} = true on {edge}, where both time daemons can be relied on"));
     } else if let Some((own, told)) = own.zip(told)
         && told >= own
     {

@@ -1,4 +1,4 @@
-use peernet_clock::{DelaySource, Interval};
+use peernet_clock::{DelaySource, Discipline, Interval};
 use peernet_stream::{DelayPoint, DelaySecond, HostClock, NetworkName, Probing};
 
 use super::chart::{OffsetView, tracks};
@@ -107,12 +107,31 @@ fn the_verdicts_are_told_with_this_links_numbers() {
 }
 
 #[test]
+fn claims_that_are_not_used_stand_beside_the_exchanges() {
+    let mut link = link(Some(0.00065), &[]);
+    let error = Interval { lo: Span::from_millis(-1), hi: Span::from_millis(1) };
+    let claims = HostClock {
+        discipline: Some(Discipline { source: DelaySource::Chrony, error }),
+        ..HostClock::default()
+    };
+    (link.live.edge, link.live.cloud) = (Some(claims.clone()), Some(claims));
+    if let Some(offset) = &mut link.live.now.offset {
+        offset.sources.truncate(1);
+    }
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
+    assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts, not used", "used"]);
+    assert_eq!(origin.rows[1].width, "4.00");
+    assert!(origin.hints[0].contains("trust_time_daemons = true on cam-1"), "{origin:?}");
+}
+
+#[test]
 fn where_a_bound_comes_from_and_what_would_narrow_it() {
     let mut link = link(Some(0.00065), &[]);
     let origin = Origin::of(&Subject::live(&link), &course(&link));
     assert_eq!(origin.title, "Where ±0.65\u{202f}ms comes from");
     let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
-    assert_eq!(names, ["in-band, 612 exchanges", "chrony on both hosts", "intersection"]);
+    assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts", "intersection"]);
     assert_eq!(
         (origin.rows[2].between.as_str(), origin.rows[2].width.as_str()),
         ("1,203.35 – 1,204.65", "1.30")

@@ -30,7 +30,8 @@ fn exchange(sent: i64, ahead: i64) -> Witnessed {
 
 fn knowledge() -> Knowledge {
     let identity = |name| ClockIdentity::new("boot", name);
-    let relation = Relation::new(&identity("edge"), &identity("cloud"), RelationSettings::default());
+    let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
+    let relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
     let mut knowledge = Knowledge::new(peer, relation, (HostClock::default(), HostClock::default()), at(0));
     knowledge.join(&network());

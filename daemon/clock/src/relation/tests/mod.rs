@@ -12,8 +12,10 @@ fn identity(clock: &str) -> ClockIdentity {
     ClockIdentity::new("boot", clock)
 }
 
+/// A relation that trusts the claims of time daemons, where a test makes any.
 fn relation() -> Relation {
-    Relation::new(&identity("edge"), &identity("cloud"), RelationSettings::default())
+    let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
+    Relation::new(&identity("edge"), &identity("cloud"), settings)
 }
 
 fn world(offset: Span) -> World {

@@ -46,6 +46,23 @@ fn two_claims_alone_relate_two_clocks() {
 }
 
 #[test]
+fn claims_that_are_not_trusted_change_nothing() {
+    let world = world(Span::from_millis(5));
+    let settings = RelationSettings::default();
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
+    relation.set_disciplines(wrong[0], wrong[1]);
+    assert_eq!(relation.offset(at(10)), None);
+    for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+        relation.learn(&trip.witnessed());
+    }
+    let known = relation.offset(at(10)).expect("exchanges");
+    assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
+    // 10 ppm for ten seconds.
+    assert!(known.bounds.contains(Span::from_micros(5_100)));
+}
+
+#[test]
 fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_what_they_are() {
     let mut relation = asymmetric();
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));

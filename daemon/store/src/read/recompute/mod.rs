@@ -174,8 +174,7 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
         _ => return now,
     };
     let Some(bounds) = then.intersection(of_now) else {
-        let bounds = Some(then.hull(of_now));
-        return OneWayDelay { value: None, bounds, verdict: Verdict::Inconsistent, ..now };
+        return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..now };
     };
     let value = now.value.or(before.value).map(|value| value.clamp(bounds.lo, bounds.hi));
     let wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.nanos() / 2));

@@ -125,6 +125,8 @@ impl Rolling {
             let settings = RelationSettings {
                 max_drift_ppm: row.max_drift_ppm,
                 window: SPAN + SPAN + DISORDER,
+                // Only claims that were used then are stored among the sources of an offset.
+                trust_time_daemons: true,
                 ..RelationSettings::default()
             };
             // Delays of hosts that read one clock are not judged again.
