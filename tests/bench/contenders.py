@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,7 +77,7 @@ def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
         cpu_seconds = edge.cpu_seconds() + cloud.cpu_seconds()
         it.stop()
         run = store.run_of(it.database, "loop")
-        may_lose = peer is not None and peer.startswith("udp://")
+        may_lose = peer is not None and peer.startswith(("udp://", "ros2://"))
         if run is None or not run.ok or (run.unsuccessful and not may_lose):
             raise Failure(f"the loop of {shape} did not go well: {run}; the edge said:\n{edge.text()}")
         return Slice(
@@ -136,10 +136,24 @@ def _bare(arena: Arena, shape: Shape, program: Path, protocol: str, state: str, 
         return _slice(drive, server, arena.seconds + 60)
 
 
-def _slice(drive: Sequence[object], server: Program, timeout_s: float = 120.0) -> Slice:
+def bare_pair(
+    arena: Arena, shape: Shape, program: Path, environments: tuple[Mapping[str, str], Mapping[str, str]] | None = None
+) -> Slice:
+    """`PROGRAM serve` on the cloud and `PROGRAM drive BYTES SECONDS` on the edge, which finds it by itself."""
+    on_edge, on_cloud = environments or (None, None)
+    serve = arena.cloud.inside([program, "serve"])
+    drive = arena.edge.inside([program, "drive", shape.up, arena.seconds])
+    with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
+        with Program(serve, Path(folder, "log"), environment=on_cloud) as server:
+            return _slice(drive, server, arena.seconds + 60, on_edge)
+
+
+def _slice(
+    drive: Sequence[object], server: Program, timeout_s: float = 120.0, environment: Mapping[str, str] | None = None
+) -> Slice:
     """Runs the driving end to its end, beside the other one."""
     before = server.cpu_seconds()
-    text, cpu_seconds = output_and_cpu(drive, timeout_s=timeout_s)
+    text, cpu_seconds = output_and_cpu(drive, timeout_s=timeout_s, environment=environment)
     figures = json.loads(text)
     answered = figures["iterations"]
     return Slice(

@@ -19,6 +19,8 @@ PEERNETD = RELEASE / "peernetd"
 PEERNET = RELEASE / "peernet"
 BARE_TCP = RELEASE / "bare-tcp"
 BARE_UDP = RELEASE / "bare-udp"
+BARE_DDS = RELEASE / "bare-dds"
+ROSLIBRUST_PEER = ROOT / "target/interop/release/roslibrust-peer"
 EVENT_STREAM = RELEASE / "event-stream"
 
 PR_SET_PDEATHSIG = 1

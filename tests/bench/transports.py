@@ -12,7 +12,7 @@ from typing import Self
 import contenders
 from contenders import Arena, Shape, Slice
 from namespaces import Host
-from programs import ROOT, Failure, Program, output_and_cpu
+from programs import BARE_DDS, ROOT, ROSLIBRUST_PEER, Failure, Program, output_and_cpu
 
 UDP_PORT = 5552
 MASTER_PORT = 11311
@@ -74,6 +74,12 @@ def _rospy(arena: Arena, shared: Shared, shape: Shape) -> Slice:
             return Slice(rate, {"total": spread}, count, count, cpu_seconds + node.cpu_seconds() - before)
 
 
+def _roslibrust(arena: Arena, shared: Shared, shape: Shape) -> Slice:
+    """Two nodes of roslibrust, of which one sends back what it gets."""
+    environments = shared.environment(arena.edge), shared.environment(arena.cloud)
+    return contenders.bare_pair(arena, shape, ROSLIBRUST_PEER, environments)
+
+
 CONTENDERS: dict[str, Callable[[Arena, Shared, Shape], Slice]] = {
     "zmq-tcp": lambda arena, _, shape: contenders.peernet(arena, shape),
     "zmq-udp": lambda arena, _, shape: contenders.peernet(arena, shape, f"udp://{arena.cloud.address}:{UDP_PORT}"),
@@ -81,4 +87,7 @@ CONTENDERS: dict[str, Callable[[Arena, Shared, Shape], Slice]] = {
     "bare TCP": lambda arena, _, shape: contenders.bare_tcp(arena, shape),
     "bare UDP": lambda arena, _, shape: contenders.bare_udp(arena, shape),
     "rospy": _rospy,
+    "roslibrust": _roslibrust,
+    "ros2": lambda arena, _, shape: contenders.peernet(arena, shape, "ros2://0/cloud"),
+    "rustdds": lambda arena, _, shape: contenders.bare_pair(arena, shape, BARE_DDS),
 }

@@ -25,6 +25,8 @@ AIMS = (
     ("zmq-tcp", "bare TCP", 0.9),
     ("zmq-udp", "bare UDP", 0.7),
     ("ros1", "rospy", 2.0),
+    ("ros1", "roslibrust", 1.0),
+    ("ros2", "rustdds", 0.9),
 )
 
 
@@ -54,8 +56,12 @@ LINKS = (Link("veth", None, 0, 2, 5), Link("100 Mbit/s, 5 ms", 100_000_000, 5, 4
 
 def prepare() -> None:
     need_root()
-    build = ["cargo", "build", "--release", "--locked", "--quiet", "--package"]
-    subprocess.run([*build, "peernet-tests", "--bin", "bare-tcp", "--bin", "bare-udp"], cwd=ROOT, check=True)
+    build = ["cargo", "build", "--release", "--quiet"]
+    # Together, so that the daemon's features do not change what it is built of.
+    ours = [*build, "--locked", "--package", "peernetd", "--package", "peernet-tests", "--bins"]
+    subprocess.run([*ours, "--features", "peernetd/ros2,peernet-tests/ros2"], cwd=ROOT, check=True)
+    foreign = ["--manifest-path", "tests/bench/roslibrust/Cargo.toml", "--target-dir", "target/interop"]
+    subprocess.run([*build, *foreign], cwd=ROOT, check=True)
     transports.prepare()
 
 
@@ -64,7 +70,8 @@ def measure(quick: bool) -> Section:
     section.say(
         "An edge sends so many bytes and an echo model answers with the same bytes, one iteration after the other; "
         "edge agent, cloud agent and aggregator, every iteration stored. Beside it, without PEERNet: a ping-pong over one "
-        "TCP connection, one over UDP with the same datagrams, and round trips between two nodes of ROS. Medians over the "
+        "TCP connection, one over UDP with the same datagrams, and round trips between two nodes of rospy, of roslibrust and of "
+        "rustdds. Medians over the "
         "repeats, one program after the other in turn; ratios taken repeat by repeat. Processor time: both agents, or both "
         "programs, per gigabyte in either direction. Answers in percent of what was sent."
     )

@@ -4,16 +4,16 @@
 //! `bare-udp serve ADDRESS DATAGRAM-BYTES`, and beside it `bare-udp drive ADDRESS DATAGRAM-BYTES UP-BYTES DOWN-BYTES SECONDS`, which
 //! prints one JSON object.
 
+mod round_trips;
+
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
-use serde_json::{Value, json};
+use serde_json::Value;
 use socket2::SockRef;
 
-/// Round trips before the first that counts, unless they take longer than a second.
-const WARM_UP: u32 = 200;
+use self::round_trips::RoundTrips;
 
 /// The system's buffers of each socket: all datagrams of a message fit.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
@@ -122,23 +122,12 @@ fn serve(address: &str, datagram: usize) -> anyhow::Result<()> {
 }
 
 fn drive(address: &str, datagram: usize, (up, down): (u32, u32), seconds: u64) -> anyhow::Result<Value> {
-    let clock = SystemClock::new(ClockIdentity::of_this_machine(ClockIdentity::SYSTEM)?);
     let to: SocketAddr = address.parse().with_context(|| format!("{address} is no address"))?;
     let mut port = Port::bind("0.0.0.0:0", datagram)?;
     port.socket.set_read_timeout(Some(PATIENCE))?;
-    let limit = Span::from_seconds(i64::try_from(seconds)?);
-    let (mut round_trips, mut lost, mut number) = (Vec::new(), 0_u32, 0_u32);
-    let start = clock.mono();
-    let mut begin = None;
-    loop {
-        let sent = clock.mono();
-        if begin.is_none() && (number == WARM_UP || sent - start > Span::from_seconds(1)) {
-            (begin, lost) = (Some(sent), 0);
-            round_trips.clear();
-        }
-        if begin.is_some_and(|begin| sent - begin >= limit) {
-            break;
-        }
+    let mut round_trips = RoundTrips::new(seconds)?;
+    let mut number = 0;
+    while let Some(begin) = round_trips.next() {
         number += 1;
         port.send(Head { number, bytes: up, answer: down }, to)?;
         let mut left = port.count(down);
@@ -148,16 +137,7 @@ fn drive(address: &str, datagram: usize, (up, down): (u32, u32), seconds: u64) -
                 None => break,
             }
         }
-        if left == 0 { round_trips.push(clock.mono() - sent) } else { lost += 1 }
+        if left == 0 { round_trips.answered(begin) } else { round_trips.lost() }
     }
-    let elapsed = clock.mono() - begin.unwrap_or(start);
-    round_trips.sort_unstable();
-    let at = |percent: usize| round_trips.get(round_trips.len() * percent / 100).map(|span| span.seconds());
-    let (Some(p50), Some(p99)) = (at(50), at(99)) else { bail!("no message was answered, {lost} were lost") };
-    Ok(json!({
-        "iterations": round_trips.len(),
-        "seconds": elapsed.seconds(),
-        "lost": lost,
-        "stages": { "total": { "count": round_trips.len(), "p50": p50, "p99": p99 } },
-    }))
+    round_trips.figures()
 }

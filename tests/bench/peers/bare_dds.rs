@@ -1,0 +1,188 @@
+//! The floor under sessions over ROS 2: a ping-pong between two participants of `rustdds`, reliable, whose messages are bytes
+//! that nothing serialises. A message that is not answered in time is given up.
+//!
+//! `bare-dds serve`, and beside it `bare-dds drive BYTES SECONDS`, which prints one JSON object. They find each other in
+//! domain 77.
+
+mod round_trips;
+
+use std::convert::Infallible;
+use std::pin::pin;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+use bytes::Bytes;
+use futures::StreamExt;
+use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
+use rustdds::policy::{History, Reliability};
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, QosPolicyBuilder, RepresentationIdentifier, TopicKind,
+    no_key,
+};
+use serde_json::Value;
+use tokio::time::timeout;
+
+use self::round_trips::RoundTrips;
+
+const DOMAIN: u16 = 77;
+
+/// The system's buffers of each socket, as many as an agent asks for.
+const SOCKET_BUFFER_BYTES: usize = 4 << 20;
+
+/// How long an answer is waited for; a message that has to be repaired takes some of it.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long the other end is looked for.
+const DISCOVERY: Duration = Duration::from_secs(30);
+
+/// Messages that are kept at either end.
+const DEPTH: i32 = 16;
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["serve"] => serve().await,
+        ["drive", bytes, seconds] => {
+            let figures = drive(bytes.parse()?, seconds.parse()?).await?;
+            #[expect(clippy::print_stdout, reason = "the result that was asked for")]
+            {
+                println!("{figures}");
+            }
+            Ok(())
+        }
+        _ => bail!("usage: bare-dds serve | bare-dds drive BYTES SECONDS"),
+    }
+}
+
+/// Bytes that are serialised already.
+struct Message(Bytes);
+
+struct Raw;
+
+#[derive(Clone)]
+struct RawDecoder;
+
+impl SerializerAdapter<Message> for Raw {
+    type Error = Infallible;
+
+    fn output_encoding() -> RepresentationIdentifier {
+        RepresentationIdentifier::CDR_LE
+    }
+
+    fn to_bytes(message: &Message) -> Result<Bytes, Infallible> {
+        Ok(message.0.clone())
+    }
+}
+
+impl DeserializerAdapter<Message> for Raw {
+    type Error = Infallible;
+    type Decoded = Message;
+
+    fn supported_encodings() -> &'static [RepresentationIdentifier] {
+        &[RepresentationIdentifier::CDR_LE]
+    }
+
+    fn transform_decoded(decoded: Message) -> Message {
+        decoded
+    }
+}
+
+impl DefaultDecoder<Message> for Raw {
+    type Decoder = RawDecoder;
+    const DECODER: RawDecoder = RawDecoder;
+}
+
+impl Decode<'_, Message> for RawDecoder {
+    type Error = Infallible;
+
+    fn decode_bytes(self, bytes: &[u8], _: RepresentationIdentifier) -> Result<Message, Infallible> {
+        Ok(Message(Bytes::copy_from_slice(bytes)))
+    }
+}
+
+/// Both directions of one end.
+struct Port {
+    writer: no_key::DataWriter<Message, Raw>,
+    reader: no_key::SimpleDataReader<Message, Raw>,
+    /// Its threads end with it.
+    _participant: DomainParticipant,
+}
+
+impl Port {
+    fn open(out: &str, back: &str) -> anyhow::Result<Self> {
+        let participant = DomainParticipantBuilder::new(DOMAIN)
+            .same_host_loopback(true)
+            .socket_receive_buffer_size(SOCKET_BUFFER_BYTES)
+            .socket_send_buffer_size(SOCKET_BUFFER_BYTES)
+            .build()
+            .context("cannot join the domain")?;
+        let qos = QosPolicyBuilder::new()
+            .reliability(Reliability::Reliable { max_blocking_time: rustdds::Duration::from_secs(1) })
+            .history(History::KeepLast { depth: DEPTH })
+            .build();
+        let topic = |name: &str| {
+            participant.create_topic(name.to_owned(), "Bytes".to_owned(), &qos, TopicKind::NoKey)
+        };
+        let (publisher, subscriber) =
+            (participant.create_publisher(&qos)?, participant.create_subscriber(&qos)?);
+        Ok(Self {
+            writer: publisher.create_datawriter_no_key(&topic(out)?, None)?,
+            reader: subscriber.create_simple_datareader_no_key(&topic(back)?, None)?,
+            _participant: participant,
+        })
+    }
+
+    async fn send(&self, bytes: Bytes) -> anyhow::Result<()> {
+        let written = self.writer.async_write(Message(bytes), None).await;
+        written.map_err(|error| anyhow!("cannot send: {}", error.forget_data()))
+    }
+
+    async fn receive(&self) -> anyhow::Result<Bytes> {
+        let next = pin!(self.reader.as_async_stream()).next().await;
+        Ok(next.context("the participant has ended")??.into_value().0)
+    }
+}
+
+async fn serve() -> anyhow::Result<()> {
+    let port = Port::open("down", "up")?;
+    loop {
+        let message = port.receive().await?;
+        // One for which there is no room in time is lost to the other end, which counts it.
+        let _lost = port.send(message).await;
+    }
+}
+
+async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
+    let port = Port::open("up", "down")?;
+    // The number of the message and the rest.
+    let mut message = vec![0x5a; length.max(size_of::<u64>())];
+    let mut number = 0_u64;
+    let mut next = || {
+        number += 1;
+        message[..size_of::<u64>()].copy_from_slice(&number.to_le_bytes());
+        Bytes::copy_from_slice(&message)
+    };
+    timeout(DISCOVERY, async {
+        // One that is sent before the other end was found does not arrive.
+        while timeout(Duration::from_millis(300), exchange(&port, next())).await.is_err() {}
+    })
+    .await
+    .map_err(|_| anyhow!("nobody answered within {} s; is `bare-dds serve` running?", DISCOVERY.as_secs()))?;
+    let mut round_trips = RoundTrips::new(seconds)?;
+    while let Some(begin) = round_trips.next() {
+        match timeout(PATIENCE, exchange(&port, next())).await {
+            Ok(Ok(())) => round_trips.answered(begin),
+            // No room for it, or no answer.
+            Ok(Err(_)) | Err(_) => round_trips.lost(),
+        }
+    }
+    round_trips.figures()
+}
+
+/// Sends a message and waits for its answer; answers to earlier ones are passed over.
+async fn exchange(port: &Port, message: Bytes) -> anyhow::Result<()> {
+    port.send(message.clone()).await?;
+    while port.receive().await?[..size_of::<u64>()] != message[..size_of::<u64>()] {}
+    Ok(())
+}

@@ -1,0 +1,112 @@
+//! A ping-pong between two nodes of roslibrust over TCPROS, whose messages are bytes that nothing serialises. A message that is
+//! not answered in time is given up.
+//!
+//! `roslibrust-peer serve`, and beside it `roslibrust-peer drive BYTES SECONDS`, which prints one JSON object. The master is that
+//! of `ROS_MASTER_URI`.
+
+#[path = "../peers/round_trips.rs"]
+mod round_trips;
+
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use bytes::Bytes;
+use roslibrust::ros1::{NodeHandle, PublisherAny, SubscriberAny};
+use serde_json::Value;
+use tokio::time::timeout;
+
+use self::round_trips::RoundTrips;
+
+/// Messages that each queue has room for.
+const QUEUE: usize = 16;
+
+/// How long an answer is waited for.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long the other end is looked for.
+const DISCOVERY: Duration = Duration::from_secs(30);
+
+/// The length that precedes each message, the length that precedes its text, and its number.
+const HEAD_BYTES: usize = 4 + 4 + 8;
+
+#[tokio::main]
+async fn main() -> anyhow::Result<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["serve"] => serve().await,
+        ["drive", bytes, seconds] => {
+            println!("{}", drive(bytes.parse()?, seconds.parse()?).await?);
+            Ok(())
+        }
+        _ => bail!("usage: roslibrust-peer serve | roslibrust-peer drive BYTES SECONDS"),
+    }
+}
+
+struct Port {
+    publisher: PublisherAny,
+    subscriber: SubscriberAny,
+    _node: NodeHandle,
+}
+
+impl Port {
+    async fn open(name: &str, out: &str, back: &str) -> anyhow::Result<Self> {
+        let master = std::env::var("ROS_MASTER_URI").context("ROS_MASTER_URI is not set")?;
+        let node = NodeHandle::new(&master, name).await.context("the master does not answer")?;
+        Ok(Self {
+            publisher: node.advertise_any(out, "std_msgs/String", "string data", QUEUE, false).await?,
+            subscriber: node.subscribe_any(back, QUEUE).await?,
+            _node: node,
+        })
+    }
+
+    async fn receive(&mut self) -> anyhow::Result<Bytes> {
+        Ok(self.subscriber.next().await.context("the node has ended")??)
+    }
+
+    /// Sends a message and waits for its answer; answers to earlier ones are passed over.
+    async fn exchange(&mut self, message: &[u8]) -> anyhow::Result<()> {
+        self.publisher.publish(message).await?;
+        while self.receive().await?.get(..HEAD_BYTES) != message.get(..HEAD_BYTES) {}
+        Ok(())
+    }
+}
+
+async fn serve() -> anyhow::Result<()> {
+    let mut port = Port::open("/roslibrust_serve", "/roslibrust_down", "/roslibrust_up").await?;
+    loop {
+        let message = port.receive().await?;
+        port.publisher.publish(&message).await?;
+    }
+}
+
+async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
+    let mut port = Port::open("/roslibrust_drive", "/roslibrust_up", "/roslibrust_down").await?;
+    let text = u32::try_from(length.max(8))?;
+    let mut message = [(text + 4).to_le_bytes(), text.to_le_bytes()].concat();
+    message.resize(8 + text as usize, 0x5a);
+    let mut number = 0_u64;
+    let search = async {
+        // One that is sent before the other end has subscribed does not arrive.
+        loop {
+            number += 1;
+            message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());
+            if timeout(Duration::from_millis(300), port.exchange(&message)).await.is_ok() {
+                break;
+            }
+        }
+    };
+    timeout(DISCOVERY, search).await.context("nobody answered; is `roslibrust-peer serve` running?")?;
+    let mut round_trips = RoundTrips::new(seconds)?;
+    while let Some(begin) = round_trips.next() {
+        number += 1;
+        message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());
+        match timeout(PATIENCE, port.exchange(&message)).await {
+            Ok(result) => {
+                result?;
+                round_trips.answered(begin);
+            }
+            Err(_) => round_trips.lost(),
+        }
+    }
+    round_trips.figures()
+}
