@@ -12,7 +12,7 @@ pub struct ClockConfig {
     /// The fastest that this host's wall clock and a peer's may drift apart, parts per million, above 0 and at
     /// most 1000. All bounds of delays hold as long as this does. Default: 50.
     pub max_drift_ppm: f64,
-    /// How long exchanges with a peer are kept; seconds, 10 to 86400. Default: 600.
+    /// No exchange with a peer bounds delays for longer, but for the newest eight; seconds, 10 to 86400. Default: 10.
     pub window_s: f64,
     /// A delay with no other exchange so near in time is `stale`; seconds, 0.1 to 3600, at most `window_s`.
     /// Default: 10.
@@ -35,7 +35,7 @@ impl Default for ClockConfig {
     fn default() -> Self {
         Self {
             max_drift_ppm: 50.0,
-            window_s: 600.0,
+            window_s: 10.0,
             fresh_s: 10.0,
             trust_time_daemons: false,
             timestamps: Timestamps::default(),
@@ -53,6 +53,7 @@ impl ClockConfig {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
             window: Span::from_seconds_f64(self.window_s),
+            kept: Span::from_seconds_f64(self.window_s),
             fresh: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,
         }

@@ -25,7 +25,7 @@ impl DriftLimit {
     /// The most by which the offset can have changed between two times, rounded up to whole nanoseconds.
     ///
     /// For distances a and b, `over(a) + over(b) − 1 ≤ over(a + b) ≤ over(a) + over(b)`: what
-    /// [`Side`](super::side::Side) relies on.
+    /// [`Slots`](super::slots::Slots) relies on.
     #[inline]
     pub(crate) fn between(self, a: i64, b: i64) -> i64 {
         let product = u128::from(a.abs_diff(b)) * u128::from(self.rate);

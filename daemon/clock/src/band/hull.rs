@@ -1,6 +1,6 @@
 //! The skew that fits one side best.
 
-use super::side::Point;
+use super::slots::Point;
 
 /// The slope of the line under all the points that minimises the sum of its distances to them: the problem of Moon, Skelly and Towsley
 /// ("Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). Its solution is the edge of

@@ -5,19 +5,22 @@
 
 mod drift;
 mod hull;
-mod side;
+mod slots;
 #[cfg(test)]
 mod tests;
 mod trend;
 
+use std::collections::VecDeque;
+
 pub(crate) use drift::DriftLimit;
-use side::{Point, Side};
+use slots::{Point, Slots, lowest};
 use trend::Trend;
 
 use crate::{Exchange, Interval, Span, WallTime};
 
-/// Most points that each side keeps.
-const CAPACITY: usize = 16_384;
+/// The newest exchanges count however old they are: where they are rarer than this many in a window, the window reaches
+/// back to them.
+const LEAST_EXCHANGES: usize = 8;
 
 /// Stamps are cut or rounded to whole nanoseconds, the two of a bound each by less than one.
 const RESOLUTION: i64 = 2;
@@ -50,58 +53,71 @@ impl Bounds {
     }
 }
 
-/// All exchanges of a window.
+/// What the exchanges of a window prove.
+///
+/// An exchange bounds the offset at times no further from it than the window, so that a clock which breaks the limit of
+/// drift, or jumps without notice, spoils no interval for longer than that.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftLimit,
     window: i64,
-    upper: Side,
+    kept: i64,
+    upper: Slots,
     /// With the sign turned.
-    lower: Side,
+    lower: Slots,
+    /// The newest exchanges, by the time that they returned.
+    latest: VecDeque<Bounds>,
     trend: Trend,
     newest: i64,
     exchanges: u64,
 }
 
 impl Band {
-    /// A band that knows nothing.
-    pub(crate) fn new(drift: DriftLimit, window: Span) -> Self {
-        Self::with_capacity(drift, window, CAPACITY)
-    }
-
-    fn with_capacity(drift: DriftLimit, window: Span, capacity: usize) -> Self {
+    /// A band that knows nothing. Exchanges are kept for `kept`, at least as long as the window, for questions about the past.
+    pub(crate) fn new(drift: DriftLimit, window: Span, kept: Span) -> Self {
         let window = window.nanos().max(0);
-        let side = || Side::new(drift, window, capacity);
+        let kept = kept.nanos().max(window);
         Self {
             drift,
             window,
-            upper: side(),
-            lower: side(),
+            kept,
+            upper: Slots::new(drift, kept),
+            lower: Slots::new(drift, kept),
+            latest: VecDeque::with_capacity(LEAST_EXCHANGES + 1),
             trend: Trend::default(),
             newest: i64::MIN,
             exchanges: 0,
         }
     }
 
-    /// Whether no offset fits both the exchange and the band.
+    /// Whether no offset fits both the exchange and all that is kept.
     ///
     /// As long as each exchange is asked before it is taken, the band is nowhere empty: hi(q) < lo(q) would mean
-    /// U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|) for two exchanges, and the later would have been found out.
+    /// U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|) for two exchanges that are kept at once, and the later would
+    /// have been found out. For that, all that is kept is asked here, not only what is within the window.
     pub(crate) fn excludes(&self, bounds: &Bounds) -> bool {
-        let below =
-            |bound: i64, other: Option<i64>| other.is_some_and(|other| bound < other.saturating_neg());
-        below(bounds.upper.bound, self.lower.bound(bounds.upper.x))
-            || below(bounds.lower.bound, self.upper.bound(bounds.lower.x))
+        let Bounds { upper, lower } = *bounds;
+        let (most, least) = (lower.bound.saturating_neg(), upper.bound.saturating_neg());
+        self.lower.is_below(least, upper.x)
+            || self.upper.is_below(most, lower.x)
+            || self.latest.iter().any(|other| {
+                other.lower.is_below(least, self.drift, upper.x)
+                    || other.upper.is_below(most, self.drift, lower.x)
+            })
     }
 
-    /// Takes an exchange. No interval within the window gets wider by it.
+    /// Takes an exchange, and drops what is too old by now.
     pub(crate) fn insert(&mut self, bounds: &Bounds) {
         self.newest = self.newest.max(bounds.lower.x);
-        let start = self.newest.saturating_sub(self.window);
-        for (side, point) in [(&mut self.upper, bounds.upper), (&mut self.lower, bounds.lower)] {
-            side.expire(start);
-            side.insert(point);
-            side.expire(start);
+        let start = self.newest.saturating_sub(self.kept);
+        for (slots, point) in [(&mut self.upper, bounds.upper), (&mut self.lower, bounds.lower)] {
+            slots.insert(point);
+            slots.expire(start);
+        }
+        let at = self.latest.partition_point(|other| other.lower.x <= bounds.lower.x);
+        self.latest.insert(at, *bounds);
+        if self.latest.len() > LEAST_EXCHANGES {
+            self.latest.pop_front();
         }
         self.exchanges += 1;
         self.trend.insert(bounds.upper, bounds.lower, self.drift.slope());
@@ -110,8 +126,20 @@ impl Band {
     /// The interval at a time; `None` without an exchange.
     pub(crate) fn interval(&self, at: WallTime) -> Option<Interval> {
         let q = at.unix_nanos();
-        let (hi, lo) = (self.upper.bound(q)?, self.lower.bound(q)?.saturating_neg());
+        let (hi, lo) = (self.above(q)?, self.below(q)?.saturating_neg());
         Some(Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
+    }
+
+    /// The upper bound at a time, by what is within the window of it, and by the latest exchanges.
+    fn above(&self, q: i64) -> Option<i64> {
+        let latest = lowest(self.latest.iter().map(|bounds| bounds.upper), self.drift, q);
+        self.upper.bound(q, self.window).into_iter().chain(latest).min()
+    }
+
+    /// The lower bound at a time, with the sign turned.
+    fn below(&self, q: i64) -> Option<i64> {
+        let latest = lowest(self.latest.iter().map(|bounds| bounds.lower), self.drift, q);
+        self.lower.bound(q, self.window).into_iter().chain(latest).min()
     }
 
     /// The best guess at a time, within `interval` (which is the band's at that time).
@@ -143,6 +171,9 @@ impl Band {
     }
 
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.upper.memory_bytes() + self.lower.memory_bytes() + self.trend.memory_bytes()
+        self.upper.memory_bytes()
+            + self.lower.memory_bytes()
+            + self.latest.capacity() * size_of::<Bounds>()
+            + self.trend.memory_bytes()
     }
 }

@@ -1,7 +1,7 @@
 //! The point estimate: where in the band the offset most likely is, and how fast it moves.
 //!
-//! The chains are not made for it: when the clocks drift apart at the very limit, the envelope of one side hangs on few
-//! points. Instead each second keeps its best point on either side. The skew is the mean of the slopes of two lines, one
+//! The slots are not made for it: the best point of a slot is the one that bounds later times best, and two clocks that drift
+//! apart at the very limit make that the earliest or the latest of all. Instead each second keeps its best point on either side. The skew is the mean of the slopes of two lines, one
 //! laid under all upper points, one over all lower ones, of some twenty seconds around the time in question. With the
 //! skew taken out, what is left of the drift is a wander, much slower than the limit, and the band of those points
 //! is much narrower; the offset is taken to be in its middle. That takes the shortest delays of both directions to be
@@ -10,7 +10,7 @@
 use std::collections::VecDeque;
 
 use super::hull;
-use super::side::Point;
+use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
 /// Most seconds that are kept.

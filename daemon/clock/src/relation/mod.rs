@@ -52,8 +52,8 @@ impl Relation {
             same_clock: edge == cloud,
             settings,
             drift,
-            band: Band::new(drift, settings.window),
-            presence: Presence::new(settings.fresh, settings.window),
+            band: Band::new(drift, settings.window, settings.kept),
+            presence: Presence::new(settings.fresh, settings.window.max(settings.kept)),
             contradictions: Contradictions::default(),
             steps: Steps::default(),
             restarted: None,
@@ -167,7 +167,7 @@ impl Relation {
         }
         let bounds = Bounds::from(exchange);
         if self.band.excludes(&bounds) {
-            let empty = || Band::new(self.drift, self.settings.window);
+            let empty = || Band::new(self.drift, self.settings.window, self.settings.kept);
             let Some(believed) = self.contradictions.suspects.add(&bounds, empty) else {
                 return Learned::Refused(Refusal::Outlier);
             };
@@ -210,7 +210,7 @@ impl Relation {
         self.contradictions.suspects.clear();
         let Some(newest) = self.band.newest() else { return };
         self.restarted = Some(self.estimate_at(newest));
-        self.band = Band::new(self.drift, self.settings.window);
+        self.band = Band::new(self.drift, self.settings.window, self.settings.kept);
         self.presence.clear();
         self.counts.restarts += 1;
     }

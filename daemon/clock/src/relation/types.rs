@@ -19,8 +19,11 @@ pub enum Direction {
 pub struct RelationSettings {
     /// The fastest that the two clocks may drift apart, parts per million. All bounds hold as long as this does.
     pub max_drift_ppm: f64,
-    /// How long exchanges are kept.
+    /// How far from its own time an exchange bounds the offset, into the future and into the past. The newest eight bound it
+    /// however far they are.
     pub window: Span,
+    /// How long exchanges are kept for questions about the past; counts where it is longer than the window.
+    pub kept: Span,
     /// A delay with no other exchange so near in time is `stale`.
     pub fresh: Span,
     /// Whether what both hosts' time daemons claim narrows the interval. A claim is nothing that an exchange proves: where a
@@ -32,7 +35,8 @@ impl Default for RelationSettings {
     fn default() -> Self {
         Self {
             max_drift_ppm: 50.0,
-            window: Span::from_seconds(600),
+            window: Span::from_seconds(10),
+            kept: Span::from_seconds(10),
             fresh: Span::from_seconds(10),
             trust_time_daemons: false,
         }

@@ -92,9 +92,9 @@ async fn assert_sound(bed: &Bed, simulated: &Simulated) {
 #[tokio::test]
 async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
     let mut bed = Bed::new().await;
-    // Probes crawl until the tenth second.
+    // Probes crawl until the fifth second.
     let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
-        simulation.congestion = if second < 10 { Span::from_millis(40) } else { Span::ZERO };
+        simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
     })
     .await;
     let recomputed = recompute(&bed).await;

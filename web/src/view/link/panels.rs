@@ -108,6 +108,11 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
         ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
         ("Begun anew", format!("{} after a step", counted(counts.restarts as usize, "time", "times"))),
         (
+            "Window",
+            "those of the last [clock] window_s bound the offset, and the newest eight where they are rarer"
+                .to_owned(),
+        ),
+        (
             "Drift limit",
             format!(
                 "{}{SPACE}ppm: all bounds hold as long as the clocks stay below it",

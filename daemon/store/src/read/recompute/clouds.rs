@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use peernet_clock::{Relation, WallTime};
+use peernet_clock::{Relation, Span, WallTime};
 use sqlx::FromRow;
 
 use super::super::{sql, wall};
@@ -13,6 +13,8 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
+/// Iterations last less.
+const LONGEST_ITERATION: Span = Span::from_seconds(600);
 /// Windows of one link that are told apart within a run; a later one has no say.
 const MOST_WINDOWS: u32 = 10_000;
 /// Clouds of one run, and relations of one cloud, that are kept at a time; beyond, all are read again when needed.
@@ -98,12 +100,11 @@ impl<'a> Clouds<'a> {
             .await
             .map_err(self.readers.failed(WHAT))?;
         let Some(link) = link else { return Ok(None) };
-        // Iterations last less than the span.
         let (first, last) = self.run;
         let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
             .bind(link)
             .bind((first - SPAN).unix_nanos())
-            .bind((last + SPAN + SPAN).unix_nanos())
+            .bind((last + LONGEST_ITERATION + SPAN).unix_nanos())
             .bind(MOST_WINDOWS)
             .fetch_all(&self.readers.pool())
             .await

@@ -14,8 +14,8 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
-/// How far exchanges are looked for on both sides of a time. The agent itself looks back as far.
-pub(super) const SPAN: Span = Span::from_seconds(600);
+/// How far exchanges are looked for on both sides of a time. The agent itself looks back as far, unless configured otherwise.
+pub(super) const SPAN: Span = Span::from_seconds(10);
 /// Delays are judged nearly in the order of time: an iteration may take so long.
 const DISORDER: Span = Span::from_seconds(60);
 /// Samples that are read at once.
@@ -124,7 +124,8 @@ impl Rolling {
         let relation = self.relation.get_or_insert_with(|| {
             let settings = RelationSettings {
                 max_drift_ppm: row.max_drift_ppm,
-                window: SPAN + SPAN + DISORDER,
+                window: SPAN,
+                kept: SPAN + SPAN + DISORDER,
                 // Only claims that were used then are stored among the sources of an offset.
                 trust_time_daemons: true,
                 ..RelationSettings::default()
