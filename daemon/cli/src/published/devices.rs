@@ -71,14 +71,22 @@ impl File {
     }
 }
 
-/// Where each device of the file listens, whoever serves, on this network where the file names none; and the file.
+/// What a network configuration says of all devices, whoever serves.
+#[derive(Debug)]
+pub(crate) struct DeviceAddresses {
+    /// Where each device listens.
+    pub(crate) addresses: BTreeMap<String, Address>,
+    /// QoS and interfaces of the topics of ROS 2.
+    pub(crate) ros2: Ros2SessionSettings,
+    /// The file.
+    pub(crate) config: NetworkConfig,
+}
+
+/// Reads the addresses of all devices, on this network where the file names none.
 ///
 /// # Errors
 /// When the file cannot be read (66) or does not say what it must (78).
-pub(crate) fn addresses(
-    path: &Path,
-    network: NetworkKind,
-) -> Result<(BTreeMap<String, Address>, NetworkConfig), Failure> {
+pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
     let (file, text) = (path.display().to_string(), text(path)?);
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let read = File::read(&text, &file).map_err(wrong)?;
@@ -86,7 +94,7 @@ pub(crate) fn addresses(
         read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at, network)?)));
     let addresses = addresses.collect::<Result<_, DeviceError>>();
     let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
-    Ok((addresses, NetworkConfig { file, text }))
+    Ok(DeviceAddresses { addresses, ros2: read.ros2, config: NetworkConfig { file, text } })
 }
 
 fn text(path: &Path) -> Result<String, Failure> {

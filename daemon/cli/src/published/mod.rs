@@ -13,7 +13,7 @@ mod server;
 mod serving;
 
 pub(crate) use arguments::Arguments;
-pub(crate) use devices::addresses;
+pub(crate) use devices::{DeviceAddresses, addresses};
 
 use crate::exit::{Exit, Failure};
 use crate::output::complain;

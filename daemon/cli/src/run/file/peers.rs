@@ -4,22 +4,19 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use peernet_networks::{Address, NetworkKind};
+use peernet_networks::{NetworkKind, Ros2SessionSettings};
 use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;
 use crate::exit::Failure;
 use crate::network::network as kind;
-use crate::published::addresses;
+use crate::published::{DeviceAddresses, addresses};
 use crate::run::origin::origin;
 
 /// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
 #[derive(Default)]
-pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<Devices, Arc<Failure>>>);
-
-/// The addresses of the devices, and the file.
-type Devices = (BTreeMap<String, Address>, NetworkConfig);
+pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
 
 /// A peer whose address is not known; the text begins with the key.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -34,10 +31,12 @@ pub(super) enum PeerError {
     NotAnAddress(String),
     #[error("pipeline.placement.peer: {} has no device {peer}; there is {}", .file.display(), .known.join(", "))]
     UnknownDevice { file: PathBuf, peer: String, known: Vec<String> },
+    #[error("network.config: the settings ros2 cannot be used: {0}")]
+    Ros2(#[source] toml::ser::Error),
 }
 
 impl Files {
-    fn read(&mut self, path: &Path, kind: NetworkKind) -> Result<&Devices, PeerError> {
+    fn read(&mut self, path: &Path, kind: NetworkKind) -> Result<&DeviceAddresses, PeerError> {
         let key = (path.to_owned(), kind.name());
         let read = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
         read.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
@@ -47,7 +46,8 @@ impl Files {
     }
 }
 
-/// Puts the address in the place of a device's name in `pipeline.placement.peer`, and returns the file that has it.
+/// Puts the address in the place of a device's name in `pipeline.placement.peer`, and with an address of ROS 2 the file's
+/// settings into `pipeline.placement.session.ros2`. Returns the file.
 ///
 /// # Errors
 /// When the file cannot be read or has no such device.
@@ -70,12 +70,33 @@ pub(super) fn resolve(
     let Some(network) = network else {
         return Err(PeerError::NotAnAddress(peer.clone()));
     };
-    let (devices, file) = files.read(&network.config, kind.unwrap_or_default())?;
-    let address = devices.get(peer.as_str()).ok_or_else(|| PeerError::UnknownDevice {
+    let DeviceAddresses { addresses, ros2, config } =
+        files.read(&network.config, kind.unwrap_or_default())?;
+    let address = addresses.get(peer.as_str()).ok_or_else(|| PeerError::UnknownDevice {
         file: network.config.clone(),
         peer: peer.clone(),
-        known: devices.keys().cloned().collect(),
+        known: addresses.keys().cloned().collect(),
     })?;
     *peer = address.to_string();
-    Ok(Some(file.clone()))
+    if address.domain().is_some() {
+        add_ros2(placement, ros2).map_err(PeerError::Ros2)?;
+    }
+    Ok(Some(config.clone()))
+}
+
+/// Adds the settings of a file of devices to those of a placement, whose own keys take precedence.
+fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
+    // A plan must stay what it was for an experiment to go on, so defaults are not written.
+    if *of_file == Ros2SessionSettings::default() {
+        return Ok(());
+    }
+    let empty = || Value::Table(Table::new());
+    let session = placement.entry("session").or_insert_with(empty).as_table_mut();
+    let ros2 = session.and_then(|session| session.entry("ros2").or_insert_with(empty).as_table_mut());
+    // What is no table is told where the whole pipeline is read.
+    let Some(ros2) = ros2 else { return Ok(()) };
+    for (key, value) in Table::try_from(of_file)? {
+        ros2.entry(key).or_insert(value);
+    }
+    Ok(())
 }

@@ -1,4 +1,5 @@
 use peernet_agent::config::{LoadConfig, PlacementConfig};
+use peernet_networks::Ros2SessionSettings;
 
 use super::*;
 
@@ -192,6 +193,43 @@ fn peers_can_be_devices_of_the_published_file() {
         .to_string();
     let here = std::env::current_dir().expect("a folder").display().to_string();
     assert!(elsewhere.contains("no/such.yaml") && elsewhere.contains(&here), "{elsewhere}");
+}
+
+#[test]
+fn ros2_settings_of_devices_file_are_used() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let net = folder.path().join("net.yaml");
+    let write = |ros2: &str| {
+        let text = format!("devices:\n  robot: ros2://7/gpu\n  cluster: 10.0.0.7\nros2: {ros2}\n");
+        std::fs::write(&net, text).expect("writable");
+    };
+    let text = |peer: &str, own: &str| {
+        let placement = COMMON.replace("tcp://127.0.0.1:5551'", &format!("{peer}'{own}"));
+        format!("{placement}[network]\nconfig = '{}'\n", net.display())
+    };
+    let read = |text: &str| {
+        let found = configurations(text).expect("reads");
+        let PlacementConfig::Remote(remote) = &found[0].agent.pipelines[0].placement else {
+            panic!("it is remote")
+        };
+        remote.session.ros2.clone()
+    };
+    write("{reliability: best-effort, depth: 3, deadline_ms: 40, interfaces: [lo]}");
+    let expected = Ros2SessionSettings {
+        reliability: serde_json::from_str("\"best-effort\"").expect("a reliability"),
+        depth: 3,
+        deadline_ms: Some(40),
+        interfaces: vec!["lo".to_owned()],
+    };
+    assert_eq!(read(&text("robot", "")), expected);
+    let own = ", session = { ros2 = { depth = 9 } }";
+    let merged = Ros2SessionSettings { depth: 9, ..expected };
+    assert_eq!(read(&text("robot", own)), merged);
+    // The settings of ROS 2 mean nothing on another network.
+    assert_eq!(read(&text("cluster", "")), Ros2SessionSettings::default());
+    write("{depht: 3}");
+    let unknown = configurations(&text("robot", "")).expect_err("no such key").to_string();
+    assert!(unknown.contains("network.config") && unknown.contains("depht"), "{unknown}");
 }
 
 #[test]
