@@ -62,6 +62,7 @@ rosnode       python3-rosnode         its tools see our nodes
 /usr/lib/python3/dist-packages/sensor_msgs  python3-sensor-msgs  pictures as messages of ROS 1
 /usr/lib/python3/dist-packages/std_msgs     python3-std-msgs     texts as messages of ROS 1
 /usr/include/fastdds/dds/domain/DomainParticipant.hpp  libfastrtps-dev  Fast DDS, a middleware of ROS 2
+/usr/include/openssl/ssl.h  libssl-dev    roslibrust, beside which networks are measured
 g++           build-essential   compiles programs for Fast DDS and libzmq
 ip            iproute2          network namespaces as hosts
 unshare       util-linux        network namespaces as hosts
