@@ -14,8 +14,10 @@ pub struct Discipline {
 }
 
 impl Discipline {
-    /// What two hosts' claims together say of the offset, cloud minus edge.
-    pub fn offset(edge: &Self, cloud: &Self) -> Interval {
-        Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo }
+    /// Returns the offset, cloud minus edge, by the claims of both hosts, and who claims it: chrony if it does on either.
+    pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
+        let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
+        let source = if is_chrony { DelaySource::Chrony } else { edge.source };
+        (source, Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo })
     }
 }

@@ -53,7 +53,7 @@ impl ClockConfig {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
             window: Span::from_seconds_f64(self.window_s),
-            kept: Span::from_seconds_f64(self.window_s),
+            retention: Span::from_seconds_f64(self.window_s),
             fresh: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,
         }

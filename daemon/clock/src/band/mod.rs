@@ -61,7 +61,7 @@ impl Bounds {
 pub(crate) struct Band {
     drift: DriftLimit,
     window: i64,
-    kept: i64,
+    retention: i64,
     upper: Slots,
     /// With the sign turned.
     lower: Slots,
@@ -73,16 +73,16 @@ pub(crate) struct Band {
 }
 
 impl Band {
-    /// A band that knows nothing. Exchanges are kept for `kept`, at least as long as the window, for questions about the past.
-    pub(crate) fn new(drift: DriftLimit, window: Span, kept: Span) -> Self {
+    /// A band that knows nothing. Exchanges are kept for `retention`, at least as long as the window, for questions about the past.
+    pub(crate) fn new(drift: DriftLimit, window: Span, retention: Span) -> Self {
         let window = window.nanos().max(0);
-        let kept = kept.nanos().max(window);
+        let retention = retention.nanos().max(window);
         Self {
             drift,
             window,
-            kept,
-            upper: Slots::new(drift, kept),
-            lower: Slots::new(drift, kept),
+            retention,
+            upper: Slots::new(drift, retention),
+            lower: Slots::new(drift, retention),
             latest: VecDeque::with_capacity(LEAST_EXCHANGES + 1),
             trend: Trend::default(),
             newest: i64::MIN,
@@ -109,7 +109,7 @@ impl Band {
     /// Takes an exchange, and drops what is too old by now.
     pub(crate) fn insert(&mut self, bounds: &Bounds) {
         self.newest = self.newest.max(bounds.lower.x);
-        let start = self.newest.saturating_sub(self.kept);
+        let start = self.newest.saturating_sub(self.retention);
         for (slots, point) in [(&mut self.upper, bounds.upper), (&mut self.lower, bounds.lower)] {
             slots.insert(point);
             slots.expire(start);

@@ -64,8 +64,8 @@ pub(super) struct Slots {
 
 impl Slots {
     /// Slots for points that are kept so long, nanoseconds.
-    pub(super) fn new(drift: DriftLimit, kept: i64) -> Self {
-        Self { drift, length: LENGTH.max(kept / MOST), points: VecDeque::new() }
+    pub(super) fn new(drift: DriftLimit, retention: i64) -> Self {
+        Self { drift, length: LENGTH.max(retention / MOST), points: VecDeque::new() }
     }
 
     /// The lowest cone at `q` of the points no further from it than `reach`; `None` without any.

@@ -14,7 +14,7 @@ use crate::band::{Band, Bounds, DriftLimit};
 use crate::{ClockIdentity, Discipline, Exchange, Span, WallTime, Witnessed};
 use presence::Presence;
 use sources::Claims;
-use steps::Steps;
+use steps::StepTracker;
 use suspects::Contradictions;
 pub use types::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
 
@@ -37,7 +37,7 @@ pub struct Relation {
     band: Band,
     presence: Presence,
     contradictions: Contradictions,
-    steps: Steps,
+    steps: StepTracker,
     /// The band was begun by a step and took nothing yet; with the last estimate before.
     restarted: Option<Option<Span>>,
     claims: Claims,
@@ -52,10 +52,10 @@ impl Relation {
             same_clock: edge == cloud,
             settings,
             drift,
-            band: Band::new(drift, settings.window, settings.kept),
-            presence: Presence::new(settings.fresh, settings.window.max(settings.kept)),
+            band: Band::new(drift, settings.window, settings.retention),
+            presence: Presence::new(settings.fresh, settings.window.max(settings.retention)),
             contradictions: Contradictions::default(),
-            steps: Steps::default(),
+            steps: StepTracker::default(),
             restarted: None,
             claims: Claims::default(),
             counts: ExchangeCounts::default(),
@@ -155,23 +155,23 @@ impl Relation {
         if !self.is_possible(exchange) {
             return Learned::Refused(Refusal::Impossible);
         }
-        // What one that spans a step tells of it is news all the same.
-        let told = self.steps.compare(witnessed);
-        self.claims.edge.take_if(|_| told.of_edge);
-        self.claims.cloud.take_if(|_| told.of_cloud);
-        if told.of_edge || told.of_cloud {
+        // An exchange that spans a step does not count, but its counters do.
+        let report = self.steps.compare(witnessed);
+        self.claims.edge.take_if(|_| report.of_edge);
+        self.claims.cloud.take_if(|_| report.of_cloud);
+        if report.of_edge || report.of_cloud {
             self.restart();
         }
-        if !told.is_current || !is_steady(witnessed) || self.steps.keep_out(exchange) {
+        if !report.is_current || !is_steady(witnessed) || self.steps.excludes(exchange) {
             return Learned::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
         if self.band.excludes(&bounds) {
-            let empty = || Band::new(self.drift, self.settings.window, self.settings.kept);
+            let empty = || Band::new(self.drift, self.settings.window, self.settings.retention);
             let Some(believed) = self.contradictions.suspects.add(&bounds, empty) else {
                 return Learned::Refused(Refusal::Outlier);
             };
-            self.steps.open();
+            self.steps.admit_all();
             self.restart();
             self.contradictions.surprises.note(exchange.returned);
             self.band = believed;
@@ -205,12 +205,12 @@ impl Relation {
             && exchange.round_trip() + uncertainty + uncertainty + apart >= Span::ZERO
     }
 
-    /// A clock was stepped: what was learnt before is void.
+    /// Begins a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
         let Some(newest) = self.band.newest() else { return };
         self.restarted = Some(self.estimate_at(newest));
-        self.band = Band::new(self.drift, self.settings.window, self.settings.kept);
+        self.band = Band::new(self.drift, self.settings.window, self.settings.retention);
         self.presence.clear();
         self.counts.restarts += 1;
     }

@@ -11,12 +11,9 @@ pub(super) struct Claims {
 }
 
 impl Claims {
-    /// The offset by both claims together.
+    /// Returns the offset by both claims together, unless one is missing.
     pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
-        let (edge, cloud) = (self.edge.as_ref()?, self.cloud.as_ref()?);
-        let chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
-        let source = if chrony { DelaySource::Chrony } else { edge.source };
-        Some((source, Discipline::offset(edge, cloud)))
+        Some(Discipline::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
     }
 }
 

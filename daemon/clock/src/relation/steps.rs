@@ -1,4 +1,4 @@
-//! Steps of the two clocks that were told of, and the exchanges that were under way meanwhile.
+//! Steps of the two clocks that the hosts report, and the exchanges that were under way during one.
 
 use crate::{Exchange, Span, WallTime, Witnessed};
 
@@ -12,7 +12,7 @@ const CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The counters of steps of both hosts, and which exchanges the last step keeps out.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Steps {
+pub(super) struct StepTracker {
     edge: Option<u32>,
     cloud: Option<u32>,
     /// An older one of the cloud, and how often in a row.
@@ -33,36 +33,36 @@ enum Barrier {
     Before(WallTime, Span),
 }
 
-/// What an exchange told of steps.
+/// What the counters of an exchange say about steps.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ToldSteps {
+pub(super) struct StepReport {
     pub(super) of_edge: bool,
     pub(super) of_cloud: bool,
     /// Whether the exchange itself is of the time after the last step that was known before.
     pub(super) is_current: bool,
 }
 
-impl Steps {
-    /// The edge says that its clock was stepped. Returns whether that is news.
+impl StepTracker {
+    /// Takes the edge's counter of steps. Returns whether it is higher than known.
     pub(super) fn edge_stepped(&mut self, epoch: u32) -> bool {
-        let is_news = self.edge.is_none_or(|known| known < epoch);
-        if is_news {
+        let is_new = self.edge.is_none_or(|known| known < epoch);
+        if is_new {
             (self.edge, self.barrier) = (Some(epoch), Barrier::Next(EDGE_REACH));
         }
-        is_news
+        is_new
     }
 
-    /// The cloud says that its clock was stepped. Returns whether that is news.
+    /// Takes the cloud's counter of steps. Returns whether it is higher than known.
     pub(super) fn cloud_stepped(&mut self, epoch: u32) -> bool {
-        let is_news = self.cloud.is_none_or(|known| known < epoch);
-        if is_news {
+        let is_new = self.cloud.is_none_or(|known| known < epoch);
+        if is_new {
             (self.cloud, self.barrier) = (Some(epoch), Barrier::Next(CLOUD_REACH));
         }
-        is_news
+        is_new
     }
 
     /// Compares the counters of an exchange with those known.
-    pub(super) fn compare(&mut self, witnessed: &Witnessed) -> ToldSteps {
+    pub(super) fn compare(&mut self, witnessed: &Witnessed) -> StepReport {
         let returned = witnessed.exchange.returned;
         let edge = *self.edge.get_or_insert(witnessed.edge_epoch);
         let of_edge = witnessed.edge_epoch > edge;
@@ -82,7 +82,7 @@ impl Steps {
             }
         }
         let is_current = witnessed.edge_epoch == edge && cloud.is_none_or(|(told, known)| told == known);
-        ToldSteps { of_edge, of_cloud, is_current }
+        StepReport { of_edge, of_cloud, is_current }
     }
 
     /// Whether so many in a row tell of the same older counter that it is a new one.
@@ -95,8 +95,8 @@ impl Steps {
         times >= NEW_COUNTER
     }
 
-    /// Whether an exchange may have begun before the last step.
-    pub(super) fn keep_out(&mut self, exchange: &Exchange) -> bool {
+    /// Returns whether an exchange may have begun before the last step. The first one after a report tells when that was.
+    pub(super) fn excludes(&mut self, exchange: &Exchange) -> bool {
         match self.barrier {
             Barrier::Open => false,
             Barrier::Next(reach) => {
@@ -107,8 +107,8 @@ impl Steps {
         }
     }
 
-    /// A step showed in the exchanges themselves: those that follow are of the time after it.
-    pub(super) fn open(&mut self) {
+    /// Excludes nothing any more: the step showed in the exchanges themselves, and those that follow began after it.
+    pub(super) fn admit_all(&mut self) {
         self.barrier = Barrier::Open;
     }
 }

@@ -23,7 +23,7 @@ pub struct RelationSettings {
     /// however far they are.
     pub window: Span,
     /// How long exchanges are kept for questions about the past; counts where it is longer than the window.
-    pub kept: Span,
+    pub retention: Span,
     /// A delay with no other exchange so near in time is `stale`.
     pub fresh: Span,
     /// Whether what both hosts' time daemons claim narrows the interval. A claim is nothing that an exchange proves: where a
@@ -36,7 +36,7 @@ impl Default for RelationSettings {
         Self {
             max_drift_ppm: 50.0,
             window: Span::from_seconds(10),
-            kept: Span::from_seconds(10),
+            retention: Span::from_seconds(10),
             fresh: Span::from_seconds(10),
             trust_time_daemons: false,
         }

@@ -100,14 +100,14 @@ impl Origin {
     }
 }
 
-/// What both hosts' time daemons claim now, where no delay rests on it.
+/// Returns what both hosts' time daemons claim now, where no delay rests on it.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let link = subject.live?;
     let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
     let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
-    let is_used = offset.sources.iter().any(|(source, _)| *source != DelaySource::InBand);
-    let name = format!("{}, not used", source(cloud.source, 0));
-    (!is_used).then(|| row(name, Discipline::offset(&edge, &cloud), false))
+    let (from, interval) = Discipline::offset(&edge, &cloud);
+    let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
+    is_unused.then(|| row(format!("{}, not used", source(from, 0)), interval, false))
 }
 
 /// The key that lets claims of time daemons narrow a bound.

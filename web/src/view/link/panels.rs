@@ -109,7 +109,7 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
         ("Begun anew", format!("{} after a step", counted(counts.restarts as usize, "time", "times"))),
         (
             "Window",
-            "those of the last [clock] window_s bound the offset, and the newest eight where they are rarer"
+            "the exchanges of the last [clock] window_s bound the offset; where there are fewer than eight, the newest eight do"
                 .to_owned(),
         ),
         (

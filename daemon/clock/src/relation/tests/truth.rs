@@ -48,7 +48,7 @@ proptest! {
             cloud: Wall::wandering(Span::from_seconds(-1), wander, length, &mut dice),
         };
         let trips = Path { loss: 0.3, ..Path::VETH }.trips(&world, (0.0, 60.0), 2.0, &mut dice);
-        let settings = RelationSettings { kept: length, ..RelationSettings::default() };
+        let settings = RelationSettings { retention: length, ..RelationSettings::default() };
         let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
         let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.witnessed())).collect();
         for (trip, first) in trips.iter().zip(first) {

@@ -125,7 +125,7 @@ impl Rolling {
             let settings = RelationSettings {
                 max_drift_ppm: row.max_drift_ppm,
                 window: SPAN,
-                kept: SPAN + SPAN + DISORDER,
+                retention: SPAN + SPAN + DISORDER,
                 // Only claims that were used then are stored among the sources of an offset.
                 trust_time_daemons: true,
                 ..RelationSettings::default()
