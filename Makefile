@@ -101,8 +101,8 @@ interop:
 # --- measurements ---------------------------------------------------------------------------------------------
 
 bench: setup
-	@deploy/install-tools.sh bench
-	$(CARGO) build --release --locked --package peernetd
+	@deploy/install-tools.sh bench interop
+	$(CARGO) build --release --locked --package peernetd --features ros2
 	tests/bench/run.sh
 
 soak: setup

@@ -51,8 +51,10 @@ class Shared:
 
 
 def prepare() -> None:
-    if not Path("/usr/lib/python3/dist-packages/rospy").is_dir():
-        raise Failure("rospy is not installed: deploy/install-tools.sh interop")
+    needed = {"rospy": "/usr/lib/python3/dist-packages/rospy", "OpenSSL for roslibrust": "/usr/include/openssl"}
+    for name, folder in needed.items():
+        if not Path(folder).is_dir():
+            raise Failure(f"{name} is not installed: deploy/install-tools.sh interop")
 
 
 def _rospy(arena: Arena, shared: Shared, shape: Shape) -> Slice:

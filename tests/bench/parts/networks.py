@@ -56,13 +56,13 @@ LINKS = (Link("veth", None, 0, 2, 5), Link("100 Mbit/s, 5 ms", 100_000_000, 5, 4
 
 def prepare() -> None:
     need_root()
+    transports.prepare()
     build = ["cargo", "build", "--release", "--quiet"]
     # Together, so that the daemon's features do not change what it is built of.
     ours = [*build, "--locked", "--package", "peernetd", "--package", "peernet-tests", "--bins"]
     subprocess.run([*ours, "--features", "peernetd/ros2,peernet-tests/ros2"], cwd=ROOT, check=True)
     foreign = ["--manifest-path", "tests/bench/roslibrust/Cargo.toml", "--target-dir", "target/interop"]
     subprocess.run([*build, *foreign], cwd=ROOT, check=True)
-    transports.prepare()
 
 
 def measure(quick: bool) -> Section:

@@ -172,9 +172,9 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     let mut round_trips = RoundTrips::new(seconds)?;
     while let Some(begin) = round_trips.next() {
         match timeout(PATIENCE, exchange(&port, next())).await {
-            Ok(Ok(())) => round_trips.answered(begin),
+            Ok(Ok(())) => round_trips.record(begin, Some(&[])),
             // No room for it, or no answer.
-            Ok(Err(_)) | Err(_) => round_trips.lost(),
+            Ok(Err(_)) | Err(_) => round_trips.record(begin, None),
         }
     }
     round_trips.figures()

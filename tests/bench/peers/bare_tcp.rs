@@ -6,15 +6,17 @@
 //! `bare-tcp serve ADDRESS`, and beside it `bare-tcp drive ADDRESS UP-BYTES DOWN-BYTES SECONDS`, which prints one
 //! JSON object.
 
+mod round_trips;
+
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
 use anyhow::{Context, bail};
-use peernet_clock::{Clock, ClockIdentity, Span, SystemClock, WallTime};
-use serde_json::{Value, json};
+use peernet_clock::{Clock, ClockIdentity, SystemClock, WallTime};
+use serde_json::Value;
 
-/// Round trips before the first that counts, unless they take longer than a second.
-const WARM_UP: usize = 200;
+use self::round_trips::RoundTrips;
+
 /// The server's two stamps, at the head of every answer.
 const STAMPS: usize = 16;
 
@@ -66,35 +68,16 @@ fn drive(
     stream.write_all(&(down as u64).to_le_bytes())?;
     let question = vec![0xa5; up];
     let mut answer = vec![0; down];
-    let start = clock.mono();
-    for _ in 0..WARM_UP {
-        if clock.mono() - start > Span::from_seconds(1) {
-            break;
-        }
-        stream.write_all(&question)?;
-        stream.read_exact(&mut answer)?;
-    }
-
-    let (mut uploads, mut downloads, mut round_trips) = (Vec::new(), Vec::new(), Vec::new());
-    let limit = Span::from_seconds(i64::try_from(seconds)?);
-    let begin = clock.mono();
-    while clock.mono() - begin < limit {
+    let mut round_trips = RoundTrips::new(seconds)?;
+    while let Some(begin) = round_trips.next() {
         let sent = clock.wall();
         stream.write_all(&question)?;
         stream.read_exact(&mut answer)?;
         let done = clock.wall();
-        uploads.push(stamp_at(&answer, 0)? - sent);
-        downloads.push(done - stamp_at(&answer, 8)?);
-        round_trips.push(done - sent);
+        let (upload, download) = (stamp_at(&answer, 0)? - sent, done - stamp_at(&answer, 8)?);
+        round_trips.record(begin, Some(&[("upload", upload), ("download", download)]));
     }
-    let elapsed = clock.mono() - begin;
-    Ok(json!({
-        "iterations": round_trips.len(),
-        "seconds": elapsed.seconds(),
-        "stages": {
-            "upload": spread(uploads)?, "download": spread(downloads)?, "total": spread(round_trips)?,
-        },
-    }))
+    round_trips.figures()
 }
 
 fn read_size(stream: &mut TcpStream) -> anyhow::Result<usize> {
@@ -106,14 +89,4 @@ fn read_size(stream: &mut TcpStream) -> anyhow::Result<usize> {
 fn stamp_at(answer: &[u8], at: usize) -> anyhow::Result<WallTime> {
     let bytes: [u8; 8] = answer[at..at + 8].try_into()?;
     Ok(WallTime::from_unix_nanos(i64::from_le_bytes(bytes)))
-}
-
-/// Count, median and 99th percentile (nearest rank), in seconds.
-fn spread(mut spans: Vec<Span>) -> anyhow::Result<Value> {
-    spans.sort_unstable();
-    let at = |percent: usize| spans.get(spans.len() * percent / 100).map(|span| span.seconds());
-    let (Some(p50), Some(p99)) = (at(50), at(99)) else {
-        bail!("no round trip was measured; give it more time");
-    };
-    Ok(json!({ "count": spans.len(), "p50": p50, "p99": p99 }))
 }

@@ -137,7 +137,7 @@ fn drive(address: &str, datagram: usize, (up, down): (u32, u32), seconds: u64) -
                 None => break,
             }
         }
-        if left == 0 { round_trips.answered(begin) } else { round_trips.lost() }
+        round_trips.record(begin, (left == 0).then_some(&[]));
     }
     round_trips.figures()
 }

@@ -103,9 +103,9 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
         match timeout(PATIENCE, port.exchange(&message)).await {
             Ok(result) => {
                 result?;
-                round_trips.answered(begin);
+                round_trips.record(begin, Some(&[]));
             }
-            Err(_) => round_trips.lost(),
+            Err(_) => round_trips.record(begin, None),
         }
     }
     round_trips.figures()
