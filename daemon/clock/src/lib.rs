@@ -6,7 +6,7 @@
 //!
 //! From the ground up:
 //!
-//! - `time`: [`WallTime`], [`MonoTime`] and their difference, [`Span`].
+//! - `time`: [`WallTime`], [`MonoTime`], [`RawTime`] and their difference, [`Span`].
 //! - `source`: the [`Clock`] and the system's; `manual`, one that tests move; `rehearsed`, one that is wrong on
 //!   purpose, by what `rehearsal` describes.
 //! - `steps`: notices that a wall clock was set, runs off, or slept.
@@ -43,4 +43,4 @@ pub use rehearsed::RehearsedClock;
 pub use relation::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings};
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{Disturbance, Readings, Watch};
-pub use time::{MonoTime, Span, WallTime};
+pub use time::{MonoTime, RawTime, Span, WallTime};

@@ -1,6 +1,6 @@
-//! Instants on the two clocks of a host, and the difference between two instants of the same clock.
+//! Instants on the clocks of a host, and the difference between two instants of the same clock.
 //!
-//! All three are signed 64-bit nanoseconds: ±292 years around the epoch, enough for any wall clock this
+//! All are signed 64-bit nanoseconds: ±292 years around the epoch, enough for any wall clock this
 //! program meets. Arithmetic saturates instead of wrapping: a nonsensical stamp from a peer must not panic.
 
 use std::fmt;
@@ -21,6 +21,14 @@ pub struct WallTime(i64);
 /// Never sent to another host as an instant: only differences travel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MonoTime(i64);
+
+/// A point on a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
+///
+/// No time daemon steps or slews it, so that it drifts against the free-running clock of another host steadily. Comparable only
+/// with stamps of the same host since the same boot, unless a [`Relation`](crate::Relation) translates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct RawTime(i64);
 
 /// A signed difference between two instants of one clock, in nanoseconds.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -51,6 +59,18 @@ impl MonoTime {
     }
 
     /// Nanoseconds since the monotonic clock's own origin.
+    pub const fn nanos(self) -> i64 {
+        self.0
+    }
+}
+
+impl RawTime {
+    /// The instant `nanos` nanoseconds after the free-running clock's own origin.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the free-running clock's own origin.
     pub const fn nanos(self) -> i64 {
         self.0
     }
@@ -143,7 +163,7 @@ macro_rules! instant_arithmetic {
     )*};
 }
 
-instant_arithmetic!(WallTime, MonoTime);
+instant_arithmetic!(WallTime, MonoTime, RawTime);
 
 impl Add for Span {
     type Output = Self;

@@ -23,7 +23,7 @@ mod tree_error;
 pub mod wire;
 
 pub use host::{HostId, InvalidName, RunId, Slug};
-pub use measure::{Measure, Rate, Transit};
+pub use measure::{Measure, Rate, RawStamps, Transit};
 pub use meter::Meter;
 pub use name::{Name, Unit, stage};
 pub use recorder::{Measuring, Recorder, Timing, Tokens};

@@ -1,6 +1,6 @@
 //! Kind and content of a node.
 
-use peernet_clock::{OneWayDelay, Span, WallTime};
+use peernet_clock::{OneWayDelay, RawTime, Span, WallTime};
 use serde::{Deserialize, Serialize};
 
 use crate::{Name, TreeError, Unit};
@@ -43,6 +43,18 @@ pub struct Transit {
     pub received: Option<WallTime>,
     /// The delay, once the edge has related the two clocks.
     pub delay: Option<OneWayDelay>,
+    /// The same moments on the free-running clocks, by which the delay is judged; `None` while the message is under way, and
+    /// where an end did not stamp them (releases before 0.3).
+    pub raw_stamps: Option<RawStamps>,
+}
+
+/// When a message left one host and arrived at another, by the free-running clock of each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RawStamps {
+    /// The sender's clock just before the message was handed to the network.
+    pub sent: RawTime,
+    /// The receiver's clock when the whole message was there.
+    pub received: RawTime,
 }
 
 impl Measure {

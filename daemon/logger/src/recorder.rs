@@ -190,7 +190,7 @@ impl Recorder {
 
     /// Opens the node of a message that is handed to the network at `sent`; the receiver closes it.
     pub fn depart(&mut self, name: Name, sent: Stamp) -> NodeId {
-        let transit = Transit { sent: sent.wall, received: None, delay: None };
+        let transit = Transit { sent: sent.wall, received: None, delay: None, raw_stamps: None };
         self.append_at(name, sent.mono, Measure::Transit(Box::new(transit)))
     }
 

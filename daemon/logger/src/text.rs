@@ -137,7 +137,7 @@ mod tests {
         };
         let transit = |delay| {
             let (sent, received) = (WallTime::from_unix_nanos(0), Some(WallTime::from_unix_nanos(1)));
-            Measure::Transit(Box::new(Transit { sent, received, delay }))
+            Measure::Transit(Box::new(Transit { sent, received, delay, raw_stamps: None }))
         };
         let delay = OneWayDelay {
             raw: Span::from_millis(5),

@@ -86,7 +86,12 @@ fn iteration(number: u64) -> Iteration {
             source: DelaySource::InBand,
             verdict: Verdict::Ok,
         };
-        Measure::Transit(Box::new(Transit { sent: wall(number), received: None, delay: Some(delay) }))
+        Measure::Transit(Box::new(Transit {
+            sent: wall(number),
+            received: None,
+            delay: Some(delay),
+            raw_stamps: None,
+        }))
     };
     let rate =
         |rate: f64| Measure::Throughput(Rate { value: Some(rate), bounds: Some((rate * 0.9, rate * 1.1)) });

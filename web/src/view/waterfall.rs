@@ -271,7 +271,8 @@ mod tests {
         let at = |seconds: i64| WallTime::from_unix_nanos(seconds * 1_000_000_000);
         for name in [stage::UPLOAD, stage::DOWNLOAD] {
             let delay = OneWayDelay::stepped(Span::from_seconds(-2), DelaySource::None);
-            let transit = Transit { sent: at(9), received: Some(at(7)), delay: Some(delay) };
+            let transit =
+                Transit { sent: at(9), received: Some(at(7)), delay: Some(delay), raw_stamps: None };
             detail.tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Transit(Box::new(transit)));
         }
         let row = &mut detail.row;
@@ -329,7 +330,8 @@ mod tests {
             verdict: peernet_clock::Verdict::Ok,
         };
         let at = WallTime::from_unix_nanos(0);
-        let transit = Transit { sent: at, received: Some(at + delay.raw), delay: Some(delay) };
+        let transit =
+            Transit { sent: at, received: Some(at + delay.raw), delay: Some(delay), raw_stamps: None };
         detail.tree.add(NodeId::ROOT, stage::UPLOAD, Span::ZERO, Measure::Transit(Box::new(transit)));
         let row = &delays(&Timeline::of(&detail))[0];
         let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);

@@ -159,7 +159,12 @@ fn transit(sent: WallTime, nanos: i64) -> Measure {
         verdict: Verdict::Limited,
         ..OneWayDelay::same_clock(span)
     };
-    Measure::Transit(Box::new(Transit { sent, received: Some(sent + span), delay: Some(delay) }))
+    Measure::Transit(Box::new(Transit {
+        sent,
+        received: Some(sent + span),
+        delay: Some(delay),
+        raw_stamps: None,
+    }))
 }
 
 /// Events in wire form, one after the other: the body of a batch.

@@ -186,7 +186,7 @@ impl<'a> Reader<'a> {
     fn transit(&mut self) -> Read<Transit> {
         let sent = self.wall("the moment of sending")?;
         let received = self.optional(|reader| reader.wall("the moment of receipt"))?;
-        Ok(Transit { sent, received, delay: self.optional(Self::delay)? })
+        Ok(Transit { sent, received, delay: self.optional(Self::delay)?, raw_stamps: None })
     }
 
     fn delay(&mut self) -> Read<OneWayDelay> {

@@ -48,7 +48,8 @@ fn measure() -> impl Strategy<Value = Measure> {
         transit.prop_map(|(sent, received, delay)| Measure::Transit(Box::new(Transit {
             sent,
             received,
-            delay
+            delay,
+            raw_stamps: None,
         }))),
         (number(), unit()).prop_map(|(value, unit)| Measure::Value(value, unit)),
         rate.prop_map(|(value, bounds)| Measure::Throughput(Rate { value, bounds })),

@@ -18,7 +18,7 @@ pub(crate) enum TreeFrameError {
 /// Puts `upload` into a tree: the edge into its own and the cloud into the copy that arrived, so that the node has
 /// the same position in both without having been sent.
 pub(crate) fn put_upload(tree: &mut Tree, departure: Departure) -> NodeId {
-    let transit = Transit { sent: departure.sent, received: None, delay: None };
+    let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))
 }
 

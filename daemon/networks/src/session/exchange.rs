@@ -142,7 +142,8 @@ pub(crate) fn absorb(
     if growth.nodes.iter().any(|node| node.host < host) {
         return Err(GrowthError::EarlierHost);
     }
-    let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None };
+    let transit =
+        Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps: None };
     growth.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,

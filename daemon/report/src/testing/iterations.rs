@@ -34,7 +34,12 @@ pub(crate) fn transit(micros: i64) -> Measure {
         verdict: Verdict::Ok,
     };
     let sent = WallTime::from_unix_nanos(BEGUN);
-    Measure::Transit(Box::new(Transit { sent, received: Some(sent + value), delay: Some(delay) }))
+    Measure::Transit(Box::new(Transit {
+        sent,
+        received: Some(sent + value),
+        delay: Some(delay),
+        raw_stamps: None,
+    }))
 }
 
 /// What an offloaded iteration with an ordinary model logs.

@@ -158,6 +158,7 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
                 sent: wall(stamps.sent_ns),
                 received: stamps.received_ns.map(WallTime::from_unix_nanos),
                 delay: delay(row, stamps)?,
+                raw_stamps: None,
             }))
         }
         kind => return Err(corrupt(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node))),

@@ -108,7 +108,7 @@ impl Simulation {
             ("download", stamps.replied, stamps.returned, down),
         ] {
             let (node, _) = iteration.tree.find(&[stage]).expect("measured");
-            let transit = Transit { sent, received: Some(received), delay: Some(delay) };
+            let transit = Transit { sent, received: Some(received), delay: Some(delay), raw_stamps: None };
             *iteration.tree.measure_mut(node).expect("found") = Measure::Transit(Box::new(transit));
         }
         iteration

@@ -72,6 +72,7 @@ pub(super) fn of(
                 sent: at + now,
                 received: answered.then_some(received),
                 delay: answered.then_some(delay),
+                raw_stamps: None,
             };
             nodes.add(0, name.clone(), 0, now, Measure::Transit(Box::new(transit)));
             now += length;
@@ -83,8 +84,12 @@ pub(super) fn of(
         } else if *name == stage::DOWNLOAD {
             now += there;
             let delay = judge(line, name, length, Span::ZERO - ahead + length);
-            let transit =
-                Transit { sent: at + now + ahead, received: Some(at + now + length), delay: Some(delay) };
+            let transit = Transit {
+                sent: at + now + ahead,
+                received: Some(at + now + length),
+                delay: Some(delay),
+                raw_stamps: None,
+            };
             nodes.add(0, name.clone(), 1, there, Measure::Transit(Box::new(transit)));
             now += length;
             host = 0;
