@@ -5,8 +5,8 @@
 use std::hint::black_box;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Direction, Exchange, Relation, RelationSettings, Span, SystemClock, WallTime,
-    Witnessed,
+    Clock, ClockIdentity, Direction, Exchange, RawTime, Relation, RelationSettings, Span, SystemClock,
+    WallTime, Witnessed,
 };
 
 /// Exchanges and questions are timed so many at once.
@@ -50,8 +50,9 @@ fn main() {
         let delay = timed(&clock, late, |Witnessed { exchange, .. }| {
             black_box(relation.delay(Direction::Up, exchange.sent, exchange.received));
         });
-        let offset =
-            timed(&clock, late, |witnessed| drop(black_box(relation.offset(witnessed.exchange.sent))));
+        let offset = timed(&clock, late, |witnessed| {
+            drop(black_box(relation.offset(witnessed.exchange.sent, WallTime::default())));
+        });
         println!(
             "{:<44}{learn:>10.0}{judge:>10.0}{delay:>10.0}{offset:>10.0}{:>12}",
             traffic.name,
@@ -94,14 +95,14 @@ impl Traffic {
     /// The `n`th: a cloud one second ahead, 10 ppm fast, 30 µs away.
     fn exchange(&self, n: i64) -> Witnessed {
         let at = n * 1_000_000_000 / self.hz;
-        let cloud = |edge: i64| WallTime::from_unix_nanos(edge + 1_000_000_000 + edge / 100_000);
+        let cloud = |edge: i64| RawTime::from_nanos(edge + 1_000_000_000 + edge / 100_000);
         let there = at + 30_000 + (self.wait)(2 * n as u64);
         let back = there + 100_000 + 30_000 + (self.wait)(2 * n as u64 + 1);
         let exchange = Exchange {
-            sent: WallTime::from_unix_nanos(at),
+            sent: RawTime::from_nanos(at),
             received: cloud(there),
             replied: cloud(there + 100_000),
-            returned: WallTime::from_unix_nanos(back),
+            returned: RawTime::from_nanos(back),
             uncertainty: Span::ZERO,
         };
         Witnessed { exchange, edge_elapsed: None, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }

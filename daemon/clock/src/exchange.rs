@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Interval, Span, WallTime};
+use crate::{Interval, RawTime, Span};
 
 /// A message from the edge to the cloud and its answer, stamped at all four ends (T1 to T4 of RFC 5905, section 8).
 ///
@@ -10,14 +10,14 @@ use crate::{Interval, Span, WallTime};
 /// them. What would make it wrong, a departure stamped late or an arrival stamped early, is `uncertainty`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Exchange {
-    /// Not later than the message left the edge; the edge's wall clock.
-    pub sent: WallTime,
-    /// Not earlier than it was at the cloud; the cloud's wall clock.
-    pub received: WallTime,
-    /// Not later than the answer left the cloud; the cloud's wall clock.
-    pub replied: WallTime,
-    /// Not earlier than it was at the edge; the edge's wall clock.
-    pub returned: WallTime,
+    /// Not later than the message left the edge; the edge's clock.
+    pub sent: RawTime,
+    /// Not earlier than it was at the cloud; the cloud's clock.
+    pub received: RawTime,
+    /// Not later than the answer left the cloud; the cloud's clock.
+    pub replied: RawTime,
+    /// Not earlier than it was at the edge; the edge's clock.
+    pub returned: RawTime,
     /// How wrong, to the unsafe side, the stamps of a departure and of its arrival can be together: the
     /// resolution of clocks and of the format in which stamps travel.
     pub uncertainty: Span,

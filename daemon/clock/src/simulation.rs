@@ -1,6 +1,6 @@
 //! Two hosts' clocks and a network between them, for tests: what is true is known.
 
-use crate::{Exchange, Span, WallTime, Witnessed};
+use crate::{Exchange, RawTime, Span, Witnessed};
 
 /// A small generator of numbers that look random (SplitMix64); the same for the same seed.
 #[derive(Clone, Debug)]
@@ -78,15 +78,15 @@ impl Wall {
     }
 
     /// What it shows, cut to whole nanoseconds as clocks do.
-    pub(crate) fn shows(&self, t: f64) -> WallTime {
-        WallTime::from_unix_nanos((t + self.error(t)).floor() as i64)
+    pub(crate) fn shows(&self, t: f64) -> RawTime {
+        RawTime::from_nanos((t + self.error(t)).floor() as i64)
     }
 
     /// The true time at which it showed something, where it was not stepped.
-    fn time(&self, shown: WallTime) -> f64 {
-        let mut t = shown.unix_nanos() as f64;
+    fn time(&self, shown: RawTime) -> f64 {
+        let mut t = shown.nanos() as f64;
         for _ in 0..8 {
-            t = shown.unix_nanos() as f64 - self.error(t);
+            t = shown.nanos() as f64 - self.error(t);
         }
         t
     }
@@ -140,7 +140,7 @@ impl World {
     }
 
     /// The true offset, nanoseconds, when the edge showed `at`.
-    pub(crate) fn offset(&self, at: WallTime) -> f64 {
+    pub(crate) fn offset(&self, at: RawTime) -> f64 {
         let t = self.edge.time(at);
         self.cloud.error(t) - self.edge.error(t)
     }

@@ -70,6 +70,12 @@ impl RawTime {
         Self(nanos)
     }
 
+    /// The time of a wall clock in the place of that of a free-running clock: of a peer that stamps by nothing else, and of runs
+    /// that were recorded so.
+    pub const fn of_wall(wall: WallTime) -> Self {
+        Self(wall.0)
+    }
+
     /// Nanoseconds since the free-running clock's own origin.
     pub const fn nanos(self) -> i64 {
         self.0

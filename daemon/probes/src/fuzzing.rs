@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+use peernet_clock::{Clock, ClockIdentity, ManualClock, RawTime, Span, WallTime};
 
 use crate::Refusal;
 use crate::stamp::auth::Key;
@@ -84,7 +84,7 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         let returned = Return { kernel: None, read: clock.stamp(), epoch: 0 };
         if let Ok(heard) = sender.receive(&packet, &returned) {
             let answered = heard.answered.expect("no step");
-            assert_eq!(answered.exchange.returned, returned.read.wall);
+            assert_eq!(answered.exchange.returned, RawTime::of_wall(returned.read.wall));
             assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::{
-    Direction, Judged, Learned, Offset, OneWayDelay, Relation, Span, Verdict, WallTime, Witnessed,
+    Direction, Judged, Learned, Offset, OneWayDelay, RawTime, Relation, Span, Verdict, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_probes::ProbeResult;
@@ -211,7 +211,7 @@ impl Knowledge {
         if now.unix_seconds() != self.second.at {
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
-            let offset = self.relation.offset(end);
+            let offset = self.relation.offset(RawTime::of_wall(end), end);
             self.close(end, offset.as_ref(), now, &mut news);
         }
         news
@@ -220,7 +220,7 @@ impl Knowledge {
     /// Closes the second now: nothing more will come.
     pub(super) fn finish(&mut self, now: WallTime) -> News {
         let mut news = self.turn(now);
-        let offset = self.relation.offset(now);
+        let offset = self.relation.offset(RawTime::of_wall(now), now);
         self.close(now, offset.as_ref(), now, &mut news);
         news
     }
@@ -232,7 +232,7 @@ impl Knowledge {
         let last = self.last.iter().find(|last| last.network == *network);
         let last = last.filter(|last| current && last.at == previous && last.window == self.window);
         // What holds since a step is not told under the name of the window before it.
-        let offset = || self.relation.offset(now).filter(|_| !self.void);
+        let offset = || self.relation.offset(RawTime::of_wall(now), now).filter(|_| !self.void);
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 

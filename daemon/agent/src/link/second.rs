@@ -144,12 +144,12 @@ impl Delays {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::Interval;
+    use peernet_clock::{Interval, RawTime};
 
     use super::*;
 
-    fn at(millis: i64) -> WallTime {
-        WallTime::from_unix_nanos(millis * 1_000_000)
+    fn at(millis: i64) -> RawTime {
+        RawTime::from_nanos(millis * 1_000_000)
     }
 
     /// An exchange that began at `sent`, with these one-way delays, between clocks that agree; milliseconds.

@@ -1,6 +1,6 @@
 //! What an agent tells of clocks; for tests.
 
-use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, Span, Verdict};
+use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, RawTime, Span, Verdict};
 use peernet_logger::HostId;
 use peernet_stream::{
     ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, NetworkName, ProbeCounts, Probing, RoundTrip,
@@ -17,7 +17,7 @@ pub fn micros(lo: i64, hi: i64) -> Interval {
 /// hold. The cloud is 250 ms ahead, give or take as many microseconds as `width`.
 pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     let at = generate::at(second as f64);
-    let sent = at - Span::from_millis(400);
+    let sent = RawTime::of_wall(at - Span::from_millis(400));
     let ahead = Span::from_millis(250);
     let exchange = |way: Span| Exchange {
         sent,

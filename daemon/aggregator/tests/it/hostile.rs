@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use peernet_aggregator::Readiness;
-use peernet_clock::{Interval, OneWayDelay, Span, WallTime};
+use peernet_clock::{Interval, OneWayDelay, RawTime, Span, WallTime};
 use peernet_logger::{HostId, Measure, RunId};
 use peernet_store::LinkKey;
 use peernet_stream::{Event, HostClock, NetworkName, ToAgent, ToAggregator};
@@ -115,8 +115,8 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
         (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
         for exchange in [&mut sample.upper, &mut sample.lower].into_iter().flatten() {
-            exchange.sent = WallTime::from_unix_nanos(nanos);
-            exchange.replied = WallTime::from_unix_nanos(!nanos);
+            exchange.sent = RawTime::from_nanos(nanos);
+            exchange.replied = RawTime::from_nanos(!nanos);
             exchange.uncertainty = Span::from_nanos(nanos);
         }
         let offset = sample.offset.as_mut().expect("known");

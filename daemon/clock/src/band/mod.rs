@@ -1,6 +1,6 @@
-//! The offset of two wall clocks as a band over time: everything that exchanges say, and nothing that they do not.
+//! The offset of two clocks as a band over time: everything that exchanges say, and nothing that they do not.
 //!
-//! The offset θ(x) is the cloud's wall clock minus the edge's when the edge's shows x. Each exchange bounds it from
+//! The offset θ(x) is the cloud's clock minus the edge's when the edge's shows x. Each exchange bounds it from
 //! above at the time it was sent and from below at the time it returned; a limited drift carries both to other times.
 
 mod drift;
@@ -16,7 +16,7 @@ pub(crate) use drift::DriftLimit;
 use slots::{Point, Slots, lowest};
 use trend::Trend;
 
-use crate::{Exchange, Interval, Span, WallTime};
+use crate::{Exchange, Interval, RawTime, Span};
 
 /// The newest exchanges count however old they are: where they are rarer than this many in a window, the window reaches
 /// back to them.
@@ -35,10 +35,8 @@ pub(crate) struct Bounds {
 
 impl From<&Exchange> for Bounds {
     fn from(exchange: &Exchange) -> Self {
-        let point = |x: WallTime, bound: Span| Point {
-            x: x.unix_nanos(),
-            bound: bound.nanos().saturating_add(RESOLUTION),
-        };
+        let point =
+            |x: RawTime, bound: Span| Point { x: x.nanos(), bound: bound.nanos().saturating_add(RESOLUTION) };
         Self {
             upper: point(exchange.sent, exchange.upper()),
             lower: point(exchange.returned, -exchange.lower()),
@@ -47,9 +45,9 @@ impl From<&Exchange> for Bounds {
 }
 
 impl Bounds {
-    /// When the exchange began, by the edge's wall clock: no two begin at once.
-    pub(crate) fn sent(&self) -> WallTime {
-        WallTime::from_unix_nanos(self.upper.x)
+    /// When the exchange began, by the edge's clock: no two begin at once.
+    pub(crate) fn sent(&self) -> RawTime {
+        RawTime::from_nanos(self.upper.x)
     }
 }
 
@@ -124,8 +122,8 @@ impl Band {
     }
 
     /// The interval at a time; `None` without an exchange.
-    pub(crate) fn interval(&self, at: WallTime) -> Option<Interval> {
-        let q = at.unix_nanos();
+    pub(crate) fn interval(&self, at: RawTime) -> Option<Interval> {
+        let q = at.nanos();
         let (hi, lo) = (self.above(q)?, self.below(q)?.saturating_neg());
         Some(Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
     }
@@ -143,15 +141,15 @@ impl Band {
     }
 
     /// The best guess at a time, within `interval` (which is the band's at that time).
-    pub(crate) fn estimate(&self, at: WallTime, interval: Interval) -> Span {
+    pub(crate) fn estimate(&self, at: RawTime, interval: Interval) -> Span {
         let guess =
-            self.trend.at(at.unix_nanos(), self.drift.slope()).unwrap_or_else(|| interval.middle().nanos());
+            self.trend.at(at.nanos(), self.drift.slope()).unwrap_or_else(|| interval.middle().nanos());
         Span::from_nanos(guess).clamp(interval.lo, interval.hi)
     }
 
     /// By how much the offset most likely grows from one time to another one near.
-    pub(crate) fn growth(&self, from: WallTime, to: WallTime) -> Span {
-        let slope = self.trend.slope_at(from.unix_nanos(), self.drift.slope()).unwrap_or(0.0);
+    pub(crate) fn growth(&self, from: RawTime, to: RawTime) -> Span {
+        let slope = self.trend.slope_at(from.nanos(), self.drift.slope()).unwrap_or(0.0);
         Span::from_nanos((slope * (to - from).nanos() as f64).round() as i64)
     }
 
@@ -165,9 +163,9 @@ impl Band {
         self.exchanges
     }
 
-    /// When the newest exchange returned, by the edge's wall clock.
-    pub(crate) fn newest(&self) -> Option<WallTime> {
-        (self.exchanges > 0).then(|| WallTime::from_unix_nanos(self.newest))
+    /// When the newest exchange returned, by the edge's clock.
+    pub(crate) fn newest(&self) -> Option<RawTime> {
+        (self.exchanges > 0).then(|| RawTime::from_nanos(self.newest))
     }
 
     pub(crate) fn memory_bytes(&self) -> usize {

@@ -83,14 +83,14 @@ proptest! {
             band.insert(&bounds);
             all.push(bounds);
             all.sort_by_key(|bounds| bounds.lower.x);
-            let q = band.newest().expect("has exchanges").unix_nanos();
+            let q = band.newest().expect("has exchanges").nanos();
             let least = all.len().saturating_sub(LEAST_EXCHANGES);
             let lowest = |point: fn(&Bounds) -> Point, reach: i64| {
                 let counts = |(n, bounds): &(usize, &Bounds)| *n >= least || point(bounds).x >= q - reach;
                 let counted = all.iter().enumerate().filter(counts);
                 counted.map(|(_, bounds)| point(bounds).carried(drift, q)).min().expect("has exchanges")
             };
-            let known = band.interval(WallTime::from_unix_nanos(q)).expect("has exchanges");
+            let known = band.interval(RawTime::from_nanos(q)).expect("has exchanges");
             // The oldest slot goes when its best point does, with others that may be younger.
             let short = window.nanos() - 500_000_000;
             for (point, bound) in [
@@ -214,7 +214,7 @@ fn a_past_time_is_known_better_once_exchanges_after_it_are() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 30.0) };
     let trips = Path::VETH.trips(&world, (0.0, 60.0), 1.0, &mut Dice(9));
     let mut band = band(Span::from_seconds(600));
-    let at = WallTime::from_unix_nanos(35_000_000_000);
+    let at = RawTime::from_nanos(35_000_000_000);
     let (before, after) = trips.split_at(20);
     before.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
     let early = band.interval(at).expect("has exchanges");

@@ -2,7 +2,7 @@
 
 use super::sources::{Combined, Knowledge};
 use super::{Direction, Judged, Learned, Refusal, Relation};
-use crate::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime, Witnessed};
+use crate::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict, Witnessed};
 
 /// Fewer exchanges than these are too few, however fresh.
 const LEAST_EXCHANGES: u64 = 3;
@@ -28,9 +28,9 @@ impl Relation {
         }
     }
 
-    /// The delay of a message stamped `sent` by its sender's wall clock and `received` by its receiver's, by what is
+    /// The delay of a message stamped `sent` by its sender's clock and `received` by its receiver's, by what is
     /// known now.
-    pub fn delay(&self, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
+    pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
         self.delay_in_company(
             direction,
@@ -42,7 +42,7 @@ impl Relation {
     }
 
     /// What each source says at a time; the band's estimate is `guess` where there is one.
-    pub(super) fn knowledge(&self, at: WallTime, guess: Option<Span>) -> Knowledge {
+    pub(super) fn knowledge(&self, at: RawTime, guess: Option<Span>) -> Knowledge {
         let in_band = self.band.interval(at).map(|interval| {
             let estimate = match guess {
                 Some(guess) => guess.clamp(interval.lo, interval.hi),
@@ -71,7 +71,7 @@ impl Relation {
     }
 
     /// After a step nothing is known yet, but that is not why it was refused.
-    fn refused(&self, why: Refusal, direction: Direction, sent: WallTime, received: WallTime) -> OneWayDelay {
+    fn refused(&self, why: Refusal, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
         let stepped = why == Refusal::Stepped || self.restarted.is_some();
@@ -88,8 +88,8 @@ impl Relation {
     fn delay_in_company(
         &self,
         direction: Direction,
-        sent: WallTime,
-        received: WallTime,
+        sent: RawTime,
+        received: RawTime,
         company: bool,
         guess: Option<Span>,
     ) -> OneWayDelay {
@@ -126,7 +126,7 @@ impl Relation {
 }
 
 /// The stamp of the two that is the edge's.
-fn edge_time(direction: Direction, sent: WallTime, received: WallTime) -> WallTime {
+fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime {
     match direction {
         Direction::Up => sent,
         Direction::Down => received,

@@ -1,4 +1,4 @@
-//! What is known of the offset between two hosts' wall clocks: from the exchanges between them, from what their time
+//! What is known of the offset between two hosts' clocks: from the exchanges between them, from what their time
 //! daemons claim, and from their identities.
 
 mod judging;
@@ -11,7 +11,7 @@ mod tests;
 mod types;
 
 use crate::band::{Band, Bounds, DriftLimit};
-use crate::{ClockIdentity, Discipline, Exchange, Span, WallTime, Witnessed};
+use crate::{ClockIdentity, Discipline, Exchange, RawTime, Span, WallTime, Witnessed};
 use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
@@ -25,8 +25,7 @@ const ABSURD: Span = Span::from_nanos(1 << 61);
 const STEADY: Span = Span::from_micros(50);
 const STEADY_PPM: i64 = 500;
 
-/// The relation between the wall clocks of an edge and a cloud; it belongs to the pair of hosts, fed by all
-/// their links.
+/// The relation between a clock of an edge and one of a cloud; it belongs to the pair of hosts, fed by all their links.
 ///
 /// How it works, in words: `docs/clocks.md`.
 #[derive(Debug)]
@@ -78,14 +77,14 @@ impl Relation {
         self.claims = Claims { edge, cloud };
     }
 
-    /// The offset at a time of the edge's wall clock within the window or shortly after; `None` when nothing is
-    /// known.
-    pub fn offset(&self, at: WallTime) -> Option<Offset> {
+    /// The offset at a time of the edge's clock within the window or shortly after, when its wall clock showed `wall`; `None` when
+    /// nothing is known.
+    pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let known = self.knowledge(at, None);
         let combined = known.combined()?;
         let fresh = self.presence.near(at, at, self.settings.fresh);
         Some(Offset {
-            at,
+            at: wall,
             estimate: combined.estimate,
             bounds: combined.bounds,
             source: combined.source,
@@ -192,10 +191,10 @@ impl Relation {
     /// than the stamps are wrong and than the clocks can run apart meanwhile.
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
-        let apart = Span::from_nanos(self.drift.between(sent.unix_nanos(), returned.unix_nanos()));
+        let apart = Span::from_nanos(self.drift.between(sent.nanos(), returned.nanos()));
         let absurd = [sent, received, replied, returned]
             .into_iter()
-            .map(|stamp| stamp - WallTime::from_unix_nanos(0))
+            .map(|stamp| stamp - RawTime::from_nanos(0))
             .chain([exchange.upper(), exchange.lower(), uncertainty])
             .any(|span| span.abs() > ABSURD);
         !absurd
@@ -215,7 +214,7 @@ impl Relation {
         self.counts.restarts += 1;
     }
 
-    fn estimate_at(&self, at: WallTime) -> Option<Span> {
+    fn estimate_at(&self, at: RawTime) -> Option<Span> {
         self.band.interval(at).map(|interval| self.band.estimate(at, interval))
     }
 }

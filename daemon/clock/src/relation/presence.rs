@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::{Span, WallTime};
+use crate::{RawTime, Span};
 
 /// Most times that are kept for a window.
 const MOST: i64 = 1024;
@@ -10,8 +10,8 @@ const MOST: i64 = 1024;
 /// Times of exchanges, in order, none nearer to the next than `gap` but for the newest.
 #[derive(Clone, Debug)]
 pub(super) struct Presence {
-    times: VecDeque<WallTime>,
-    newest: Option<WallTime>,
+    times: VecDeque<RawTime>,
+    newest: Option<RawTime>,
     gap: Span,
     window: Span,
 }
@@ -22,10 +22,10 @@ impl Presence {
         Self { times: VecDeque::new(), newest: None, gap: Span::from_nanos(gap), window }
     }
 
-    pub(super) fn note(&mut self, at: WallTime) {
+    pub(super) fn note(&mut self, at: RawTime) {
         self.newest = self.newest.max(Some(at));
         let place = self.times.partition_point(|time| *time <= at);
-        let close = |time: Option<&WallTime>| time.is_some_and(|time| (*time - at).abs() < self.gap);
+        let close = |time: Option<&RawTime>| time.is_some_and(|time| (*time - at).abs() < self.gap);
         if close(self.times.get(place))
             || close(place.checked_sub(1).and_then(|before| self.times.get(before)))
         {
@@ -39,7 +39,7 @@ impl Presence {
     }
 
     /// Whether there was an exchange from `within` before `from` to `within` after `to`.
-    pub(super) fn near(&self, from: WallTime, to: WallTime, within: Span) -> bool {
+    pub(super) fn near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
         let (from, to) = (from - within, to + within);
         let place = self.times.partition_point(|time| *time < from);
         [self.times.get(place).copied(), self.newest]
@@ -54,7 +54,7 @@ impl Presence {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.times.capacity() * size_of::<WallTime>()
+        self.times.capacity() * size_of::<RawTime>()
     }
 }
 
@@ -64,7 +64,7 @@ mod tests {
 
     #[test]
     fn few_times_are_kept_and_none_with_company_is_taken_for_lonely() {
-        let second = |seconds: f64| WallTime::from_unix_nanos((seconds * 1e9) as i64);
+        let second = |seconds: f64| RawTime::from_nanos((seconds * 1e9) as i64);
         let mut presence = Presence::new(Span::from_seconds(10), Span::from_seconds(600));
         for n in 0..200_000 {
             presence.note(second(f64::from(n * 7919 % 200_000) / 100.0));

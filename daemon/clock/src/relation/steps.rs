@@ -1,6 +1,6 @@
 //! Steps of the two clocks that the hosts report, and the exchanges that were under way during one.
 
-use crate::{Exchange, Span, WallTime, Witnessed};
+use crate::{Exchange, RawTime, Span, Witnessed};
 
 /// A peer's counter of steps that went back is a new process, if so many in a row say so. Before, it is an answer that
 /// was overtaken.
@@ -30,7 +30,7 @@ enum Barrier {
     /// The next exchange is kept out and tells the time.
     Next(Span),
     /// Those sent before, but not by more than the reach.
-    Before(WallTime, Span),
+    Before(RawTime, Span),
 }
 
 /// What the counters of an exchange say about steps.

@@ -1,7 +1,7 @@
 //! Exchanges that contradict the band: errors and lies, or the first after a step that nobody announced.
 
 use crate::band::{Band, Bounds};
-use crate::{Span, WallTime};
+use crate::{RawTime, Span};
 
 /// So many in a row that agree with each other are believed.
 const BELIEVED: u64 = 4;
@@ -20,13 +20,13 @@ pub(super) struct Contradictions {
 /// When windows began without notice.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surprises {
-    last: Option<WallTime>,
-    doubt_until: Option<WallTime>,
+    last: Option<RawTime>,
+    doubt_until: Option<RawTime>,
 }
 
 impl Surprises {
     /// One more.
-    pub(super) fn note(&mut self, at: WallTime) {
+    pub(super) fn note(&mut self, at: RawTime) {
         if self.last.is_some_and(|last| (at - last).abs() <= DOUBT) {
             self.doubt_until = Some(at + DOUBT);
         }
@@ -34,7 +34,7 @@ impl Surprises {
     }
 
     /// Whether there were too many before a time.
-    pub(super) fn cast_doubt(&self, at: WallTime) -> bool {
+    pub(super) fn cast_doubt(&self, at: RawTime) -> bool {
         // A clock that is set back by more than the doubt lasts must not be doubted until it is there again.
         self.doubt_until.is_some_and(|until| at < until && until - at <= DOUBT + DOUBT)
     }
@@ -45,7 +45,7 @@ impl Surprises {
 pub(super) struct Suspects {
     band: Option<Band>,
     /// When they were sent: an answer that came several times is one.
-    sent: Vec<WallTime>,
+    sent: Vec<RawTime>,
 }
 
 impl Suspects {

@@ -67,7 +67,7 @@ pub enum Learned {
     Refused(Refusal),
 }
 
-/// The offset between two wall clocks at one time: cloud minus edge.
+/// The offset between two clocks at one time: cloud minus edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// The edge's wall clock.

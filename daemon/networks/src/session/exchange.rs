@@ -1,6 +1,6 @@
 //! One request and its answer, on the edge's tree.
 
-use peernet_clock::{Span, Stamp, WallTime, Witnessed};
+use peernet_clock::{RawTime, Span, Stamp, WallTime, Witnessed};
 use peernet_logger::{
     HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, TreeError, Unit, stage,
 };
@@ -168,10 +168,10 @@ fn witnessed(
         return None;
     }
     let exchange = peernet_clock::Exchange {
-        sent: departed.at.wall,
-        received,
-        replied: departure.sent,
-        returned: arrived.at.wall,
+        sent: RawTime::of_wall(departed.at.wall),
+        received: RawTime::of_wall(received),
+        replied: RawTime::of_wall(departure.sent),
+        returned: RawTime::of_wall(arrived.at.wall),
         uncertainty: UNCERTAINTY,
     };
     Some(Witnessed {

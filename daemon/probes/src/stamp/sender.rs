@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use peernet_clock::{Clock, Exchange, MonoTime, Span, Stamp, WallTime, Witnessed};
+use peernet_clock::{Clock, Exchange, MonoTime, RawTime, Span, Stamp, WallTime, Witnessed};
 
 use super::auth::{CODE_BYTES, Key};
 use super::packet::{self, Mode, Reply, Request};
@@ -240,10 +240,10 @@ impl Sending {
         let kernel = returned.kernel.filter(|_| !self.distrusts_kernel);
         let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
         let exchange = Exchange {
-            sent: pending.left.unwrap_or(sent.wall),
-            received,
-            replied,
-            returned: kernel.unwrap_or(returned.read.wall),
+            sent: RawTime::of_wall(pending.left.unwrap_or(sent.wall)),
+            received: RawTime::of_wall(received),
+            replied: RawTime::of_wall(replied),
+            returned: RawTime::of_wall(kernel.unwrap_or(returned.read.wall)),
             uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
         // The monotonic clock was read beside the program's stamps only. With the kernel's the epochs show a step.
@@ -291,6 +291,7 @@ fn refine(
         .filter_map(|pending| pending.answer.as_mut())
         .find(|answered| answered.sequence == sequence)?;
     let witnessed = answered.witnessed.as_mut()?;
+    let left = RawTime::of_wall(left);
     let later = left - witnessed.exchange.replied;
     if later <= Span::ZERO || later > LONGEST_DEPARTURE || witnessed.cloud_epoch != epoch {
         return None;

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use peernet_clock::{Clock, ClockIdentity, ManualClock, MonoTime, Span, WallTime, Witnessed};
+use peernet_clock::{Clock, ClockIdentity, ManualClock, MonoTime, RawTime, Span, WallTime, Witnessed};
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
 use peernet_probes::stamp::sender::{Departure, Heard, Return, Sending, SendingConfig};
@@ -105,10 +105,10 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
         let first = pair.exchange();
         let Witnessed { exchange, edge_elapsed, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
-        assert_eq!(exchange.sent, begun);
-        assert_eq!(exchange.received, begun + WAY + pair.ahead);
+        assert_eq!(exchange.sent, RawTime::of_wall(begun));
+        assert_eq!(exchange.received, RawTime::of_wall(begun + WAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
-        assert_eq!(exchange.returned, pair.clock.wall());
+        assert_eq!(exchange.returned, RawTime::of_wall(pair.clock.wall()));
         assert_eq!(exchange.uncertainty, uncertainty::OWN);
         assert_eq!(edge_elapsed, Some(exchange.returned - exchange.sent));
         assert_eq!((cloud_elapsed, edge_epoch, cloud_epoch), (None, 0, Some(0)));
@@ -132,7 +132,7 @@ fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
         pair.sender.departed(departure.sequence(), begun + late);
         let reply = pair.reflect(packet);
         let answered = answered(&pair.hear(&reply).expect("an answer"));
-        assert_eq!(answered.exchange.sent, if taken { begun + late } else { begun });
+        assert_eq!(answered.exchange.sent, RawTime::of_wall(if taken { begun + late } else { begun }));
         assert_eq!(answered.edge_elapsed.is_none(), taken);
     }
 }
@@ -156,7 +156,7 @@ fn late_ones_are_lost_and_second_ones_count_once() {
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
     let heard = pair.exchange();
-    assert!(answered(&heard).exchange.sent < pair.clock.wall());
+    assert!(answered(&heard).exchange.sent < RawTime::of_wall(pair.clock.wall()));
     pair.clock.advance(TIMEOUT - Span::from_millis(900));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -322,12 +322,20 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
         let mut pair = Pair::new(0, false);
         let back = pair.clock.wall() + there_and_back;
         let got = pair.stamped(back - early).exchange.returned;
-        assert_eq!(got, if sound { back - early } else { back }, "{early}");
+        assert_eq!(got, RawTime::of_wall(if sound { back - early } else { back }), "{early}");
         assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
         let (begun, back) = (pair.clock.wall(), pair.clock.wall() + there_and_back);
         let next = pair.stamped(back - little);
-        assert_eq!(next.exchange.returned, if sound { back - little } else { back }, "{early}");
-        assert_eq!((next.exchange.sent, next.edge_elapsed.is_none()), (begun, sound), "{early}");
+        assert_eq!(
+            next.exchange.returned,
+            RawTime::of_wall(if sound { back - little } else { back }),
+            "{early}"
+        );
+        assert_eq!(
+            (next.exchange.sent, next.edge_elapsed.is_none()),
+            (RawTime::of_wall(begun), sound),
+            "{early}"
+        );
     }
 }
 

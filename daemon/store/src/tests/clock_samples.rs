@@ -1,6 +1,6 @@
 //! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
 
-use peernet_clock::{DelaySource, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, RawTime, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{ClockSample, Event, HostDescription, Iteration, NetworkName};
 
@@ -225,7 +225,7 @@ async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
     wild.at = WallTime::from_unix_nanos(i64::MAX);
     for exchange in [&mut wild.upper, &mut wild.lower].into_iter().flatten() {
         (exchange.sent, exchange.replied, exchange.uncertainty) =
-            (extreme, extreme, Span::from_nanos(i64::MIN));
+            (RawTime::of_wall(extreme), RawTime::of_wall(extreme), Span::from_nanos(i64::MIN));
     }
     wild.exchanges.taken = u64::MAX;
     let samples = [

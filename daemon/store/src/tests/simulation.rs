@@ -2,8 +2,8 @@
 //! what is stored was judged by the same code that judges it again.
 
 use peernet_clock::{
-    ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, Relation, RelationSettings,
-    Span, WallTime, Witnessed,
+    ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, Relation,
+    RelationSettings, Span, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Measure, RunId, Transit};
 use peernet_stream::{ClockSample, Event, Iteration, NetworkName, ProbeCounts};
@@ -108,7 +108,12 @@ impl Simulation {
             ("download", stamps.replied, stamps.returned, down),
         ] {
             let (node, _) = iteration.tree.find(&[stage]).expect("measured");
-            let transit = Transit { sent, received: Some(received), delay: Some(delay), raw_stamps: None };
+            let transit = Transit {
+                sent: wall(sent),
+                received: Some(wall(received)),
+                delay: Some(delay),
+                raw_stamps: None,
+            };
             *iteration.tree.measure_mut(node).expect("found") = Measure::Transit(Box::new(transit));
         }
         iteration
@@ -121,10 +126,10 @@ impl Simulation {
         let (up, down) = (jitter(up.max(base)), jitter(down.max(base)));
         let (arrived, left) = (self.now + up, self.now + up + at_cloud);
         let exchange = Exchange {
-            sent: self.edge(self.now),
-            received: self.cloud(arrived),
-            replied: self.cloud(left),
-            returned: self.edge(left + down),
+            sent: RawTime::of_wall(self.edge(self.now)),
+            received: RawTime::of_wall(self.cloud(arrived)),
+            replied: RawTime::of_wall(self.cloud(left)),
+            returned: RawTime::of_wall(self.edge(left + down)),
             uncertainty: Span::from_nanos(2),
         };
         (exchange, (up, down))
@@ -177,7 +182,7 @@ impl Simulation {
             max_drift_ppm: self.relation.settings().max_drift_ppm,
             upper,
             lower,
-            offset: self.relation.offset(at),
+            offset: self.relation.offset(RawTime::of_wall(at), at),
             probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
             exchanges: self.relation.counts(),
             round_trip: None,
@@ -204,4 +209,9 @@ pub(super) fn delays(iteration: &Iteration) -> [OneWayDelay; 2] {
             other => panic!("{other:?}"),
         }
     })
+}
+
+/// The wall clock's time that an exchange of wall clocks has.
+fn wall(stamp: RawTime) -> WallTime {
+    WallTime::from_unix_nanos(stamp.nanos())
 }

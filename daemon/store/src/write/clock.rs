@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_clock::{DelaySource, Exchange, Interval, Offset, Verdict, WallTime};
+use peernet_clock::{DelaySource, Exchange, Interval, Offset, RawTime, Verdict, WallTime};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, DelaySecond, NetworkName};
 use sqlx::error::BoxDynError;
@@ -159,8 +159,7 @@ fn values(link: i64, sample: &ClockSample) -> Result<SqliteArguments, BoxDynErro
 fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     let stamps = |it: Exchange| {
         let Exchange { sent, received, replied, returned, uncertainty } = it;
-        let [sent, received, replied, returned] =
-            [sent, received, replied, returned].map(WallTime::unix_nanos);
+        let [sent, received, replied, returned] = [sent, received, replied, returned].map(RawTime::nanos);
         [sent, received, replied, returned, uncertainty.nanos()].map(Some)
     };
     exchange.map_or([None; 5], stamps).into_iter().try_for_each(|stamp| to.add(stamp))

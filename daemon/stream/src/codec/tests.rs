@@ -1,6 +1,6 @@
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep,
-    Span, Verdict, WallTime,
+    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription,
+    RehearsedStep, Span, Verdict, WallTime,
 };
 use proptest::prelude::*;
 
@@ -18,10 +18,10 @@ fn interval(lo: i64, hi: i64) -> Interval {
 fn clock() -> ClockSample {
     let at = WallTime::from_unix_nanos;
     let exchange = Exchange {
-        sent: at(1_000),
-        received: at(-2_000),
-        replied: at(-1_500),
-        returned: at(4_000),
+        sent: RawTime::from_nanos(1_000),
+        received: RawTime::from_nanos(-2_000),
+        replied: RawTime::from_nanos(-1_500),
+        returned: RawTime::from_nanos(4_000),
         uncertainty: Span::from_nanos(2),
     };
     let delays = DelaySecond {

@@ -1,8 +1,8 @@
 //! What a line's edge knows of the rack's clock: one sample a second.
 
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, Span, Verdict,
-    WallTime,
+    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription, Span,
+    Verdict, WallTime,
 };
 use peernet_logger::{HostId, stage};
 use peernet_stream::{
@@ -112,10 +112,10 @@ pub(super) fn sample(
         let received = at + truth + way;
         let replied = received + Span::from_micros(30);
         Exchange {
-            sent: at,
-            received,
-            replied,
-            returned: at + way + way + Span::from_micros(30),
+            sent: RawTime::of_wall(at),
+            received: RawTime::of_wall(received),
+            replied: RawTime::of_wall(replied),
+            returned: RawTime::of_wall(at + way + way + Span::from_micros(30)),
             uncertainty: Span::from_nanos(300),
         }
     });

@@ -13,10 +13,10 @@ fn at(millis: i64) -> WallTime {
 /// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
 fn exchange(sent: i64, ahead: i64) -> Witnessed {
     let exchange = Exchange {
-        sent: at(sent),
-        received: at(sent + 1 + ahead),
-        replied: at(sent + 3 + ahead),
-        returned: at(sent + 4),
+        sent: RawTime::of_wall(at(sent)),
+        received: RawTime::of_wall(at(sent + 1 + ahead)),
+        replied: RawTime::of_wall(at(sent + 3 + ahead)),
+        returned: RawTime::of_wall(at(sent + 4)),
         uncertainty: Span::ZERO,
     };
     Witnessed {

@@ -5,7 +5,7 @@ fn nothing_is_known_of_two_strangers() {
     let relation = relation();
     let delay = relation.delay(Direction::Up, at(1), at(2));
     assert_eq!(delay, OneWayDelay::unsynchronised(Span::from_seconds(1)));
-    assert_eq!(relation.offset(at(1)), None);
+    assert_eq!(relation.offset(at(1), WallTime::default()), None);
 }
 
 #[test]
@@ -39,7 +39,7 @@ fn identities_that_claim_one_clock_are_checked() {
         let judged = relation.judge(&trip.witnessed());
         assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
     }
-    let offset = relation.offset(at(5)).expect("two sources");
+    let offset = relation.offset(at(5), WallTime::default()).expect("two sources");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     assert_eq!(offset.sources.len(), 2);
     assert!(offset.bounds.contains(Span::ZERO) && offset.bounds.contains(Span::from_millis(5)));
@@ -60,8 +60,11 @@ fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
     assert_eq!(relation.judge(&big(42e9).witnessed()).up.verdict, Verdict::Ok);
     let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
     assert_eq!(again.verdict, Verdict::Ok);
-    assert_eq!(relation.offset(at(41)).map(|offset| offset.verdict), Some(Verdict::Ok));
-    assert_eq!(relation.offset(at(90)).map(|offset| offset.verdict), Some(Verdict::Stale));
+    assert_eq!(relation.offset(at(41), WallTime::default()).map(|offset| offset.verdict), Some(Verdict::Ok));
+    assert_eq!(
+        relation.offset(at(90), WallTime::default()).map(|offset| offset.verdict),
+        Some(Verdict::Stale)
+    );
 }
 
 #[test]
@@ -96,7 +99,7 @@ fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
 fn an_offset_tells_its_age_and_how_many_it_rests_on() {
     let world = world(Span::from_millis(-7));
     let relation = acquainted(&world);
-    let offset = relation.offset(at(12)).expect("acquainted");
+    let offset = relation.offset(at(12), WallTime::default()).expect("acquainted");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);
     assert_eq!(offset.exchanges, relation.counts().taken);

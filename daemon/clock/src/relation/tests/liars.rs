@@ -11,8 +11,8 @@ proptest! {
         let before = picture(&relation);
         for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
             let mut lie = world.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).witnessed();
-            lie.exchange.received = WallTime::from_unix_nanos(received);
-            lie.exchange.replied = WallTime::from_unix_nanos(replied);
+            lie.exchange.received = RawTime::from_nanos(received);
+            lie.exchange.replied = RawTime::from_nanos(replied);
             lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
             let judged = relation.judge(&lie);
             prop_assert!(matches!(judged.learned, Learned::Refused(_)));
@@ -24,7 +24,7 @@ proptest! {
 
     #[test]
     fn no_stamps_can_panic(stamps: [i64; 4], uncertainty: i64, elapsed: Option<i64>, epoch: u32, at: i64) {
-        let [sent, received, replied, returned] = stamps.map(WallTime::from_unix_nanos);
+        let [sent, received, replied, returned] = stamps.map(RawTime::from_nanos);
         let uncertainty = Span::from_nanos(uncertainty);
         let witnessed = Witnessed {
             exchange: Exchange { sent, received, replied, returned, uncertainty },
@@ -37,7 +37,7 @@ proptest! {
         for _ in 0..6 {
             relation.judge(&witnessed);
             relation.delay(Direction::Down, returned, sent);
-            relation.offset(WallTime::from_unix_nanos(at));
+            relation.offset(RawTime::from_nanos(at), WallTime::default());
         }
     }
 
@@ -107,7 +107,7 @@ fn impossible_exchanges_are_told_apart() {
         |exchange| exchange.returned = exchange.sent - Span::from_nanos(1),
         |exchange| exchange.replied = exchange.received + Span::from_seconds(1),
         |exchange| exchange.uncertainty = Span::from_nanos(-1),
-        |exchange| exchange.received = WallTime::from_unix_nanos(i64::MIN),
+        |exchange| exchange.received = RawTime::from_nanos(i64::MIN),
     ];
     let impossible = Learned::Refused(Refusal::Impossible);
     let told: Vec<_> = edits.into_iter().map(refused).collect();
@@ -124,14 +124,14 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     for trip in &trips {
         relation.learn(&trip.witnessed());
     }
-    let offset = relation.offset(at(20)).expect("acquainted");
+    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
     assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
     assert!((offset.estimate - Span::from_millis(40)).abs() < Span::from_millis(1));
 
     let within = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
     let claim = Discipline { source: DelaySource::Chrony, error: within };
     relation.set_disciplines(Some(claim), Some(claim));
-    let offset = relation.offset(at(20)).expect("acquainted");
+    let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
     let judged = relation.judge(&trip.witnessed());

@@ -31,8 +31,8 @@ fn acquainted(world: &World) -> Relation {
     relation
 }
 
-fn at(seconds: i64) -> WallTime {
-    WallTime::from_unix_nanos(seconds * 1_000_000_000)
+fn at(seconds: i64) -> RawTime {
+    RawTime::from_nanos(seconds * 1_000_000_000)
 }
 
 fn contains(delay: &OneWayDelay, truth: Span) -> bool {

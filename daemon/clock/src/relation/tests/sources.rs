@@ -23,7 +23,7 @@ fn asymmetric() -> Relation {
 
 /// Source, bounds in milliseconds, estimate, verdict.
 fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
-    let offset = relation.offset(at(10)).expect("known");
+    let offset = relation.offset(at(10), WallTime::default()).expect("known");
     let millis = |span: Span| (span.seconds() * 1e3).round() as i64;
     (
         offset.source,
@@ -38,11 +38,11 @@ fn two_claims_alone_relate_two_clocks() {
     let mut relation = relation();
     relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), claim(DelaySource::Kernel, 3, 8));
     assert_eq!(answer(&relation), (DelaySource::Kernel, (1, 9), 5, Verdict::Ok));
-    assert_eq!(relation.offset(at(0)).and_then(|offset| offset.age), None);
+    assert_eq!(relation.offset(at(0), WallTime::default()).and_then(|offset| offset.age), None);
     let delay = relation.delay(Direction::Up, at(1), at(1) + Span::from_millis(105));
     assert_eq!((delay.value, delay.verdict), (Some(Span::from_millis(100)), Verdict::Ok));
     relation.set_disciplines(claim(DelaySource::Kernel, -1, 2), None);
-    assert_eq!(relation.offset(at(10)), None);
+    assert_eq!(relation.offset(at(10), WallTime::default()), None);
 }
 
 #[test]
@@ -52,11 +52,11 @@ fn claims_that_are_not_trusted_change_nothing() {
     let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
     relation.set_disciplines(wrong[0], wrong[1]);
-    assert_eq!(relation.offset(at(10)), None);
+    assert_eq!(relation.offset(at(10), WallTime::default()), None);
     for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice(1)) {
         relation.learn(&trip.witnessed());
     }
-    let known = relation.offset(at(10)).expect("exchanges");
+    let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
     assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
     // 10 ppm for ten seconds.
     assert!(known.bounds.contains(Span::from_micros(5_100)));
@@ -78,7 +78,7 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
     assert_eq!(answer(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
     relation.set_disciplines(exact, claim(DelaySource::Kernel, 50, 100));
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 100), 10, Verdict::Inconsistent));
-    let sources = relation.offset(at(10)).expect("known").sources;
+    let sources = relation.offset(at(10), WallTime::default()).expect("known").sources;
     assert_eq!(sources[1], (DelaySource::Kernel, millis(50, 100)));
     assert_eq!(sources[0].0, DelaySource::InBand);
 }
@@ -87,8 +87,8 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
 fn a_claim_needs_no_fresh_exchanges_and_ends_with_a_step_of_its_clock() {
     let mut relation = asymmetric();
     relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
-    let late = relation.offset(at(300)).expect("known");
+    let late = relation.offset(at(300), WallTime::default()).expect("known");
     assert_eq!((late.source, late.verdict), (DelaySource::Chrony, Verdict::Ok));
     relation.edge_stepped(1);
-    assert_eq!(relation.offset(at(300)), None);
+    assert_eq!(relation.offset(at(300), WallTime::default()), None);
 }

@@ -123,7 +123,7 @@ fn a_notice_ends_the_window_once() {
     let world = cloud_set(STEP);
     let mut relation = acquainted(&world);
     relation.cloud_stepped(1);
-    assert_eq!((relation.window(), relation.offset(at(10))), (1, None));
+    assert_eq!((relation.window(), relation.offset(at(10), WallTime::default())), (1, None));
     relation.cloud_stepped(1);
     let told = |trip: Trip| Witnessed { cloud_epoch: Some(1), ..trip.witnessed() };
     // The first may have been under way during the step.

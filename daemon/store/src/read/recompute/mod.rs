@@ -9,7 +9,7 @@ mod rolling;
 mod tally;
 mod windows;
 
-use peernet_clock::{DelaySource, Direction, OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, Span, Verdict, WallTime};
 use peernet_logger::stage;
 use sqlx::FromRow;
 
@@ -161,7 +161,7 @@ async fn again(
         Direction::Down => received,
     };
     let Some(relation) = clouds.relation(cloud, at).await? else { return Ok(before) };
-    Ok(Some(joined(before, relation.delay(direction, sent, received))))
+    Ok(Some(joined(before, relation.delay(direction, RawTime::of_wall(sent), RawTime::of_wall(received)))))
 }
 
 /// What was known then and what is known now.

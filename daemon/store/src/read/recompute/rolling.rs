@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{
-    ClockIdentity, DelaySource, Discipline, Exchange, Interval, Relation, RelationSettings, Span, WallTime,
-    Witnessed,
+    ClockIdentity, DelaySource, Discipline, Exchange, Interval, RawTime, Relation, RelationSettings, Span,
+    WallTime, Witnessed,
 };
 use sqlx::FromRow;
 
@@ -183,10 +183,10 @@ impl Row {
 fn exchange(stamps: [Option<i64>; 5]) -> Option<Exchange> {
     let [sent, received, replied, returned, uncertainty] = stamps;
     Some(Exchange {
-        sent: wall(sent?),
-        received: wall(received?),
-        replied: wall(replied?),
-        returned: wall(returned?),
+        sent: RawTime::from_nanos(sent?),
+        received: RawTime::from_nanos(received?),
+        replied: RawTime::from_nanos(replied?),
+        returned: RawTime::from_nanos(returned?),
         uncertainty: Span::from_nanos(uncertainty?),
     })
 }
