@@ -12,6 +12,7 @@
 //! - `steps`: notices that a wall clock was set, runs off, or slept.
 //! - `exchange`: four stamps and the bounds of the offset that follow; `discipline`: what a time daemon claims.
 //! - `band`: what all exchanges together prove, as an interval over time, and the best guess in it.
+//! - `related_clocks`: which clocks of two hosts those exchanges relate.
 //! - `relation`: one pair of hosts: which exchanges count, what the sources come to, how a delay is judged.
 //! - `log_throttle`: log lines that repeat, once a minute.
 //! - `delay`: the answer, a [`OneWayDelay`] with its interval, its source and its verdict.
@@ -25,6 +26,7 @@ mod log_throttle;
 mod manual;
 mod rehearsal;
 mod rehearsed;
+mod related_clocks;
 mod relation;
 #[cfg(test)]
 mod simulation;
@@ -40,6 +42,7 @@ pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
 pub use rehearsal::{RehearsalDescription, RehearsedStep};
 pub use rehearsed::RehearsedClock;
+pub use related_clocks::RelatedClocks;
 pub use relation::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings};
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{Disturbance, Readings, Watch};

@@ -56,6 +56,7 @@ impl ClockConfig {
             retention: Span::from_seconds_f64(self.window_s),
             fresh: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,
+            ..RelationSettings::default()
         }
     }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use crate::{DelaySource, Interval, OneWayDelay, RelatedClocks, Span, Verdict, WallTime};
 
 /// Which way a message went, seen from the edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -17,6 +17,8 @@ pub enum Direction {
 /// What an estimate rests on, apart from the exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationSettings {
+    /// Which clocks of the two hosts are related.
+    pub clocks: RelatedClocks,
     /// The fastest that the two clocks may drift apart, parts per million. All bounds hold as long as this does.
     pub max_drift_ppm: f64,
     /// How far from its own time an exchange bounds the offset, into the future and into the past. The newest eight bound it
@@ -34,6 +36,7 @@ pub struct RelationSettings {
 impl Default for RelationSettings {
     fn default() -> Self {
         Self {
+            clocks: RelatedClocks::default(),
             max_drift_ppm: 50.0,
             window: Span::from_seconds(10),
             retention: Span::from_seconds(10),

@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{
-    ClockIdentity, DelaySource, Discipline, Exchange, Interval, RawTime, Relation, RelationSettings, Span,
-    WallTime, Witnessed,
+    ClockIdentity, DelaySource, Discipline, Exchange, Interval, RawTime, RelatedClocks, Relation,
+    RelationSettings, Span, WallTime, Witnessed,
 };
 use sqlx::FromRow;
 
@@ -123,6 +123,7 @@ impl Rolling {
     fn learn(&mut self, row: &Row) -> Result<(), StoreError> {
         let relation = self.relation.get_or_insert_with(|| {
             let settings = RelationSettings {
+                clocks: RelatedClocks::Wall,
                 max_drift_ppm: row.max_drift_ppm,
                 window: SPAN,
                 retention: SPAN + SPAN + DISORDER,

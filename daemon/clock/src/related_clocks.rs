@@ -1,0 +1,62 @@
+//! Which clocks of two hosts a relation relates.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The clocks of the two hosts that the stamps of exchanges are of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RelatedClocks {
+    /// The free-running clocks (`CLOCK_MONOTONIC_RAW`) of both hosts: no time daemon steps or slews them.
+    #[default]
+    Raw,
+    /// The free-running clock of the edge and the wall clock of the cloud, whose steps and slews move the offset: a cloud of session
+    /// protocol 4, or a STAMP reflector of another implementation.
+    RawToWall,
+    /// The wall clocks of both hosts: only runs that were recorded before version 0.3.0.
+    Wall,
+}
+
+impl RelatedClocks {
+    /// Every value, in the order of declaration.
+    pub const ALL: &'static [Self] = &[Self::Raw, Self::RawToWall, Self::Wall];
+
+    /// Returns the name used in storage, in the API and on the pages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::RawToWall => "raw-to-wall",
+            Self::Wall => "wall",
+        }
+    }
+
+    /// Returns the value of that name, if there is one.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.iter().copied().find(|value| value.name() == name)
+    }
+
+    /// Whether no time daemon can move the offset between the two clocks.
+    pub const fn are_free_running(self) -> bool {
+        matches!(self, Self::Raw)
+    }
+}
+
+impl fmt::Display for RelatedClocks {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lead_back_and_match_the_serialised_form() {
+        for clocks in RelatedClocks::ALL {
+            assert_eq!(RelatedClocks::from_name(clocks.name()), Some(*clocks));
+            assert_eq!(serde_json::to_string(clocks).expect("serialises"), format!("\"{clocks}\""));
+        }
+    }
+}
