@@ -75,10 +75,13 @@ fn late_arrivals(clock: &SystemClock) {
 
 fn reads(clock: &SystemClock) {
     let calls = [(); 100 * BATCH];
-    let rows: [(&str, &dyn Fn()); 4] = [
+    let rows: [(&str, &dyn Fn()); 7] = [
         ("Clock::mono", &|| _ = black_box(clock.mono())),
         ("Clock::wall", &|| _ = black_box(clock.wall())),
+        ("Clock::raw", &|| _ = black_box(clock.raw())),
+        ("Clock::stamp", &|| _ = black_box(clock.stamp())),
         ("Clock::epoch", &|| _ = black_box(clock.epoch())),
+        ("Clock::wall_epoch", &|| _ = black_box(clock.wall_epoch())),
         ("Clock::readings", &|| _ = black_box(clock.readings())),
     ];
     for (name, read) in rows {

@@ -7,6 +7,7 @@
 //! From the ground up:
 //!
 //! - `time`: [`WallTime`], [`MonoTime`], [`RawTime`] and their difference, [`Span`].
+//! - `system`: reads the operating system's clocks.
 //! - `source`: the [`Clock`] and the system's; `manual`, one that tests move; `rehearsed`, one that is wrong on
 //!   purpose, by what `rehearsal` describes.
 //! - `steps`: notices that a wall clock was set, runs off, or slept.
@@ -32,6 +33,7 @@ mod relation;
 mod simulation;
 mod source;
 mod steps;
+mod system;
 mod time;
 
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
@@ -40,7 +42,7 @@ pub use exchange::{Exchange, Witnessed};
 pub use identity::ClockIdentity;
 pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
-pub use rehearsal::{RehearsalDescription, RehearsedStep};
+pub use rehearsal::{RehearsalDescription, RehearsedStep, SteppedClock};
 pub use rehearsed::RehearsedClock;
 pub use related_clocks::RelatedClocks;
 pub use relation::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings};

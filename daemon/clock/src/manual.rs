@@ -2,41 +2,60 @@
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
-use crate::{Clock, ClockIdentity, MonoTime, Span, WallTime};
+use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, Span, Stamp, WallTime};
 
 /// A clock for tests: stands still until [`advance`](Self::advance) or [`step_wall`](Self::step_wall).
 #[derive(Debug)]
 pub struct ManualClock {
     wall: AtomicI64,
     mono: AtomicI64,
+    slept: AtomicI64,
     epoch: AtomicU32,
+    wall_epoch: AtomicU32,
     last_step: AtomicI64,
     identity: ClockIdentity,
 }
 
 impl ManualClock {
-    /// A clock whose wall shows `wall` and whose monotonic clock shows zero.
+    /// What the free-running clock shows before any time passed. Not zero, so that no stamp of it is taken for one of another clock.
+    pub const FIRST_RAW: RawTime = RawTime::from_nanos(5_000_000_000_000);
+
+    /// A clock whose wall shows `wall`, whose monotonic clock shows zero and whose free-running one [`FIRST_RAW`](Self::FIRST_RAW).
     pub fn new(wall: WallTime, identity: ClockIdentity) -> Self {
         Self {
             wall: AtomicI64::new(wall.unix_nanos()),
             mono: AtomicI64::new(0),
+            slept: AtomicI64::new(0),
             epoch: AtomicU32::new(0),
+            wall_epoch: AtomicU32::new(0),
             last_step: AtomicI64::new(0),
             identity,
         }
     }
 
-    /// Lets time pass on both clocks.
+    /// Lets time pass on all clocks.
     pub fn advance(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
         self.mono.fetch_add(span.nanos(), Ordering::SeqCst);
     }
 
-    /// Sets the wall clock forward or back, as an administrator would; a new epoch begins, however small the step.
+    /// Lets the machine sleep: only the wall clock goes on, and a new epoch begins.
+    pub fn sleep(&self, span: Span) {
+        self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
+        self.slept.fetch_add(span.nanos(), Ordering::SeqCst);
+        self.epoch.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// Moves the wall clock without a trace, as a time daemon does that slews it.
+    pub fn slew_wall(&self, by: Span) {
+        self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
+    }
+
+    /// Sets the wall clock forward or back, as an administrator would; a new epoch of it begins, however small the step.
     pub fn step_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
         self.last_step.store(by.nanos(), Ordering::SeqCst);
-        self.epoch.fetch_add(1, Ordering::SeqCst);
+        self.wall_epoch.fetch_add(1, Ordering::SeqCst);
     }
 }
 
@@ -49,8 +68,17 @@ impl Clock for ManualClock {
         MonoTime::from_nanos(self.mono.load(Ordering::SeqCst))
     }
 
+    fn raw(&self) -> RawTime {
+        Self::FIRST_RAW + Span::from_nanos(self.mono.load(Ordering::SeqCst))
+    }
+
     fn identity(&self) -> &ClockIdentity {
         &self.identity
+    }
+
+    fn readings(&self) -> Readings {
+        let Stamp { wall, mono, raw } = self.stamp();
+        Readings { wall, mono, raw, boot: mono + Span::from_nanos(self.slept.load(Ordering::SeqCst)) }
     }
 
     fn epoch(&self) -> u32 {
@@ -59,6 +87,14 @@ impl Clock for ManualClock {
 
     fn begin_epoch(&self) {
         self.epoch.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn wall_epoch(&self) -> u32 {
+        self.wall_epoch.load(Ordering::SeqCst)
+    }
+
+    fn begin_wall_epoch(&self) {
+        self.wall_epoch.fetch_add(1, Ordering::SeqCst);
     }
 
     fn last_step(&self) -> Option<Span> {
@@ -78,6 +114,8 @@ mod tests {
         clock.step_wall(Span::from_nanos(-100));
         assert_eq!(clock.wall(), WallTime::from_unix_nanos(-85));
         assert_eq!(clock.mono(), MonoTime::from_nanos(10));
-        assert_eq!((clock.epoch(), clock.last_step()), (1, Some(Span::from_nanos(-100))));
+        assert_eq!(clock.raw(), ManualClock::FIRST_RAW + Span::from_nanos(10));
+        assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_nanos(-100))));
+        assert_eq!(clock.epoch(), 0, "the free-running clock was not interrupted");
     }
 }

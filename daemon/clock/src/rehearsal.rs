@@ -1,12 +1,13 @@
-//! By how much a wall clock is wrong on purpose.
+//! By how much the clocks of a host are wrong on purpose.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Span, WallTime};
+use crate::{RawTime, Span, WallTime};
 
-/// How a wall clock is made wrong: `shown = true + offset + drift × (true − since) + steps so far`.
+/// How the wall clock and the free-running clock are made wrong:
+/// `shown = true + offset + drift × (true − since) + steps of this clock so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RehearsalDescription {
     /// Ahead from the start.
@@ -26,6 +27,36 @@ pub struct RehearsedStep {
     pub at: Span,
     /// By so much.
     pub by: Span,
+    /// Which clock. Left out where it is the wall clock, the only one that earlier releases step.
+    #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
+    pub clock: SteppedClock,
+}
+
+impl RehearsedStep {
+    /// A step of the wall clock.
+    pub const fn of_wall(at: Span, by: Span) -> Self {
+        Self { at, by, clock: SteppedClock::Wall }
+    }
+}
+
+/// A clock that a rehearsal steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SteppedClock {
+    /// The wall clock, as an administrator sets it. The step is noticed at once.
+    #[default]
+    Wall,
+    /// The free-running clock, as where a virtual machine was paused. Nothing on the host notices the step.
+    Raw,
+}
+
+impl SteppedClock {
+    /// Whether it is the wall clock.
+    // By reference, as serde asks.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+    pub fn is_wall(&self) -> bool {
+        *self == Self::Wall
+    }
 }
 
 /// In words: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
@@ -37,34 +68,42 @@ impl fmt::Display for RehearsalDescription {
             write!(f, ", drift {:+} ppm", self.drift_ppm)?;
         }
         for step in &self.steps {
-            write!(f, ", step {:+} ms after {} s", millis(step.by), step.at.seconds())?;
+            let of = if step.clock.is_wall() { "" } else { " of the free-running clock" };
+            write!(f, ", step{of} {:+} ms after {} s", millis(step.by), step.at.seconds())?;
         }
         Ok(())
     }
 }
 
 impl RehearsalDescription {
-    /// What the clock shows when the true one shows `truth`.
+    /// What the wall clock shows when the true one shows `truth`.
     pub fn shown(&self, truth: WallTime) -> WallTime {
         truth + self.error_at(truth)
     }
 
-    /// How far the clock is ahead when the true one shows `truth`.
+    /// How far the wall clock is ahead when the true one shows `truth`.
     pub fn error_at(&self, truth: WallTime) -> Span {
-        self.smooth_error_at(truth) + self.steps_until(truth).map(|step| step.by).sum()
+        self.error_after(truth - self.since, SteppedClock::Wall)
     }
 
-    /// What the true clock showed when this one showed `shown`, to the nanosecond.
+    /// What the free-running clock shows when the true one shows `truth` and showed `since` at the start.
+    pub fn raw_shown(&self, truth: RawTime, since: RawTime) -> RawTime {
+        truth + self.error_after(truth - since, SteppedClock::Raw)
+    }
+
+    /// What the true wall clock showed when this one showed `shown`, to the nanosecond.
     ///
     /// A clock that was set back shows some times twice, and one that was set forward leaves some out: then it is the
     /// last such time, or that of the step.
     pub fn true_of(&self, shown: WallTime) -> WallTime {
-        let mut begins: Vec<WallTime> = self.steps.iter().map(|step| self.since + step.at).collect();
+        let steps = self.steps.iter().filter(|step| step.clock.is_wall());
+        let mut begins: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
         begins.push(WallTime::from_unix_nanos(i64::MIN));
         begins.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
         for begin in begins {
-            let stepped: Span = self.steps_until(begin).map(|step| step.by).sum();
+            let stepped: Span =
+                self.steps_within(begin - self.since, SteppedClock::Wall).map(|step| step.by).sum();
             let truth = self.smooth_true_of(shown - stepped);
             if truth >= begin {
                 return truth.min(end);
@@ -74,9 +113,11 @@ impl RehearsalDescription {
         end
     }
 
-    fn smooth_error_at(&self, truth: WallTime) -> Span {
-        let drift = (truth - self.since).nanos() as f64 * self.drift_ppm * 1e-6;
-        self.offset + Span::from_nanos(drift.round() as i64)
+    /// How far a clock is ahead so long after the start.
+    fn error_after(&self, elapsed: Span, clock: SteppedClock) -> Span {
+        let drift = elapsed.nanos() as f64 * self.drift_ppm * 1e-6;
+        let steps: Span = self.steps_within(elapsed, clock).map(|step| step.by).sum();
+        self.offset + Span::from_nanos(drift.round() as i64) + steps
     }
 
     /// The inverse without steps.
@@ -87,8 +128,12 @@ impl RehearsalDescription {
         ahead - Span::from_nanos(drift.round() as i64)
     }
 
-    pub(crate) fn steps_until(&self, truth: WallTime) -> impl Iterator<Item = &RehearsedStep> {
-        let elapsed = truth - self.since;
-        self.steps.iter().filter(move |step| step.at <= elapsed)
+    /// The steps of a clock until so long after the start.
+    pub(crate) fn steps_within(
+        &self,
+        elapsed: Span,
+        clock: SteppedClock,
+    ) -> impl Iterator<Item = &RehearsedStep> {
+        self.steps.iter().filter(move |step| step.clock == clock && step.at <= elapsed)
     }
 }

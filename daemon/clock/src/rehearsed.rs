@@ -1,16 +1,18 @@
-//! A wall clock that is wrong on purpose.
+//! Clocks that are wrong on purpose.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::rehearsal::RehearsalDescription;
-use crate::{Clock, ClockIdentity, MonoTime, Readings, SharedClock, Span, WallTime};
+use crate::rehearsal::{RehearsalDescription, SteppedClock};
+use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, SharedClock, Span, WallTime};
 
-/// A clock whose wall is wrong on purpose; its monotonic clock is untouched.
+/// A clock whose wall clock and free-running clock are wrong on purpose; its monotonic clock is untouched.
 #[derive(Debug)]
 pub struct RehearsedClock {
     inner: SharedClock,
     identity: ClockIdentity,
     description: RehearsalDescription,
+    /// What the true free-running clock showed when the rehearsal began.
+    raw_since: RawTime,
     seen: Mutex<Seen>,
 }
 
@@ -25,23 +27,26 @@ struct Seen {
 impl RehearsedClock {
     /// `inner`, made wrong as described.
     pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
-        let seen = Mutex::new(Seen { inner: inner.epoch(), ..Seen::default() });
-        Self { inner, identity, description, seen }
+        let seen = Mutex::new(Seen { inner: inner.wall_epoch(), ..Seen::default() });
+        let now = inner.stamp();
+        let raw_since = now.raw - (now.wall - description.since);
+        Self { inner, identity, description, raw_since, seen }
     }
 
-    /// Rehearsed steps are known, not found: they count from the moment they are due, and for ever.
+    /// Rehearsed steps of the wall clock are known, not found: they count from the moment they are due, and for ever.
     fn look(&self) -> MutexGuard<'_, Seen> {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let inner = self.inner.epoch();
-        let now = self.inner.wall();
-        let due = self.description.steps_until(now).count() as u32;
+        let inner = self.inner.wall_epoch();
+        let elapsed = self.inner.wall() - self.description.since;
+        let steps = || self.description.steps_within(elapsed, SteppedClock::Wall);
+        let due = steps().count() as u32;
         if inner > seen.inner {
             seen.inner = inner;
             seen.last_step = self.inner.last_step();
         }
         if due > seen.rehearsed {
             seen.rehearsed = due;
-            seen.last_step = self.description.steps_until(now).max_by_key(|step| step.at).map(|step| step.by);
+            seen.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
         seen
     }
@@ -56,22 +61,35 @@ impl Clock for RehearsedClock {
         self.inner.mono()
     }
 
+    fn raw(&self) -> RawTime {
+        self.description.raw_shown(self.inner.raw(), self.raw_since)
+    }
+
     fn identity(&self) -> &ClockIdentity {
         &self.identity
     }
 
     fn readings(&self) -> Readings {
         let inner = self.inner.readings();
-        Readings { wall: self.description.shown(inner.wall), ..inner }
+        let wall = self.description.shown(inner.wall);
+        Readings { wall, raw: self.description.raw_shown(inner.raw, self.raw_since), ..inner }
     }
 
     fn epoch(&self) -> u32 {
-        let seen = self.look();
-        seen.inner + seen.rehearsed
+        self.inner.epoch()
     }
 
     fn begin_epoch(&self) {
         self.inner.begin_epoch();
+    }
+
+    fn wall_epoch(&self) -> u32 {
+        let seen = self.look();
+        seen.inner + seen.rehearsed
+    }
+
+    fn begin_wall_epoch(&self) {
+        self.inner.begin_wall_epoch();
     }
 
     fn last_step(&self) -> Option<Span> {
@@ -94,10 +112,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{ManualClock, RehearsedStep};
+    use crate::{Interval, ManualClock, RehearsedStep};
 
     fn step(at: i64, by: i64) -> RehearsedStep {
-        RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by) }
+        RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by), clock: SteppedClock::Wall }
     }
 
     fn described(steps: &[RehearsedStep]) -> RehearsalDescription {
@@ -125,18 +143,41 @@ mod tests {
         let description = described(&[step(20, -500), step(10, 3000)]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
         let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
-        assert_eq!((clock.epoch(), clock.last_step()), (0, None));
+        assert_eq!((clock.wall_epoch(), clock.last_step()), (0, None));
         inner.advance(Span::from_seconds(10));
-        assert_eq!((clock.epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
+        assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
         inner.step_wall(Span::from_millis(-20));
-        assert_eq!((clock.epoch(), clock.last_step()), (2, Some(Span::from_millis(-20))));
-        clock.begin_epoch();
+        assert_eq!((clock.wall_epoch(), clock.last_step()), (2, Some(Span::from_millis(-20))));
+        clock.begin_wall_epoch();
         inner.advance(Span::from_seconds(11));
-        assert_eq!((clock.epoch(), clock.last_step()), (4, Some(Span::from_millis(-500))));
+        assert_eq!((clock.wall_epoch(), clock.last_step()), (4, Some(Span::from_millis(-500))));
         assert_eq!(clock.readings().wall, clock.wall());
         assert_eq!(clock.adopt(inner.wall()), clock.wall());
         assert_eq!(clock.mono(), inner.mono());
         assert!(clock.rehearsal().is_some());
+    }
+
+    #[test]
+    fn drift_is_common_to_both_clocks_and_a_step_is_of_the_named_one() {
+        let raw_step = RehearsedStep { clock: SteppedClock::Raw, ..step(20, -39) };
+        let description = described(&[step(10, 3000), raw_step]);
+        let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
+        let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let errors = || (clock.wall() - inner.wall(), clock.raw() - inner.raw());
+        assert_eq!(errors(), (Span::from_millis(137), Span::from_millis(137)));
+        inner.advance(Span::from_seconds(10));
+        assert_eq!(errors(), (Span::from_micros(3_137_500), Span::from_micros(137_500)));
+        inner.advance(Span::from_seconds(10));
+        assert_eq!(errors(), (Span::from_micros(3_138_000), Span::from_micros(99_000)));
+        assert_eq!(
+            (clock.epoch(), clock.wall_epoch()),
+            (0, 1),
+            "nothing notices the step of the free-running clock"
+        );
+        assert_eq!(
+            clock.wall_ahead(),
+            Interval::exactly(clock.wall() - WallTime::from_unix_nanos(clock.raw().nanos()))
+        );
     }
 
     proptest! {
@@ -177,13 +218,21 @@ mod tests {
         };
         assert_eq!(rehearsal.to_string(), "offset -500 ms");
         rehearsal.drift_ppm = 50.5;
-        rehearsal.steps.push(RehearsedStep { at: Span::from_millis(1500), by: Span::from_seconds(3) });
+        rehearsal.steps.push(RehearsedStep {
+            at: Span::from_millis(1500),
+            by: Span::from_seconds(3),
+            clock: SteppedClock::Wall,
+        });
         assert_eq!(rehearsal.to_string(), "offset -500 ms, drift +50.5 ppm, step +3000 ms after 1.5 s");
     }
 
     #[test]
     fn the_words_are_the_figures_that_were_written() {
-        let step = |at, by| RehearsedStep { at: Span::from_seconds(at), by: Span::from_micros(by) };
+        let step = |at, by| RehearsedStep {
+            at: Span::from_seconds(at),
+            by: Span::from_micros(by),
+            clock: SteppedClock::Wall,
+        };
         let rehearsal = RehearsalDescription {
             offset: Span::from_micros(-123_300),
             drift_ppm: 0.1,

@@ -1,21 +1,38 @@
 //! Where time comes from: the `Clock` trait and the operating system's clock behind it.
 
 use std::fmt;
+use std::ops::{Add, Sub};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
-
-use rustix::time::{ClockId, Timespec, clock_gettime};
 
 use crate::steps::{Paired, StepWatch};
-use crate::{ClockIdentity, MonoTime, Readings, RehearsalDescription, Span, WallTime};
+use crate::system::{BOOT, MONO, RAW, WALL, read};
+use crate::{ClockIdentity, Interval, MonoTime, RawTime, Readings, RehearsalDescription, Span, WallTime};
 
-/// Both clocks of a host, read together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The clocks of a host, read together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
     /// What the wall clock showed.
     pub wall: WallTime,
     /// What the monotonic clock showed.
     pub mono: MonoTime,
+    /// What the free-running clock showed. It is read first, so that this is not later than the other two.
+    pub raw: RawTime,
+}
+
+/// The clocks a span later, as far as they run alike meanwhile.
+impl Add<Span> for Stamp {
+    type Output = Self;
+    fn add(self, span: Span) -> Self {
+        Self { wall: self.wall + span, mono: self.mono + span, raw: self.raw + span }
+    }
+}
+
+/// The clocks a span earlier, as far as they ran alike meanwhile.
+impl Sub<Span> for Stamp {
+    type Output = Self;
+    fn sub(self, span: Span) -> Self {
+        Self { wall: self.wall - span, mono: self.mono - span, raw: self.raw - span }
+    }
 }
 
 /// The only source of time in the workspace.
@@ -26,38 +43,60 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Now on the monotonic clock.
     fn mono(&self) -> MonoTime;
 
+    /// Now on the free-running clock, by which clocks of two hosts are related.
+    fn raw(&self) -> RawTime;
+
     /// Which clock this is: two hosts with equal identities read the same clock.
     fn identity(&self) -> &ClockIdentity;
 
-    /// Both clocks, read one right after the other: whoever is interrupted in between reads again, because that would
+    /// The clocks, read one right after the other: whoever is interrupted in between reads again, because that would
     /// look like a step.
     fn stamp(&self) -> Stamp {
-        let read = || Paired { before: self.mono(), between: self.wall(), after: self.mono() };
-        let Paired { before, between, .. } = Paired::read(read);
-        Stamp { wall: between, mono: before }
+        let read = || Paired { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
+        let Paired { before, between: (wall, mono), .. } = Paired::read(read);
+        Stamp { wall, mono, raw: before }
+    }
+
+    /// How far the wall clock is ahead of the free-running one now; contains the truth.
+    fn wall_ahead(&self) -> Interval {
+        let read = || Paired { before: self.raw(), between: self.wall(), after: self.raw() };
+        let Paired { before, between, after } = Paired::read(read);
+        let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
+        // A free-running clock that was stepped on purpose in between may go back.
+        Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
     /// All clocks of the host, for who watches over them.
     fn readings(&self) -> Readings {
-        let Stamp { wall, mono } = self.stamp();
-        Readings { wall, mono, raw: mono, boot: mono }
+        let Stamp { wall, mono, raw } = self.stamp();
+        Readings { wall, mono, raw, boot: mono }
     }
 
-    /// How often the wall clock was found to have been stepped. Looks: a step is noticed by the first call after
-    /// it, so that stamps taken before a call belong to no later epoch than it returns.
+    /// How often the free-running clock was interrupted: by a sleep of the machine, or by whatever
+    /// [`begin_epoch`](Self::begin_epoch) was told of. Looks: a sleep is noticed by the first call after it, so that stamps taken
+    /// before a call belong to no later epoch than it returns.
     fn epoch(&self) -> u32 {
         0
     }
 
-    /// The wall clock ran off in a way that only shows over time: from now on it counts as stepped.
+    /// The free-running clock was interrupted in a way that it cannot notice itself: stamps before and after say nothing about
+    /// each other.
     fn begin_epoch(&self) {}
 
-    /// How far the wall clock was set by the last step that a call of [`epoch`](Self::epoch) noticed.
+    /// How often the wall clock was found to have been stepped; looks like [`epoch`](Self::epoch).
+    fn wall_epoch(&self) -> u32 {
+        0
+    }
+
+    /// The wall clock ran off in a way that only shows over time: from now on it counts as stepped.
+    fn begin_wall_epoch(&self) {}
+
+    /// How far the wall clock was set by the last step that a call of [`wall_epoch`](Self::wall_epoch) noticed.
     fn last_step(&self) -> Option<Span> {
         None
     }
 
-    /// What this clock would have shown when the system's wall clock showed `system`, a moment ago: a packet's
+    /// What this wall clock would have shown when the system's wall clock showed `system`, a moment ago: a packet's
     /// stamp is made by the kernel, which knows nothing of a rehearsal.
     fn adopt(&self, system: WallTime) -> WallTime {
         system
@@ -72,46 +111,48 @@ pub trait Clock: Send + Sync + fmt::Debug {
 /// A clock that is handed around.
 pub type SharedClock = Arc<dyn Clock>;
 
-/// The operating system's clocks. Clones notice steps together.
+/// The operating system's clocks. Clones notice steps and sleeps together.
 #[derive(Clone, Debug)]
 pub struct SystemClock {
     identity: ClockIdentity,
     steps: Arc<Mutex<StepWatch>>,
+    sleeps: Arc<Mutex<StepWatch>>,
 }
 
 impl SystemClock {
-    /// The clocks of this machine under the given identity (see [`ClockIdentity::of_this_machine`]). Steps count from
+    /// The clocks of this machine under the given identity (see [`ClockIdentity::of_this_machine`]). Steps and sleeps count from
     /// now on.
     pub fn new(identity: ClockIdentity) -> Self {
-        let clock = Self { identity, steps: Arc::default() };
-        clock.epoch();
+        let clock = Self { identity, steps: Arc::default(), sleeps: Arc::default() };
+        (clock.epoch(), clock.wall_epoch());
         clock
-    }
-
-    fn steps(&self) -> MutexGuard<'_, StepWatch> {
-        self.steps.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn paired(&self) -> Paired {
-        Paired { before: self.mono(), between: self.wall(), after: self.mono() }
     }
 }
 
+/// Reads another clock between two looks at the monotonic one.
+fn beside_mono(other: impl Fn() -> i64) -> Paired {
+    let mono = || MonoTime::from_nanos(read(MONO));
+    Paired::read(|| Paired { before: mono(), between: other(), after: mono() })
+}
+
+fn lock(watch: &Mutex<StepWatch>) -> MutexGuard<'_, StepWatch> {
+    watch.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Clock for SystemClock {
-    /// Through the C library, which `libfaketime` replaces; both ways end in the kernel's vDSO.
     #[inline]
-    #[expect(clippy::disallowed_methods, reason = "this is where the injected clock gets its time")]
     fn wall(&self) -> WallTime {
-        let nanos = match SystemTime::now().duration_since(UNIX_EPOCH) {
-            Ok(since) => i64::try_from(since.as_nanos()).unwrap_or(i64::MAX),
-            Err(before) => i64::try_from(before.duration().as_nanos()).map_or(i64::MIN, |nanos| -nanos),
-        };
-        WallTime::from_unix_nanos(nanos)
+        WallTime::from_unix_nanos(read(WALL))
     }
 
     #[inline]
     fn mono(&self) -> MonoTime {
-        mono(ClockId::Monotonic)
+        MonoTime::from_nanos(read(MONO))
+    }
+
+    #[inline]
+    fn raw(&self) -> RawTime {
+        RawTime::from_nanos(read(RAW))
     }
 
     fn identity(&self) -> &ClockIdentity {
@@ -121,7 +162,7 @@ impl Clock for SystemClock {
     fn readings(&self) -> Readings {
         let read = || {
             let before = self.mono();
-            let between = (self.wall(), mono(ClockId::MonotonicRaw), mono(ClockId::Boottime));
+            let between = (self.wall(), self.raw(), MonoTime::from_nanos(read(BOOT)));
             Paired { before, between, after: self.mono() }
         };
         let Paired { before, between: (wall, raw, boot), .. } = Paired::read(read);
@@ -129,25 +170,25 @@ impl Clock for SystemClock {
     }
 
     fn epoch(&self) -> u32 {
-        self.steps().look(Paired::read(|| self.paired()))
+        // Both run at one rate: what comes between them is sleep.
+        lock(&self.sleeps).look(beside_mono(|| read(BOOT)))
     }
 
     fn begin_epoch(&self) {
-        self.steps().begin();
+        lock(&self.sleeps).begin();
+    }
+
+    fn wall_epoch(&self) -> u32 {
+        lock(&self.steps).look(beside_mono(|| read(WALL)))
+    }
+
+    fn begin_wall_epoch(&self) {
+        lock(&self.steps).begin();
     }
 
     fn last_step(&self) -> Option<Span> {
-        self.steps().last_step()
+        lock(&self.steps).last_step()
     }
-}
-
-fn mono(id: ClockId) -> MonoTime {
-    MonoTime::from_nanos(nanos(clock_gettime(id)))
-}
-
-#[inline]
-fn nanos(time: Timespec) -> i64 {
-    time.tv_sec.saturating_mul(1_000_000_000).saturating_add(time.tv_nsec)
 }
 
 #[cfg(test)]

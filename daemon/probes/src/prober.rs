@@ -237,7 +237,7 @@ impl Prober {
             news.push(ProbeResult::Refused("not from the target"));
             return;
         }
-        let returned = Return { kernel: received.kernel, read, epoch: self.clock.epoch() };
+        let returned = Return { kernel: received.kernel, read, epoch: self.clock.wall_epoch() };
         news.lost(self.logic.expire(read.mono));
         let heard = self.logic.receive(packet, &returned);
         if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {

@@ -216,13 +216,13 @@ async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;
     let own = socket.local_addr();
-    let epoch = clock.epoch();
+    let epoch = clock.wall_epoch();
     let before = clock.wall();
     poll_fn(|cx| socket.poll_send_to(&[0], own, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
     let after = clock.wall();
     let stamp = adopted(clock, received.timestamp_data);
-    let steady = clock.epoch() == epoch;
+    let steady = clock.wall_epoch() == epoch;
     Ok(stamp.filter(|_| steady).map(|stamp| before - AGREEMENT <= stamp && stamp <= after + AGREEMENT))
 }
 

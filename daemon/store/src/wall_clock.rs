@@ -53,7 +53,7 @@ fn in_words(span: Span) -> String {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::MonoTime;
+    use peernet_clock::{MonoTime, RawTime};
 
     use super::*;
 
@@ -61,6 +61,7 @@ mod tests {
         Stamp {
             wall: WallTime::from_unix_nanos(wall_s * 1_000_000_000),
             mono: MonoTime::from_nanos(mono_s * 1_000_000_000),
+            raw: RawTime::from_nanos(mono_s * 1_000_000_000),
         }
     }
 

@@ -31,7 +31,7 @@ impl HostClock {
         let since = DateTime::parse_from_rfc3339(rehearsal["since"].as_str()?).ok()?;
         let steps = rehearsal["steps"].as_array()?.iter();
         let steps =
-            steps.map(|step| Some(RehearsedStep { at: span(&step["at_s"])?, by: span(&step["by_s"])? }));
+            steps.map(|step| Some(RehearsedStep::of_wall(span(&step["at_s"])?, span(&step["by_s"])?)));
         Some(Self::new(RehearsalDescription {
             offset: span(&rehearsal["offset_s"])?,
             drift_ppm: rehearsal["drift_ppm"].as_f64()?,
@@ -97,7 +97,7 @@ mod tests {
     #[test]
     fn what_a_rehearsed_clock_shows_leads_back_to_the_truth() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
-        let step = RehearsedStep { at: Span::from_seconds(20), by: Span::from_seconds(3) };
+        let step = RehearsedStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
         let rehearsal = RehearsalDescription {
             offset: Span::from_seconds(-1),
             drift_ppm: 100.0,

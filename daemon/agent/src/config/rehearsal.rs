@@ -1,9 +1,9 @@
 //! `[rehearsal]`
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
+use peernet_clock::{RehearsalDescription, RehearsedStep, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
-/// `[rehearsal]`: makes this host's wall clock wrong on purpose, to see that the reported delays do not move.
+/// `[rehearsal]`: makes this host's clocks wrong on purpose, to see that the reported delays do not move.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RehearsalConfig {
@@ -18,7 +18,7 @@ pub struct RehearsalConfig {
     pub discipline: RehearsedDiscipline,
 }
 
-/// `steps = [{ at_s = …, by_ms = … }]`
+/// `steps = [{ at_s = …, by_ms = …, clock = … }]`
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RehearsedStepConfig {
@@ -26,6 +26,10 @@ pub struct RehearsedStepConfig {
     pub at_s: f64,
     /// Set forward by so many milliseconds; negative: back.
     pub by_ms: f64,
+    /// Which clock: `wall`, the step is noticed at once; or `raw`, the free-running clock, nothing on the host notices it.
+    /// Default: `wall`.
+    #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
+    pub clock: SteppedClock,
 }
 
 /// What a rehearsed host claims about its clock.
@@ -47,6 +51,7 @@ impl RehearsalConfig {
         let step = |step: &RehearsedStepConfig| RehearsedStep {
             at: Span::from_seconds_f64(step.at_s),
             by: milliseconds(step.by_ms),
+            clock: step.clock,
         };
         RehearsalDescription {
             offset: milliseconds(self.offset_ms),

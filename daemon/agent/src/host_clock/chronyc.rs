@@ -48,7 +48,7 @@ pub(super) struct Chronyc {
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
-        let trust = Trust::new(clock.epoch());
+        let trust = Trust::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
         Self { command, arguments, clock, trust, told: false }
     }
@@ -87,7 +87,7 @@ impl Chronyc {
         }
         let tracking = Tracking::parse(&output);
         let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
-        if self.trust.allows(&tracking, self.clock.epoch()) {
+        if self.trust.allows(&tracking, self.clock.wall_epoch()) {
             Ok(tracking.answer(at))
         } else {
             Err(ChronycError::Outdated)

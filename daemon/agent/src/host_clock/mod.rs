@@ -37,7 +37,7 @@ pub(crate) fn not_asked_yet(clock: &SharedClock) -> HostClock {
     HostClock {
         discipline: None,
         text: "not asked yet".to_owned(),
-        epoch: clock.epoch(),
+        epoch: clock.wall_epoch(),
         rehearsal: clock.rehearsal().cloned(),
     }
 }
@@ -59,7 +59,7 @@ pub(crate) async fn run(
         loop {
             ticks.tick().await;
             watchman.look(&incidents);
-            let epoch = clock.epoch();
+            let epoch = clock.wall_epoch();
             publish.send_if_modified(|known| {
                 let new = known.epoch != epoch;
                 if new {
@@ -77,10 +77,10 @@ pub(crate) async fn run(
         let mut ticks = interval(sources.period());
         loop {
             ticks.tick().await;
-            let before = clock.epoch();
+            let before = clock.wall_epoch();
             let summary = sources.ask().await;
             // What was said before a step is void.
-            if clock.epoch() == before {
+            if clock.wall_epoch() == before {
                 publish.send_if_modified(|known| {
                     let new = known.epoch != before
                         || known.discipline != summary.discipline

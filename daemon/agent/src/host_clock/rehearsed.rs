@@ -25,7 +25,7 @@ mod tests {
         let description = RehearsalDescription {
             offset: Span::from_seconds(-1),
             drift_ppm: 50.0,
-            steps: vec![RehearsedStep { at: Span::from_seconds(20), by: Span::from_seconds(3) }],
+            steps: vec![RehearsedStep::of_wall(Span::from_seconds(20), Span::from_seconds(3))],
             since: WallTime::from_unix_nanos(1_700_000_000_000_000_000),
         };
         let around = Span::from_seconds(2);

@@ -20,19 +20,19 @@ pub(super) struct Watchman {
 
 impl Watchman {
     pub(super) fn new(max_drift_ppm: f64, clock: SharedClock) -> Self {
-        let (watch, epoch) = (Watch::new(max_drift_ppm), clock.epoch());
+        let (watch, epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
         Self { clock, watch, max_drift_ppm, epoch, slew_told: None }
     }
 
-    /// Looks once. After it [`Clock::epoch`](peernet_clock::Clock::epoch) is a new one if the clock was disturbed.
+    /// Looks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the clock was disturbed.
     pub(super) fn look(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.look(readings);
         // A step the clock notices by itself; a slew or a suspend it cannot.
-        if !disturbances.is_empty() && self.clock.epoch() == self.epoch {
-            self.clock.begin_epoch();
+        if !disturbances.is_empty() && self.clock.wall_epoch() == self.epoch {
+            self.clock.begin_wall_epoch();
         }
-        let epoch = self.clock.epoch();
+        let epoch = self.clock.wall_epoch();
         // What is too little to be seen from here the clock may have seen itself.
         let unseen =
             (epoch != self.epoch && disturbances.is_empty()).then(|| self.clock.last_step()).flatten();
@@ -133,12 +133,12 @@ mod tests {
             (Span::from_millis(-250), "back by 0.250 s"),
             (Span::from_micros(30), "forward by 0.030 ms"),
         ] {
-            let before = scene.clock.epoch();
+            let before = scene.clock.wall_epoch();
             scene.manual.step_wall(by);
             scene.look_for(1);
             let told = scene.told();
             assert!(matches!(&told[..], [text] if text.contains(words)), "{words}: {told:?}");
-            assert_eq!(scene.clock.epoch(), before + 1, "one step, one epoch");
+            assert_eq!(scene.clock.wall_epoch(), before + 1, "one step, one epoch");
         }
     }
 
@@ -146,7 +146,7 @@ mod tests {
     fn a_drift_within_the_limit_is_nothing_to_tell() {
         let mut scene = Scene::new(40.0);
         scene.look_for(60);
-        assert_eq!((scene.told().len(), scene.clock.epoch()), (0, 0));
+        assert_eq!((scene.told().len(), scene.clock.wall_epoch()), (0, 0));
     }
 
     #[test]
@@ -155,7 +155,7 @@ mod tests {
         scene.look_for(50);
         let told = scene.told();
         assert!(matches!(&told[..], [text] if text.contains("ppm slower than it should")), "{told:?}");
-        assert!(scene.clock.epoch() > 5, "{}", scene.clock.epoch());
+        assert!(scene.clock.wall_epoch() > 5, "{}", scene.clock.wall_epoch());
         scene.look_for(60);
         assert_eq!(scene.told().len(), 1);
     }

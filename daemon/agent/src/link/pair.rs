@@ -48,7 +48,7 @@ impl Link {
         let relation = Relation::new(clock.identity(), &accepted.clock, shared.relation);
         let same_clock = relation.is_same_clock();
         // The announcement of the latest step may still be on its way.
-        let edge = HostClock { epoch: clock.epoch(), ..shared.host.own.borrow().clone() };
+        let edge = HostClock { epoch: clock.wall_epoch(), ..shared.host.own.borrow().clone() };
         let clocks = (edge, told(accepted.host_clock.clone()));
         let knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, clocks, now.wall);
         let link = Self {

@@ -1,6 +1,6 @@
 //! The tree of one iteration, from its intended start to its end.
 
-use peernet_clock::{MonoTime, SharedClock, Span, Stamp};
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::flight::Ticket;
@@ -16,7 +16,7 @@ const LATENESS: Name = Name::from_static("lateness");
 /// it really began, too.
 pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
     let now = clock.stamp();
-    let at = Stamp { wall: now.wall - (now.mono - intended), mono: intended };
+    let at = now - (now.mono - intended);
     (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
@@ -74,7 +74,7 @@ fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
 mod tests {
     use std::sync::Arc;
 
-    use peernet_clock::{Clock, ClockIdentity, Direction, ManualClock, OneWayDelay, WallTime};
+    use peernet_clock::{Clock, ClockIdentity, Direction, ManualClock, OneWayDelay, Stamp, WallTime};
 
     use super::super::load::Start;
     use super::super::progress::Position;
@@ -104,7 +104,7 @@ mod tests {
             let _inference = log.time(stage::INFERENCE);
             pass(2);
         }
-        let sent = Stamp { wall: clock.wall() + ahead, mono: clock.mono() };
+        let sent = Stamp { wall: clock.wall() + ahead, ..clock.stamp() };
         let down = log.depart(stage::DOWNLOAD, sent);
         pass(1);
         log.arrive(down, clock.wall());

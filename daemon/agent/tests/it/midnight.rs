@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, Span, WallTime};
+use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, Span, WallTime};
 
 use crate::harness::{Aggregator, TestAgent, clock, config};
 
@@ -21,6 +21,10 @@ impl Clock for Calendar {
 
     fn mono(&self) -> MonoTime {
         self.real.mono()
+    }
+
+    fn raw(&self) -> RawTime {
+        self.real.raw()
     }
 
     fn identity(&self) -> &ClockIdentity {

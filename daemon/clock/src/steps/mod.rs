@@ -8,7 +8,7 @@ mod watch;
 pub(crate) use step::{Paired, StepWatch};
 pub use watch::{Disturbance, Watch};
 
-use crate::{MonoTime, Span, WallTime};
+use crate::{MonoTime, RawTime, Span, WallTime};
 
 /// All clocks of a host, read together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +18,7 @@ pub struct Readings {
     /// `CLOCK_MONOTONIC`: slewed along with the wall clock, so that only steps show between the two.
     pub mono: MonoTime,
     /// `CLOCK_MONOTONIC_RAW`: never slewed, so that slews show against it.
-    pub raw: MonoTime,
+    pub raw: RawTime,
     /// `CLOCK_BOOTTIME`: goes on while the machine sleeps.
     pub boot: MonoTime,
 }

@@ -1,21 +1,23 @@
-//! Steps of the wall clock, found by whoever looks first.
+//! Steps of one clock against another, found by whoever looks first.
+
+use std::ops::Sub;
 
 use super::{LEAST_STEP, parts};
-use crate::{MonoTime, Span, WallTime};
+use crate::{MonoTime, Span};
 
-/// Something read between two reads of the monotonic clock: the wall clock, or several clocks.
+/// Something read between two looks at a clock: what another clock showed in nanoseconds, or several clocks.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Paired<T = WallTime> {
-    pub(crate) before: MonoTime,
+pub(crate) struct Paired<T = i64, C = MonoTime> {
+    pub(crate) before: C,
     pub(crate) between: T,
-    pub(crate) after: MonoTime,
+    pub(crate) after: C,
 }
 
 /// So near together, two reads were not interrupted.
 const NEAR: Span = Span::from_micros(3);
 const TRIES: u32 = 8;
 
-impl<T> Paired<T> {
+impl<T, C: Copy + Sub<Output = Span>> Paired<T, C> {
     /// Reads until nothing came in between; if something always does, the best of several.
     pub(crate) fn read(mut once: impl FnMut() -> Self) -> Self {
         let mut best = once();
@@ -37,15 +39,15 @@ impl<T> Paired<T> {
 }
 
 impl Paired {
-    /// Wall minus monotonic; off by half the gap at most.
+    /// The other clock minus the monotonic one; off by half the gap at most.
     fn ahead(&self) -> Span {
         let mono = self.before.nanos() + self.gap().nanos() / 2;
-        Span::from_nanos(self.between.unix_nanos().saturating_sub(mono))
+        Span::from_nanos(self.between.saturating_sub(mono))
     }
 }
 
-/// Counts the steps of a wall clock. `CLOCK_MONOTONIC` is slewed together with it, so that the two move apart by steps
-/// alone.
+/// Counts the steps of a clock against `CLOCK_MONOTONIC`, which is slewed together with the wall clock, so that the two move apart by
+/// steps alone; `CLOCK_BOOTTIME` and it move apart by sleeps alone.
 #[derive(Debug, Default)]
 pub(crate) struct StepWatch {
     last: Option<Paired>,

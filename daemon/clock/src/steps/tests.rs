@@ -7,13 +7,14 @@ fn micros(micros: i64) -> Span {
 /// The clocks after so long awake, set ahead by so much.
 fn readings(awake: Span, ahead: Span) -> Readings {
     let mono = MonoTime::default() + awake;
-    Readings { wall: WallTime::from_unix_nanos(1 << 60) + awake + ahead, mono, raw: mono, boot: mono }
+    let raw = RawTime::from_nanos(1 << 50) + awake;
+    Readings { wall: WallTime::from_unix_nanos(1 << 60) + awake + ahead, mono, raw, boot: mono }
 }
 
 fn pair(at: Span, ahead: Span, gap: Span) -> Paired {
     let before = MonoTime::default() + at;
     let between = WallTime::from_unix_nanos(1 << 60) + at + ahead + Span::from_nanos(gap.nanos() / 2);
-    Paired { before, between, after: before + gap }
+    Paired { before, between: between.unix_nanos(), after: before + gap }
 }
 
 #[test]

@@ -59,7 +59,7 @@ fn discipline() -> impl Strategy<Value = Discipline> {
 }
 
 fn rehearsal() -> impl Strategy<Value = RehearsalDescription> {
-    let step = (span(), span()).prop_map(|(at, by)| RehearsedStep { at, by });
+    let step = (span(), span()).prop_map(|(at, by)| RehearsedStep::of_wall(at, by));
     let steps = proptest::collection::vec(step, 0..3);
     (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| {
         RehearsalDescription { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(since) }

@@ -170,7 +170,7 @@ impl Listener {
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
                     // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
-                    let epoch = self.shared.clock.epoch();
+                    let epoch = self.shared.clock.wall_epoch();
                     let received = self.shared.clock.stamp();
                     if let Some(incoming) = heard(&self.shared, &peer, frames, (received, epoch)) {
                         return Some(incoming);
@@ -380,7 +380,7 @@ impl PortState {
         let (outcome, payload) = outcome(result, route.max_message_bytes);
         let (grown, zero) = grown(log);
         let stamp = self.clock.stamp();
-        let epoch = self.clock.epoch();
+        let epoch = self.clock.wall_epoch();
         let departure = grown.as_ref().map(|_| {
             let start = zero + (stamp.mono - MonoTime::default());
             Departure { sent: stamp.wall, start, epoch }

@@ -325,7 +325,7 @@ impl SessionState {
             self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
 
         // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
-        let epoch = self.clock.epoch();
+        let epoch = self.clock.wall_epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
         let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono), epoch };

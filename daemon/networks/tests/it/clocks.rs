@@ -51,19 +51,23 @@ impl Clock for Set {
         self.system.mono()
     }
 
+    fn raw(&self) -> RawTime {
+        self.system.raw()
+    }
+
     fn identity(&self) -> &ClockIdentity {
         self.system.identity()
     }
 
     fn stamp(&self) -> Stamp {
-        let stamp = Stamp { wall: self.wall(), mono: self.mono() };
+        let stamp = Stamp { wall: self.wall(), ..self.system.stamp() };
         if self.slips.swap(false, Ordering::SeqCst) {
             self.forward(Span::from_micros(-30));
         }
         stamp
     }
 
-    fn epoch(&self) -> u32 {
+    fn wall_epoch(&self) -> u32 {
         self.epoch.load(Ordering::SeqCst)
     }
 }
@@ -160,7 +164,7 @@ async fn a_clock_stepped_right_after_the_first_stamp_at_a_host_leaves_nothing_to
     let (session, _) = cloud.session(settings()).await;
     clock.slips.store(true, Ordering::SeqCst);
     let exchange = echo(&mut cloud, &session, "stepped at the cloud").await;
-    assert_eq!((exchange.witnessed, clock.epoch()), (None, 1));
+    assert_eq!((exchange.witnessed, clock.wall_epoch()), (None, 1));
     let exchange = echo(&mut cloud, &session, "after").await;
     assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
 
@@ -168,7 +172,7 @@ async fn a_clock_stepped_right_after_the_first_stamp_at_a_host_leaves_nothing_to
     let session = cloud.session_by(clock.clone()).await;
     clock.slips.store(true, Ordering::SeqCst);
     let exchange = echo(&mut cloud, &session, "stepped at the edge").await;
-    assert_eq!((exchange.witnessed, clock.epoch()), (None, 1));
+    assert_eq!((exchange.witnessed, clock.wall_epoch()), (None, 1));
     let exchange = echo(&mut cloud, &session, "after").await;
     assert_eq!(exchange.witnessed.expect("answered").edge_epoch, 1);
 }
@@ -188,7 +192,7 @@ async fn what_no_model_answered_is_no_exchange() {
 
 fn news() -> PeerClock {
     let error = Interval { lo: Span::from_micros(-20), hi: Span::from_micros(30) };
-    let step = RehearsedStep { at: Span::from_seconds(5), by: Span::from_seconds(3) };
+    let step = RehearsedStep::of_wall(Span::from_seconds(5), Span::from_seconds(3));
     PeerClock {
         epoch: 2,
         discipline: Some(Discipline { source: DelaySource::Chrony, error }),

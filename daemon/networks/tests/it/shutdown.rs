@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::Duration;
 
-use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, WallTime};
+use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, WallTime};
 use peernet_networks::{CloseReason, RequestError, SessionSettings};
 use tokio::sync::oneshot;
 
@@ -37,6 +37,10 @@ impl Clock for Gate {
 
     fn mono(&self) -> MonoTime {
         self.clock.mono()
+    }
+
+    fn raw(&self) -> RawTime {
+        self.clock.raw()
     }
 
     fn identity(&self) -> &ClockIdentity {

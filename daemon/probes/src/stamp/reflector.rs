@@ -156,7 +156,7 @@ impl Reflecting {
         let mode = Mode::of(self.key.as_ref());
         let now = clock.wall();
         // After the stamp: a step in between must show.
-        let epoch = clock.epoch();
+        let epoch = clock.wall_epoch();
         let reply = Reply { timestamp: answer.reply.estimate.format().encode(now), ..answer.reply };
         reply.write(mode, packet);
         let tlvs = &mut packet[mode.base_bytes()..];

@@ -134,7 +134,7 @@ impl Sending {
             tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
         }
         // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
-        let epoch = clock.epoch();
+        let epoch = clock.wall_epoch();
         let sent = clock.stamp();
         let timestamp = Format::Ntp.encode(sent.wall);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };

@@ -88,7 +88,7 @@ fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec
         conversation.replies[number] = packet;
 
         edge.advance(REFLECTION + WAY);
-        let returned = Return { kernel: None, read: edge.stamp(), epoch: edge.epoch() };
+        let returned = Return { kernel: None, read: edge.stamp(), epoch: edge.wall_epoch() };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
         heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));

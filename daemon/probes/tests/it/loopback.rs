@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Interval, MonoTime, RehearsalDescription, RehearsedClock, SharedClock, Span,
-    SystemClock, WallTime, Witnessed,
+    Clock, ClockIdentity, Interval, MonoTime, RawTime, RehearsalDescription, RehearsedClock, SharedClock,
+    Span, SystemClock, WallTime, Witnessed,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;
@@ -261,6 +261,10 @@ impl Clock for Shown {
 
     fn mono(&self) -> MonoTime {
         self.system.mono()
+    }
+
+    fn raw(&self) -> RawTime {
+        self.system.raw()
     }
 
     fn identity(&self) -> &ClockIdentity {

@@ -61,7 +61,7 @@ impl Pair {
     }
 
     fn hear(&mut self, packet: &[u8]) -> Result<Heard, &'static str> {
-        let returned = Return { kernel: None, read: self.clock.stamp(), epoch: self.clock.epoch() };
+        let returned = Return { kernel: None, read: self.clock.stamp(), epoch: self.clock.wall_epoch() };
         self.sender.receive(packet, &returned)
     }
 
@@ -76,7 +76,8 @@ impl Pair {
         let (departure, packet) = self.send();
         self.sender.departed(departure.sequence(), self.clock.wall());
         let reply = self.reflect(packet);
-        let returned = Return { kernel: Some(kernel), read: self.clock.stamp(), epoch: self.clock.epoch() };
+        let returned =
+            Return { kernel: Some(kernel), read: self.clock.stamp(), epoch: self.clock.wall_epoch() };
         answered(&self.sender.receive(&reply, &returned).expect("an answer"))
     }
 }
@@ -359,7 +360,8 @@ fn a_clock_that_was_set_meanwhile_is_no_reason_to_distrust_the_kernel() {
         pair.clock.step_wall(by);
         // As if it had left only then.
         pair.sender.departed(departure.sequence(), kernel + by);
-        let returned = Return { kernel: Some(kernel), read: pair.clock.stamp(), epoch: pair.clock.epoch() };
+        let returned =
+            Return { kernel: Some(kernel), read: pair.clock.stamp(), epoch: pair.clock.wall_epoch() };
         let heard = pair.sender.receive(&reply, &returned).expect("an answer");
         assert_eq!((heard.answered, pair.sender.distrusts_kernel()), (None, false));
     }

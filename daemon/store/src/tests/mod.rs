@@ -38,7 +38,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use peernet_clock::{ClockIdentity, MonoTime, Stamp, SystemClock, WallTime};
+use peernet_clock::{ClockIdentity, MonoTime, RawTime, Stamp, SystemClock, WallTime};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{BatchHead, Chain, Event, HostDescription, StreamId};
 use sqlx::{ConnectOptions, SqliteConnection};
@@ -51,8 +51,8 @@ use super::{Store, database};
 use crate::RetentionConfig;
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
-/// Both clocks of the aggregator.
-const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0) };
+/// The clocks of the aggregator.
+const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0), raw: RawTime::from_nanos(0) };
 
 /// The process that all batches come from.
 const PROCESS: u64 = u64::MAX - 4;

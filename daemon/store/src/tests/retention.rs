@@ -55,7 +55,10 @@ pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConne
     // Nothing has passed since the storage clock was stored.
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
     let mut clock = StorageClock::default();
-    retention.step(connection, &mut clock, Stamp { wall: NOW, mono }, 300).await.expect("steps")
+    retention
+        .step(connection, &mut clock, Stamp { wall: NOW, mono, ..Stamp::default() }, 300)
+        .await
+        .expect("steps")
 }
 
 /// Steps until there is nothing to do; returns how many did something.
@@ -280,7 +283,7 @@ async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
     let mut clock = StorageClock::default();
     for seconds in 0..100 {
         let mono = MonoTime::from_nanos(0) + Span::from_seconds(seconds);
-        let stamp = Stamp { wall: NOW, mono };
+        let stamp = Stamp { wall: NOW, mono, ..Stamp::default() };
         let done = retention.step(&mut connection, &mut clock, stamp, 300).await.expect("steps");
         assert_eq!(done, Step::Done);
     }

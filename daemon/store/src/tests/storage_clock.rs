@@ -11,10 +11,9 @@ use crate::{IncidentRow, RetentionConfig};
 
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
-/// So long after the test began, on both clocks.
+/// So long after the test began.
 fn after(seconds: i64) -> Stamp {
-    let span = Span::from_seconds(seconds);
-    Stamp { wall: STAMP.wall + span, mono: STAMP.mono + span }
+    STAMP + Span::from_seconds(seconds)
 }
 
 async fn incidents(bed: &Bed) -> Vec<IncidentRow> {

@@ -72,7 +72,7 @@ fn host_clock() -> HostClock {
         rehearsal: Some(RehearsalDescription {
             offset: Span::from_seconds(1),
             drift_ppm: -50.0,
-            steps: vec![RehearsedStep { at: Span::from_seconds(9), by: Span::from_seconds(-3) }],
+            steps: vec![RehearsedStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
             since: WallTime::from_unix_nanos(5),
         }),
     }

@@ -118,7 +118,7 @@ fn at_an_agent(script: &mut Script<'_>) {
     };
     let stream = StreamId::from_bytes([1; 16]);
     let state = SpoolState::new(stream);
-    let now = Stamp { wall: beginning(), mono: MonoTime::from_nanos(0) };
+    let now = Stamp { wall: beginning(), ..Stamp::default() };
     let sending =
         Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
@@ -159,7 +159,7 @@ impl Agent {
             2 | 3 => self.work(script.byte().is_multiple_of(5)),
             4 => {
                 let span = Span::from_millis(i64::from(script.byte()) * 8);
-                self.now = Stamp { wall: now.wall + span, mono: now.mono + span };
+                self.now = now + span;
                 self.sending.tick(self.now);
             }
             5 => match script.byte() % 8 {

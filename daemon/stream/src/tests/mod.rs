@@ -31,8 +31,7 @@ fn host(id: HostId, name: &str) -> HostDescription {
 }
 
 fn at(millis: i64) -> Stamp {
-    let span = Span::from_millis(millis);
-    Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+    Stamp::default() + Span::from_millis(millis)
 }
 
 fn incident(text: &str) -> Event {

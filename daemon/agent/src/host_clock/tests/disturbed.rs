@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, Span};
+use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, Span, SteppedClock};
 
 use super::{system_clock, watched};
 use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
@@ -18,7 +18,7 @@ fn rehearsed(config: &RehearsalConfig) -> SharedClock {
 async fn a_step_is_published_with_what_made_the_clock_wrong() {
     let rehearsal = RehearsalConfig {
         offset_ms: -1000.0,
-        steps: vec![RehearsedStepConfig { at_s: 0.3, by_ms: 3000.0 }],
+        steps: vec![RehearsedStepConfig { at_s: 0.3, by_ms: 3000.0, clock: SteppedClock::Wall }],
         ..RehearsalConfig::default()
     };
     let clock = rehearsed(&rehearsal);

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use peernet_clock::{Clock, ClockIdentity, MonoTime, SharedClock, SystemClock, WallTime};
+use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, SystemClock, WallTime};
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::HostId;
@@ -49,6 +49,10 @@ impl Clock for Fragile {
         let read = self.reader == Reader::Any || thread::current().name() == Some(PIPELINE);
         assert!(!(read && self.broken.swap(false, Ordering::Relaxed)), "as planned");
         self.clock.mono()
+    }
+
+    fn raw(&self) -> RawTime {
+        self.clock.raw()
     }
 
     fn identity(&self) -> &ClockIdentity {

@@ -12,7 +12,7 @@ use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, c
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
 fn stepping(by: Span) -> RehearsalDescription {
-    let step = RehearsedStep { at: Span::from_millis(300), by };
+    let step = RehearsedStep::of_wall(Span::from_millis(300), by);
     RehearsalDescription { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
 }
 

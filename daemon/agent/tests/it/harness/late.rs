@@ -3,8 +3,8 @@
 use std::sync::OnceLock;
 
 use peernet_clock::{
-    Clock, ClockIdentity, MonoTime, Readings, RehearsalDescription, RehearsedClock, SharedClock, Span,
-    WallTime,
+    Clock, ClockIdentity, MonoTime, RawTime, Readings, RehearsalDescription, RehearsedClock, SharedClock,
+    Span, WallTime,
 };
 
 /// A right clock until it is told to go wrong.
@@ -43,6 +43,10 @@ impl Clock for Late {
         self.right.mono()
     }
 
+    fn raw(&self) -> RawTime {
+        self.now().raw()
+    }
+
     fn identity(&self) -> &ClockIdentity {
         self.right.identity()
     }
@@ -57,6 +61,14 @@ impl Clock for Late {
 
     fn begin_epoch(&self) {
         self.now().begin_epoch();
+    }
+
+    fn wall_epoch(&self) -> u32 {
+        self.now().wall_epoch()
+    }
+
+    fn begin_wall_epoch(&self) {
+        self.now().begin_wall_epoch();
     }
 
     fn last_step(&self) -> Option<Span> {

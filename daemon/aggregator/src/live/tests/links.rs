@@ -132,7 +132,7 @@ fn more_links_and_longer_texts_than_anyone_has_are_left_out_and_counted() {
     let mut links: Vec<LinkLive> =
         (0..1_000).map(|n| link(HostId::random(), &format!("c{n}"), 1.0, 0)).collect();
     let long = "ä".repeat(100_000);
-    let steps = vec![RehearsedStep { at: Span::ZERO, by: Span::ZERO }; 1_000];
+    let steps = vec![RehearsedStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
     let clock = HostClock {
         text: long.clone(),
         rehearsal: Some(RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),

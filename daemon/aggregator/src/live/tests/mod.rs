@@ -23,8 +23,8 @@ const START: i64 = 1_750_000_000;
 
 /// Our own clocks, so many seconds after the start.
 fn now(seconds: f64) -> Stamp {
-    let span = Span::from_seconds_f64(seconds);
-    Stamp { wall: wall(0.0) + span, mono: MonoTime::from_nanos(7) + span }
+    let start = Stamp { wall: wall(0.0), mono: MonoTime::from_nanos(7), ..Stamp::default() };
+    start + Span::from_seconds_f64(seconds)
 }
 
 fn wall(seconds: f64) -> WallTime {

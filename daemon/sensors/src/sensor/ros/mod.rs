@@ -142,7 +142,7 @@ impl Ros {
             StampClock::Host => OneWayDelay::same_clock(raw),
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
-        let sent = Stamp { wall: stamp, mono: log.clock().mono() };
+        let sent = Stamp { wall: stamp, mono: log.clock().mono(), ..Stamp::default() };
         let node = log.depart(CAPTURE_DELAY, sent);
         log.arrive(node, received);
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(node) {

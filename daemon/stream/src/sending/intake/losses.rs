@@ -117,13 +117,10 @@ impl Loss {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::WallTime;
-
     use super::*;
 
     fn at(millis: i64) -> Stamp {
-        let span = Span::from_millis(millis);
-        Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+        Stamp::default() + Span::from_millis(millis)
     }
 
     #[test]

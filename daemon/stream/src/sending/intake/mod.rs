@@ -239,7 +239,8 @@ impl Intake {
     /// Reports what is not reported yet and cuts the batch under construction: before a stop.
     pub(super) fn flush(&mut self, room: &Room, now: WallTime) {
         // How long a loss was not reported does not matter: all are.
-        let now = Stamp { wall: now, mono: self.open.since.map_or(MonoTime::default(), |since| since.mono) };
+        let since = self.open.since.unwrap_or_default();
+        let now = Stamp { wall: now, ..since };
         self.report_ended(None, room, now);
         self.cut();
     }

@@ -29,8 +29,7 @@ use crate::totals::{Reached, Totals};
 use peernet_logger::HostId;
 
 fn at(millis: i64) -> Stamp {
-    let span = Span::from_millis(millis);
-    Stamp { wall: WallTime::from_unix_nanos(0) + span, mono: MonoTime::from_nanos(0) + span }
+    Stamp::default() + Span::from_millis(millis)
 }
 
 fn incident(text: &str) -> Event {

@@ -183,11 +183,11 @@ fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     }
 }
 
-/// Returns both clocks at a moment shortly before `now`, of which the wall clock is known.
+/// Returns the clocks at a moment shortly before `now`, of which the wall clock is known.
 fn stamp_of(wall: WallTime, now: Stamp) -> Stamp {
     // A clock that was set back in between would place the message in the future.
     let age = (now.wall - wall).max(Span::ZERO);
-    Stamp { wall: now.wall - age, mono: now.mono - age }
+    now - age
 }
 
 #[cfg(test)]
@@ -233,7 +233,11 @@ mod tests {
 
     #[test]
     fn message_is_stamped_when_it_was_received() {
-        let now = Stamp { wall: WallTime::from_unix_nanos(5_000), mono: MonoTime::from_nanos(700) };
+        let now = Stamp {
+            wall: WallTime::from_unix_nanos(5_000),
+            mono: MonoTime::from_nanos(700),
+            ..Stamp::default()
+        };
         let earlier = stamp_of(WallTime::from_unix_nanos(4_900), now);
         assert_eq!((earlier.wall.unix_nanos(), earlier.mono), (4_900, MonoTime::from_nanos(600)));
         assert_eq!(stamp_of(WallTime::from_unix_nanos(9_000), now), now, "the clock was set back");
