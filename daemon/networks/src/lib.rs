@@ -14,7 +14,10 @@ mod statistics;
 mod transport;
 
 pub use interface::{UnknownInterface, check_interfaces, interface_of};
-pub use message::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
+pub use message::{
+    MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
+    SessionId,
+};
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,
     OpenRequest, RequestError, Responder, Session, StatisticsReader,

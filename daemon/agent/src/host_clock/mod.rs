@@ -1,13 +1,16 @@
-//! This host's own wall clock: what its time daemon claims, and whether it was stepped, ran off or slept.
+//! This host's own clocks: what its time daemon claims of the wall clock, whether it was stepped or ran off, and whether the
+//! free-running clock was interrupted.
 //!
 //! ```text
-//! watch     ten times a second: is the wall clock still going as it should?
-//! sources   every few seconds: chronyc and kernel are asked, claim merges what they say
+//! watch        ten times a second: do the clocks still go as they should?
+//! clocksource  what the kernel reads them from
+//! sources      every few seconds: chronyc and kernel are asked, claim merges what they say
 //! ```
 
 mod chrony;
 mod chronyc;
 mod claim;
+mod clocksource;
 mod kernel;
 mod rehearsed;
 mod sources;
@@ -16,33 +19,54 @@ mod tests;
 mod timex;
 mod watch;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, SystemClock};
+use peernet_networks::{PeerClock, RawClock};
 use peernet_stream::HostClock;
+use tokio::sync::watch::Sender;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
+pub(crate) use clocksource::Clocksource;
 use sources::Sources;
 use watch::Watchman;
 
-/// How often the clock is looked at.
+/// How often the clocks are looked at.
 const LOOK: Duration = Duration::from_millis(100);
+/// After so many looks peers are told anew how far the wall clock is ahead of the free-running one.
+const LOOKS_BETWEEN_NEWS: u32 = 100;
+/// The same where something is claimed about the wall clock, which is of use only with that.
+const LOOKS_BETWEEN_CLAIMS: u32 = 10;
 
-/// What is known of the clock before anybody was asked.
-pub(crate) fn not_asked_yet(clock: &SharedClock) -> HostClock {
-    HostClock {
+/// What is known of the clocks before anybody was asked.
+pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
+    PeerClock {
         discipline: None,
         text: "not asked yet".to_owned(),
         epoch: clock.wall_epoch(),
         rehearsal: clock.rehearsal().cloned(),
+        raw: Some(raw_clock(clock, Clocksource::below(Path::new("/sys")).name())),
     }
 }
 
-/// Watches over the clock until it is told to stop. What is known goes to `publish`, which begins with
+/// Returns what is shown of the clocks of a host.
+pub(crate) fn shown(clock: &PeerClock) -> HostClock {
+    let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
+    let supplied = raw.and_then(|raw| clocksource::in_words(&raw.clocksource));
+    let text = [Some(text), supplied].into_iter().flatten().filter(|words| !words.is_empty());
+    HostClock { discipline, text: text.collect::<Vec<_>>().join("; "), epoch, rehearsal }
+}
+
+fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
+    RawClock { epoch: clock.epoch(), wall_ahead: clock.wall_ahead(), clocksource }
+}
+
+/// Watches over the clocks until it is told to stop. What is known goes to `publish`, which begins with
 /// [`not_asked_yet`]: a new epoch within a tenth of a second, with it the end of all claims; claims every
 /// `discipline_interval_s`, and once a second where a rehearsal makes them exact.
 pub(crate) async fn run(
@@ -50,24 +74,33 @@ pub(crate) async fn run(
     rehearsal: Option<RehearsalConfig>,
     clock: SharedClock,
     incidents: Incidents,
-    publish: tokio::sync::watch::Sender<HostClock>,
+    publish: Sender<PeerClock>,
     stop: CancellationToken,
 ) {
-    let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone());
+    let clocksource = Clocksource::below(Path::new("/sys"));
+    let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone(), clocksource);
     let looking = async {
         let mut ticks = interval(LOOK);
+        let mut looks = 0_u32;
         loop {
             ticks.tick().await;
             watchman.look(&incidents);
-            let epoch = clock.wall_epoch();
+            looks = looks.wrapping_add(1);
+            let (wall_epoch, raw) =
+                (clock.wall_epoch(), raw_clock(&clock, watchman.clocksource().to_owned()));
             publish.send_if_modified(|known| {
-                let new = known.epoch != epoch;
-                if new {
-                    known.epoch = epoch;
+                let is_disturbed = known.epoch != wall_epoch
+                    || known.raw.as_ref().is_none_or(|known| known.epoch != raw.epoch);
+                if is_disturbed {
+                    known.epoch = wall_epoch;
                     known.discipline = None;
                     "the clock was disturbed, not asked since".clone_into(&mut known.text);
                 }
-                new
+                let between =
+                    if known.discipline.is_some() { LOOKS_BETWEEN_CLAIMS } else { LOOKS_BETWEEN_NEWS };
+                let is_due = looks.is_multiple_of(between);
+                known.raw = Some(raw);
+                is_disturbed || is_due
             });
         }
     };
@@ -77,17 +110,21 @@ pub(crate) async fn run(
         let mut ticks = interval(sources.period());
         loop {
             ticks.tick().await;
-            let before = clock.wall_epoch();
+            let before = (clock.wall_epoch(), clock.epoch());
             let summary = sources.ask().await;
             // What was said before a step is void.
-            if clock.wall_epoch() == before {
+            if (clock.wall_epoch(), clock.epoch()) == before {
                 publish.send_if_modified(|known| {
-                    let new = known.epoch != before
+                    let (epoch, raw_epoch) = before;
+                    let new = known.epoch != epoch
                         || known.discipline != summary.discipline
                         || known.text != summary.text;
-                    known.epoch = before;
+                    known.epoch = epoch;
                     known.discipline = summary.discipline;
                     known.text = summary.text;
+                    if let Some(raw) = &mut known.raw {
+                        (raw.epoch, raw.wall_ahead) = (raw_epoch, clock.wall_ahead());
+                    }
                     new
                 });
             }

@@ -1,12 +1,19 @@
-//! Looks whether the wall clock still goes as it should.
+//! Looks whether the clocks still go as they should.
 
 use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
 use peernet_stream::IncidentKind;
 
+use super::Clocksource;
 use crate::incidents::{Concerning, Incidents, far_in_words};
 
 /// A clock that runs off goes on doing so: it is told at most so often.
 const SLEW_TOLD_EVERY: Span = Span::from_seconds(60);
+
+/// What a disturbance of the wall clock means for delays.
+const OF_WALL: &str =
+    "delays are measured by the free-running clock and do not change; claims about the wall clock are void";
+/// What a disturbance of the free-running clock means for them.
+const OF_RAW: &str = "delays of that moment are left out";
 
 /// Looks at a host's clocks and tells what is odd.
 #[derive(Debug)]
@@ -14,35 +21,59 @@ pub(super) struct Watchman {
     clock: SharedClock,
     watch: Watch,
     max_drift_ppm: f64,
-    epoch: u32,
+    wall_epoch: u32,
     slew_told: Option<MonoTime>,
+    clocksource: Clocksource,
+    /// Its name at the last look.
+    clocksource_name: String,
 }
 
 impl Watchman {
-    pub(super) fn new(max_drift_ppm: f64, clock: SharedClock) -> Self {
-        let (watch, epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
-        Self { clock, watch, max_drift_ppm, epoch, slew_told: None }
+    pub(super) fn new(max_drift_ppm: f64, clock: SharedClock, clocksource: Clocksource) -> Self {
+        let (watch, wall_epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
+        let clocksource_name = clocksource.name();
+        Self { clock, watch, max_drift_ppm, wall_epoch, slew_told: None, clocksource, clocksource_name }
     }
 
-    /// Looks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the clock was disturbed.
+    /// What the kernel read the time from at the last look.
+    pub(super) fn clocksource(&self) -> &str {
+        &self.clocksource_name
+    }
+
+    /// Looks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the wall clock was disturbed, and
+    /// [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running one was.
     pub(super) fn look(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.look(readings);
-        // A step the clock notices by itself; a slew or a suspend it cannot.
-        if !disturbances.is_empty() && self.clock.wall_epoch() == self.epoch {
+        // A step the clock notices by itself; a slew it cannot. After a sleep no claim holds that was made before it.
+        if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }
-        let epoch = self.clock.wall_epoch();
+        let wall_epoch = self.clock.wall_epoch();
         // What is too little to be seen from here the clock may have seen itself.
-        let unseen =
-            (epoch != self.epoch && disturbances.is_empty()).then(|| self.clock.last_step()).flatten();
-        self.epoch = epoch;
+        let unseen = (wall_epoch != self.wall_epoch && disturbances.is_empty())
+            .then(|| self.clock.last_step())
+            .flatten();
+        self.wall_epoch = wall_epoch;
         let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
-        let texts: Vec<String> = all.filter_map(|odd| self.in_words(odd, readings.mono)).collect();
+        let mut texts: Vec<String> = all.filter_map(|odd| self.in_words(odd, readings.mono)).collect();
+        texts.extend(self.look_at_clocksource());
         for text in texts {
-            let text = format!("{text}; delays of that moment are left out");
             incidents.report(IncidentKind::ClockStep, Concerning::default(), text);
         }
+    }
+
+    /// Another clocksource has another rate, and nobody knows how well the kernel joined the two.
+    fn look_at_clocksource(&mut self) -> Option<String> {
+        let name = self.clocksource.name();
+        if name == self.clocksource_name {
+            return None;
+        }
+        self.clock.begin_epoch();
+        self.clock.begin_wall_epoch();
+        self.wall_epoch = self.clock.wall_epoch();
+        let before = std::mem::replace(&mut self.clocksource_name, name);
+        Some(format!("this host's clocksource changed from {before} to {}; {OF_RAW}", self.clocksource_name))
     }
 
     /// `None` when it was told often enough.
@@ -50,7 +81,7 @@ impl Watchman {
         match disturbance {
             Disturbance::Step(by) => {
                 let direction = if by.is_negative() { "back" } else { "forward" };
-                Some(format!("this host's wall clock was set {direction} by {}", far_in_words(by)))
+                Some(format!("this host's wall clock was set {direction} by {}; {OF_WALL}", far_in_words(by)))
             }
             Disturbance::Slew(ppm) => {
                 let due = self.slew_told.is_none_or(|told| now - told >= SLEW_TOLD_EVERY);
@@ -58,13 +89,16 @@ impl Watchman {
                     self.slew_told = Some(now);
                     let direction = if ppm < 0.0 { "slower" } else { "faster" };
                     format!(
-                        "this host's wall clock runs {:.0} ppm {direction} than it should, with clock.max_drift_ppm = {}",
+                        "this host's wall clock runs {:.0} ppm {direction} than it should, with clock.max_drift_ppm = {}; \
+                         {OF_WALL}",
                         ppm.abs(),
                         self.max_drift_ppm
                     )
                 })
             }
-            Disturbance::Suspend(slept) => Some(format!("this host slept for {:.3} s", slept.seconds())),
+            Disturbance::Suspend(slept) => {
+                Some(format!("this host slept for {:.3} s; {OF_RAW}", slept.seconds()))
+            }
         }
     }
 }
@@ -87,6 +121,8 @@ mod tests {
         watchman: Watchman,
         incidents: Incidents,
         told: mpsc::Receiver<Event>,
+        /// Its sysfs.
+        sys: tempfile::TempDir,
     }
 
     impl Scene {
@@ -100,9 +136,11 @@ mod tests {
             let (listener, told) = mpsc::channel(100);
             let feed = Feed::nowhere().tapped(Some(Tap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), feed);
-            let mut watchman = Watchman::new(50.0, Arc::clone(&clock));
+            let sys = tempfile::tempdir().expect("a folder");
+            let clocksource = Clocksource::below(sys.path());
+            let mut watchman = Watchman::new(50.0, Arc::clone(&clock), clocksource);
             watchman.look(&incidents);
-            Self { manual, clock, watchman, incidents, told }
+            Self { manual, clock, watchman, incidents, told, sys }
         }
 
         /// Looks ten times a second.
@@ -151,12 +189,38 @@ mod tests {
 
     #[test]
     fn a_clock_that_runs_off_begins_epoch_after_epoch_and_is_told_once_a_minute() {
-        let mut scene = Scene::new(-250.0);
-        scene.look_for(50);
+        let mut scene = Scene::new(0.0);
+        let slewed = |scene: &mut Scene, seconds: i64| {
+            for _ in 0..seconds * 10 {
+                scene.manual.slew_wall(Span::from_micros(-25));
+                scene.manual.advance(Span::from_millis(100));
+                scene.watchman.look(&scene.incidents);
+            }
+        };
+        slewed(&mut scene, 50);
         let told = scene.told();
         assert!(matches!(&told[..], [text] if text.contains("ppm slower than it should")), "{told:?}");
         assert!(scene.clock.wall_epoch() > 5, "{}", scene.clock.wall_epoch());
-        scene.look_for(60);
+        slewed(&mut scene, 60);
         assert_eq!(scene.told().len(), 1);
+        assert_eq!(scene.clock.epoch(), 0, "the free-running clock went on");
+    }
+
+    #[test]
+    fn sleep_and_another_clocksource_interrupt_free_running_clock() {
+        let mut scene = Scene::new(0.0);
+        scene.manual.sleep(Span::from_seconds(7));
+        scene.look_for(1);
+        let told = scene.told();
+        assert!(matches!(&told[..], [text] if text.contains("slept for 7.000 s")), "{told:?}");
+        assert_eq!((scene.clock.epoch(), scene.clock.wall_epoch()), (1, 1));
+
+        let file = scene.sys.path().join("devices/system/clocksource/clocksource0/current_clocksource");
+        std::fs::create_dir_all(file.parent().expect("it has one")).expect("made");
+        std::fs::write(&file, "hpet\n").expect("written");
+        scene.look_for(1);
+        let told = scene.told();
+        assert!(matches!(&told[..], [text] if text.contains("changed from  to hpet")), "{told:?}");
+        assert_eq!((scene.clock.epoch(), scene.clock.wall_epoch()), (2, 2));
     }
 }

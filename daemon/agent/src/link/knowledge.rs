@@ -1,16 +1,23 @@
-//! What an edge knows of its own clock and a cloud's. No I/O: time comes in as an argument.
+//! What an edge knows of its own clocks and a cloud's. No I/O: time comes in as an argument.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::{
-    Direction, Judged, Learned, Offset, OneWayDelay, RawTime, Relation, Span, Verdict, WallTime, Witnessed,
+    Direction, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks, Relation, Span, Stamp, Verdict,
+    WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Slug};
+use peernet_networks::PeerClock;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, HostClock, NetworkName};
 use uuid::Uuid;
 
 use super::second::Second;
+use super::told_clock::ToldClock;
+use crate::host_clock::shown;
+
+/// A second is closed no later than this after its end, unless nothing came back any more or the wall clock was set.
+const MOST_OVERDUE: Span = Span::from_seconds(2);
 
 /// The relation of the two clocks and what the current second adds to it.
 #[derive(Debug)]
@@ -18,7 +25,7 @@ pub(super) struct Knowledge {
     peer: HostId,
     name: Slug,
     relation: Relation,
-    /// Random id of the clock window at hand; another after each step.
+    /// Random id of the clock window at hand; another whenever what was learnt is void.
     window: u64,
     /// What was learnt is void: another window begins as soon as a time is known to close the second at.
     void: bool,
@@ -27,8 +34,8 @@ pub(super) struct Knowledge {
     last: Vec<ClockSample>,
     /// Sessions by their networks. The last network stays when its sessions are over: what follows them is told of it.
     networks: BTreeMap<NetworkName, usize>,
-    edge: HostClock,
-    cloud: HostClock,
+    edge: ToldClock,
+    cloud: ToldClock,
     restarts: RestartReports,
 }
 
@@ -66,6 +73,8 @@ pub(super) struct News {
     /// Seconds that are over.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
+    /// The cloud's wall clock was set or ran off, on which no delay depends.
+    pub(super) is_cloud_wall_set: bool,
 }
 
 /// A clock was stepped: the relation began anew.
@@ -84,6 +93,7 @@ pub(super) struct Restart {
 /// A message that has arrived, and how many bits it had.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
+    /// The difference of the wall clocks' stamps.
     pub(super) raw: Span,
     pub(super) bits: Option<f64>,
 }
@@ -92,10 +102,13 @@ impl Knowledge {
     pub(super) fn new(
         (peer, name): (HostId, Slug),
         relation: Relation,
-        (edge, cloud): (HostClock, HostClock),
-        now: WallTime,
+        (edge, cloud): (PeerClock, PeerClock),
+        now: Stamp,
     ) -> Self {
-        let second = Second::new(now.unix_seconds());
+        let second = Second::new(now.wall.unix_seconds());
+        let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
+        let edge = ToldClock::new(edge, true, now.raw);
+        let cloud = ToldClock::new(cloud, is_cloud_free_running, now.raw);
         let mut knowledge = Self {
             peer,
             name,
@@ -109,7 +122,7 @@ impl Knowledge {
             cloud,
             restarts: RestartReports::default(),
         };
-        knowledge.disciplines();
+        knowledge.disciplines(now.raw);
         knowledge
     }
 
@@ -128,28 +141,30 @@ impl Knowledge {
         }
     }
 
-    /// An exchange of data over a network finished: judges its two delays, for which so many bits were sent.
+    /// An exchange of data over a network finished: judges the delays of its two ways.
     pub(super) fn judge(
         &mut self,
         network: &NetworkName,
         witnessed: &Witnessed,
-        bits: [Option<f64>; 2],
-        now: WallTime,
+        [there, back]: [Way; 2],
+        now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         let mut news = self.turn(now);
         let Judged { learned, up, down } = self.told(whose(witnessed), |relation| relation.judge(witnessed));
+        // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
+        let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
         self.learned(learned, witnessed, now, &mut news);
-        self.second.judged(network, Direction::Up, &up, bits[0]);
-        self.second.judged(network, Direction::Down, &down, bits[1]);
+        self.second.judged(network, Direction::Up, &up, there.bits);
+        self.second.judged(network, Direction::Down, &down, back.bits);
         ([up, down], news)
     }
 
-    /// An exchange of data finished during which one of the hosts says that its clock was stepped.
+    /// An exchange of data finished during which one of the hosts says that its related clock was interrupted.
     pub(super) fn stepped(
         &mut self,
         network: &NetworkName,
         ways: [Way; 2],
-        now: WallTime,
+        now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         let news = self.turn(now);
         let delays =
@@ -162,7 +177,7 @@ impl Knowledge {
     }
 
     /// Something became of a probe.
-    pub(super) fn probed(&mut self, result: &ProbeResult, now: WallTime) -> News {
+    pub(super) fn probed(&mut self, result: &ProbeResult, now: Stamp) -> News {
         let mut news = self.turn(now);
         let probes = &mut self.second.probes;
         match result {
@@ -186,81 +201,83 @@ impl Knowledge {
         news
     }
 
-    /// What became known of the own clock.
-    pub(super) fn edge_says(&mut self, clock: HostClock) {
-        if clock.epoch > self.edge.epoch {
-            self.told((clock.epoch, None), |relation| relation.edge_stepped(clock.epoch));
-        }
-        self.edge = latest(clock, self.edge.epoch);
-        self.disciplines();
+    /// The own free-running clock is in this epoch already.
+    pub(super) fn begin_epoch_of_edge(&mut self, epoch: u32) {
+        self.edge.begin_epoch(epoch);
     }
 
-    /// What the peer says of its clock.
-    pub(super) fn cloud_says(&mut self, clock: HostClock) {
-        if clock.epoch > self.cloud.epoch {
-            self.told((0, Some(clock.epoch)), |relation| relation.cloud_stepped(clock.epoch));
+    /// What became known of the own clocks.
+    pub(super) fn edge_says(&mut self, clock: PeerClock, now: RawTime) {
+        if let Some(epoch) = self.edge.tell(clock, now) {
+            self.told((epoch, None), |relation| relation.edge_stepped(epoch));
         }
-        self.cloud = latest(clock, self.cloud.epoch);
-        self.disciplines();
+        self.disciplines(now);
+    }
+
+    /// What the peer says of its clocks.
+    pub(super) fn cloud_says(&mut self, clock: PeerClock, now: RawTime) -> News {
+        let before = self.cloud.wall_epoch();
+        if let Some(epoch) = self.cloud.tell(clock, now) {
+            self.told((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
+        }
+        self.disciplines(now);
+        let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
+        News { is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before, ..News::default() }
     }
 
     /// Closes the second if it is over.
-    pub(super) fn turn(&mut self, now: WallTime) -> News {
+    pub(super) fn turn(&mut self, now: Stamp) -> News {
         let mut news = News::default();
-        self.begin_window(now, &mut news);
-        if now.unix_seconds() != self.second.at {
+        self.begin_window(now.wall, &mut news);
+        if now.wall.unix_seconds() != self.second.at {
+            self.disciplines(now.raw);
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
-            let offset = self.relation.offset(RawTime::of_wall(end), end);
-            self.close(end, offset.as_ref(), now, &mut news);
+            let since = (now.wall - end).max(Span::ZERO).min(MOST_OVERDUE);
+            let offset = self.relation.offset(now.raw - since, end);
+            self.close(end, offset.as_ref(), now.wall, &mut news);
         }
         news
     }
 
     /// Closes the second now: nothing more will come.
-    pub(super) fn finish(&mut self, now: WallTime) -> News {
+    pub(super) fn finish(&mut self, now: Stamp) -> News {
         let mut news = self.turn(now);
-        let offset = self.relation.offset(RawTime::of_wall(now), now);
-        self.close(now, offset.as_ref(), now, &mut news);
+        let offset = self.relation.offset(now.raw, now.wall);
+        self.close(now.wall, offset.as_ref(), now.wall, &mut news);
         news
     }
 
     /// The second of a network that is over if it is the last one, else what the current one holds so far.
-    pub(super) fn now(&self, network: &NetworkName, now: WallTime) -> ClockSample {
+    pub(super) fn now(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
-        let current = now.unix_seconds() == self.second.at;
+        let current = now.wall.unix_seconds() == self.second.at;
         let last = self.last.iter().find(|last| last.network == *network);
         let last = last.filter(|last| current && last.at == previous && last.window == self.window);
         // What holds since a step is not told under the name of the window before it.
-        let offset = || self.relation.offset(RawTime::of_wall(now), now).filter(|_| !self.void);
-        last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
+        let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.void);
+        last.cloned().unwrap_or_else(|| self.sample(network, now.wall, offset()))
     }
 
-    /// What is known of the two clocks: the edge's, the cloud's.
+    /// What is shown of the clocks of the two hosts: the edge's, the cloud's.
     pub(super) fn clocks(&self) -> (HostClock, HostClock) {
-        (self.edge.clone(), self.cloud.clone())
+        (shown(self.edge.clock()), shown(self.cloud.clock()))
     }
 
     /// Returns whether the exchange is believed.
-    fn learn(&mut self, witnessed: &Witnessed, now: WallTime, news: &mut News) -> bool {
+    fn learn(&mut self, witnessed: &Witnessed, now: Stamp, news: &mut News) -> bool {
         let learned = self.told(whose(witnessed), |relation| relation.learn(witnessed));
         self.learned(learned, witnessed, now, news);
         !matches!(learned, Learned::Refused(_))
     }
 
-    /// Tells the relation something that came with these epochs of the edge and the cloud. If what was learnt is void
+    /// Tells the relation something that came with these epochs of the related clocks of edge and cloud. If what was learnt is void
     /// from now on, a new epoch says by whose fault.
     fn told<T>(&mut self, (edge, cloud): (u32, Option<u32>), tell: impl FnOnce(&mut Relation) -> T) -> T {
         let before = self.relation.counts().restarts;
         let answer = tell(&mut self.relation);
-        let cloud = cloud.unwrap_or(0);
-        let (edge_new, cloud_new) = (edge > self.edge.epoch, cloud > self.cloud.epoch);
-        for (clock, epoch) in [(&mut self.edge, edge), (&mut self.cloud, cloud)] {
-            if epoch > clock.epoch {
-                // What was claimed before the step is no claim about the clock after it.
-                *clock = HostClock { epoch, discipline: None, ..std::mem::take(clock) };
-            }
-        }
+        let edge_new = self.edge.begin_epoch(edge);
+        let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let restarted = self.relation.counts().restarts > before;
         if restarted {
             // It is not to be shown any more.
@@ -271,8 +288,8 @@ impl Knowledge {
         answer
     }
 
-    fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: WallTime, news: &mut News) {
-        self.begin_window(now, news);
+    fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: Stamp, news: &mut News) {
+        self.begin_window(now.wall, news);
         match learned {
             Learned::Refused(_) => return,
             Learned::Taken => {}
@@ -327,15 +344,11 @@ impl Knowledge {
         }
     }
 
-    fn disciplines(&mut self) {
-        self.relation.set_disciplines(self.edge.discipline, self.cloud.discipline);
+    /// Tells the relation what the time daemons claim of its clocks at this time.
+    fn disciplines(&mut self, now: RawTime) {
+        let limit = self.relation.settings().max_drift_ppm;
+        self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
-}
-
-/// What was told, without its claim if a later epoch is known already: it was made before the step.
-fn latest(told: HostClock, known: u32) -> HostClock {
-    let discipline = told.discipline.filter(|_| told.epoch >= known);
-    HostClock { epoch: told.epoch.max(known), discipline, ..told }
 }
 
 /// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.

@@ -15,6 +15,7 @@ mod registry;
 mod second;
 mod shared;
 mod thinned;
+mod told_clock;
 mod words;
 
 pub use registry::Cloud;

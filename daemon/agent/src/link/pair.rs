@@ -3,18 +3,21 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use peernet_clock::{ClockIdentity, Direction, MonoTime, OneWayDelay, Relation, Span, Stamp, Witnessed};
+use peernet_clock::{
+    ClockIdentity, Direction, MonoTime, OneWayDelay, RelatedClocks, Relation, RelationSettings, Span, Stamp,
+    Witnessed,
+};
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
 use peernet_networks::{Exchange, PeerClock, SessionAccepted};
 use peernet_probes::ProbeResult;
-use peernet_stream::{Event, HostClock, IncidentKind, LinkLive, NetworkName, Probing};
+use peernet_stream::{Event, IncidentKind, LinkLive, NetworkName, Probing};
 use tokio::sync::watch;
 
 use super::connections::Connections;
 use super::correction::{bits, correct};
 use super::knowledge::{Knowledge, News, Way};
 use super::shared::{Session, Shared, lock};
-use super::words::restart_in_words;
+use super::words::{restart_in_words, wall_set_in_words};
 use crate::incidents::Concerning;
 
 /// Data this long ago does not keep the probes at their full rate.
@@ -30,6 +33,8 @@ pub(crate) struct Link {
     /// The cloud's clock, and whether it is this host's, too.
     pub(super) clock: ClockIdentity,
     same_clock: bool,
+    /// Which clocks of the two hosts are related.
+    pub(super) clocks: RelatedClocks,
     /// Sessions with the cloud, the oldest first; none any more when the link is over.
     pub(super) sessions: watch::Sender<Vec<Session>>,
     /// Probes per second.
@@ -42,21 +47,23 @@ pub(crate) struct Link {
 }
 
 impl Link {
-    pub(super) fn new(shared: &Arc<Shared>, accepted: &SessionAccepted) -> Self {
+    pub(super) fn new(shared: &Arc<Shared>, accepted: &SessionAccepted, clocks: RelatedClocks) -> Self {
         let clock = &shared.host.clock;
         let now = clock.stamp();
-        let relation = Relation::new(clock.identity(), &accepted.clock, shared.relation);
+        let settings = RelationSettings { clocks, ..shared.relation };
+        let relation = Relation::new(clock.identity(), &accepted.clock, settings);
         let same_clock = relation.is_same_clock();
-        // The announcement of the latest step may still be on its way.
-        let edge = HostClock { epoch: clock.wall_epoch(), ..shared.host.own.borrow().clone() };
-        let clocks = (edge, told(accepted.host_clock.clone()));
-        let knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, clocks, now.wall);
+        let told = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
+        let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
+        // The announcement of the latest interruption may still be on its way.
+        knowledge.begin_epoch_of_edge(clock.epoch());
         let link = Self {
             shared: Arc::clone(shared),
             peer: accepted.host,
             name: accepted.name.clone(),
             clock: accepted.clock.clone(),
             same_clock,
+            clocks,
             sessions: watch::Sender::new(Vec::new()),
             rate_hz: watch::Sender::new(0.0),
             knowledge: Mutex::new(knowledge),
@@ -98,14 +105,14 @@ impl Link {
         self.pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
         match witnessed {
-            Some(witnessed) => knowledge.judge(network, witnessed, ways.map(|way| way.bits), now.wall),
-            None => knowledge.stepped(network, ways, now.wall),
+            Some(witnessed) => knowledge.judge(network, witnessed, ways, now),
+            None => knowledge.stepped(network, ways, now),
         }
     }
 
     /// Something became of a probe.
     pub(super) fn probed(&self, result: &ProbeResult) {
-        let now = self.shared.host.clock.wall();
+        let now = self.shared.host.clock.stamp();
         let news = lock(&self.knowledge).probed(result, now);
         self.tell(news);
     }
@@ -114,25 +121,28 @@ impl Link {
     pub(super) fn turn(&self) {
         let now = self.shared.host.clock.stamp();
         self.pace(now.mono);
-        let news = lock(&self.knowledge).turn(now.wall);
+        let news = lock(&self.knowledge).turn(now);
         self.tell(news);
     }
 
     /// There will be nothing more.
     pub(super) fn finish(&self) {
-        let now = self.shared.host.clock.wall();
+        let now = self.shared.host.clock.stamp();
         let news = lock(&self.knowledge).finish(now);
         self.tell(news);
     }
 
-    /// What became known of the own clock.
-    pub(super) fn edge_says(&self, clock: HostClock) {
-        lock(&self.knowledge).edge_says(clock);
+    /// What became known of the own clocks.
+    pub(super) fn edge_says(&self, clock: PeerClock) {
+        let now = self.shared.host.clock.raw();
+        lock(&self.knowledge).edge_says(clock, now);
     }
 
-    /// What the cloud says of its clock.
+    /// What the cloud says of its clocks.
     pub(super) fn cloud_says(&self, clock: PeerClock) {
-        lock(&self.knowledge).cloud_says(told(clock));
+        let now = self.shared.host.clock.raw();
+        let news = lock(&self.knowledge).cloud_says(clock, now);
+        self.tell(news);
     }
 
     /// The cloud's name.
@@ -175,7 +185,7 @@ impl Link {
         }
         let clock = &self.shared.host.clock;
         let connections = lock(&self.connections).of(&sessions, clock.mono());
-        let now = clock.wall();
+        let now = clock.stamp();
         let knowledge = lock(&self.knowledge);
         let (edge, cloud) = knowledge.clocks();
         let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
@@ -214,18 +224,13 @@ impl Link {
         for sample in news.samples {
             host.feed.event(None, Event::Clock(Box::new(sample)));
         }
-        if let Some(restart) = news.restart {
+        let restart = news.restart.map(|restart| restart_in_words(restart, &host.name, &self.name));
+        let wall_set = news.is_cloud_wall_set.then(|| wall_set_in_words(&self.name));
+        for text in restart.into_iter().chain(wall_set) {
             let what = Concerning { peer: Some(self.peer), ..Concerning::default() };
-            let text = restart_in_words(restart, &host.name, &self.name);
             host.incidents.report(IncidentKind::ClockStep, what, text);
         }
     }
-}
-
-/// What the cloud tells, in the form that the event stream has for every host's clock.
-fn told(clock: PeerClock) -> HostClock {
-    let PeerClock { epoch, discipline, text, rehearsal } = clock;
-    HostClock { discipline, text, epoch, rehearsal }
 }
 
 /// The receiver's stamp less the sender's.

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use futures::FutureExt;
-use peernet_clock::Span;
+use peernet_clock::{RelatedClocks, Span};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{Address, Exchange, SessionAccepted};
 use peernet_stream::{Hardware, LinkLive, NetworkName};
@@ -103,13 +103,15 @@ impl Links {
         };
         let (id, network) = (joining.id, joining.network.clone());
         let mut open = self.open();
-        let link = match open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted)) {
+        let clocks = session.clocks();
+        let known = open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
+        let link = match known {
             Some(link) => {
                 link.join(joining);
                 Arc::clone(link)
             }
             None => {
-                let link = Arc::new(Link::new(&self.0.shared, accepted));
+                let link = Arc::new(Link::new(&self.0.shared, accepted, clocks));
                 link.join(joining);
                 open.insert(accepted.host, Arc::clone(&link));
                 self.0.tasks.spawn(self.clone().tend(Arc::clone(&link)));
@@ -199,7 +201,7 @@ fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String 
 
 /// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew, and
 /// nobody knows how its clock was set in between.
-fn is_same_cloud(link: &Link, accepted: &SessionAccepted) -> bool {
+fn is_same_cloud(link: &Link, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
     let known = link.sessions.borrow().first().map(|session| session.instance);
-    link.clock == accepted.clock && known == Some(accepted.instance)
+    link.clock == accepted.clock && link.clocks == clocks && known == Some(accepted.instance)
 }

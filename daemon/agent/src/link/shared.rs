@@ -6,7 +6,7 @@ use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
 use peernet_networks::{PeerClock, StatisticsReader};
 use peernet_probes::{Key, KeyError, Stamps};
-use peernet_stream::{HostClock, NetworkName};
+use peernet_stream::NetworkName;
 use tokio::sync::watch;
 
 use crate::config::{ClockConfig, ProbesConfig, Timestamps};
@@ -18,8 +18,8 @@ use crate::incidents::Incidents;
 pub(crate) struct Near {
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
-    /// What is known of this host's clock.
-    pub(crate) own: watch::Receiver<HostClock>,
+    /// What is known of this host's clocks.
+    pub(crate) own: watch::Receiver<PeerClock>,
     pub(crate) feed: Feed,
     pub(crate) incidents: Incidents,
 }

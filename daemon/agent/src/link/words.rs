@@ -31,6 +31,13 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
     format!("{whose}{moved}; {outlook}")
 }
 
+/// That the wall clock of a cloud was set or ran off, on which delays do not depend.
+pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
+    format!(
+        "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use peernet_clock::Span;

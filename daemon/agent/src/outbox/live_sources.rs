@@ -2,9 +2,11 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{Accounting, HostClock, HostMetrics, LiveUpdate};
+use peernet_networks::PeerClock;
+use peernet_stream::{Accounting, HostMetrics, LiveUpdate};
 use tokio::sync::watch;
 
+use crate::host_clock;
 use crate::link::Links;
 use crate::live::{Board, Receipt};
 
@@ -14,8 +16,8 @@ pub(crate) struct LiveSources {
     pub(crate) board: Board,
     pub(crate) metrics: watch::Receiver<HostMetrics>,
     pub(crate) links: Links,
-    /// State of this host's own clock.
-    pub(crate) clock: watch::Receiver<HostClock>,
+    /// State of this host's own clocks.
+    pub(crate) clock: watch::Receiver<PeerClock>,
 }
 
 impl LiveSources {
@@ -32,7 +34,7 @@ impl LiveSources {
             sent,
             pipelines,
             links: self.links.live(),
-            clock: self.clock.borrow().clone(),
+            clock: host_clock::shown(&self.clock.borrow()),
             metrics: self.metrics.borrow().clone(),
             accounting,
         };

@@ -2,9 +2,8 @@
 
 use peernet_inference::ModelConfig;
 use peernet_logger::Slug;
-use peernet_networks::{Address, Listener, PeerClock};
+use peernet_networks::{Address, Listener};
 use peernet_probes::Reflector;
-use peernet_stream::HostClock;
 use uuid::Uuid;
 
 use super::reflector;
@@ -63,10 +62,4 @@ pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
     let name: Slug = CALIBRATION.parse().ok()?;
     let free = config.models.iter().all(|model| *model.name() != name);
     (wanted && free).then(|| ModelConfig::echo(name))
-}
-
-/// What peers are told of this host's clock.
-pub(super) fn to_peers(clock: HostClock) -> PeerClock {
-    let HostClock { discipline, text, epoch, rehearsal } = clock;
-    PeerClock { epoch, discipline, text, rehearsal }
 }

@@ -17,17 +17,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_inference::{Bank, Done, InferenceError, Job, LoadError, Pool};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
-    Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest,
+    Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, PeerClock,
     SessionAccepted, SessionId,
 };
 use peernet_probes::{ReceiveError, Reflector};
-use peernet_stream::{Condition, Hardware, HostClock, IncidentKind};
+use peernet_stream::{Condition, Hardware, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use self::asked::Asked;
-use self::doors::to_peers;
 use self::listeners::Listeners;
 use crate::conditions::Places;
 use crate::host::Host;
@@ -42,7 +41,7 @@ pub(crate) struct ServeContext {
     /// The models that are served.
     pub(crate) bank: Arc<Bank>,
     /// What is known of this host's own clock.
-    pub(crate) own: watch::Receiver<HostClock>,
+    pub(crate) own: watch::Receiver<PeerClock>,
     /// Paths in /proc and /sys that show what can disturb a run.
     pub(crate) places: Arc<Places>,
 }
@@ -93,11 +92,11 @@ pub(crate) async fn run(
 }
 
 /// Tells all peers at once what becomes known of this host's clock.
-async fn announce(mut own: watch::Receiver<HostClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
+async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
     while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
         let clock = own.borrow_and_update().clone();
         for announcer in &announcers {
-            announcer.announce(to_peers(clock.clone()));
+            announcer.announce(clock.clone());
         }
     }
 }
@@ -248,7 +247,7 @@ impl Server {
             model: pool.name().clone(),
             device: pool.device(),
             facts: pool.facts(),
-            host_clock: to_peers(self.context.own.borrow().clone()),
+            host_clock: self.context.own.borrow().clone(),
             probes: self.named.probes.get(listener).copied().flatten(),
             instance: self.named.instance,
             conditions,

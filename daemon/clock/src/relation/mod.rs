@@ -11,7 +11,7 @@ mod tests;
 mod types;
 
 use crate::band::{Band, Bounds, DriftLimit};
-use crate::{ClockIdentity, Discipline, Exchange, RawTime, Span, WallTime, Witnessed};
+use crate::{ClockIdentity, Discipline, Exchange, RawTime, RelatedClocks, Span, WallTime, Witnessed};
 use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
@@ -48,7 +48,8 @@ impl Relation {
     pub fn new(edge: &ClockIdentity, cloud: &ClockIdentity, settings: RelationSettings) -> Self {
         let drift = DriftLimit::new(settings.max_drift_ppm);
         Self {
-            same_clock: edge == cloud,
+            // The wall clock of a host is not its free-running clock.
+            same_clock: edge == cloud && settings.clocks != RelatedClocks::RawToWall,
             settings,
             drift,
             band: Band::new(drift, settings.window, settings.retention),

@@ -5,7 +5,7 @@
 //! is sent before a version is chosen, so that a later version may add names to it and changes nothing else.
 
 use bytes::Bytes;
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{RawTime, Span, WallTime};
 use peernet_sample::{Description, Part, Sample};
 use peernet_stream::{VersionMismatch, VersionRange};
 use serde::{Deserialize, Serialize};
@@ -114,8 +114,12 @@ pub(crate) struct Departure {
     /// The same moment on its monotonic clock, from its anchor in the tree. The cloud's anchor is the arrival of
     /// the request, so that in a reply this is how long the request was there.
     pub(crate) start: Span,
-    /// [`peernet_clock::Clock::epoch`] of the sender, read after `sent` was stamped.
+    /// The sender's epoch, read after `sent` was stamped: [`peernet_clock::Clock::epoch`], before [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE)
+    /// [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
+    /// What the sender's free-running clock showed at `sent`; since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) sent_raw: Option<RawTime>,
 }
 
 /// What is said about a sample besides its payload.
@@ -144,6 +148,9 @@ pub(crate) struct Reply {
     /// stepped in between.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
+    /// What the cloud's free-running clock showed when the request had arrived; with `departure`, since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) arrived_raw: Option<RawTime>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

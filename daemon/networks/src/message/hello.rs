@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_clock::{ClockIdentity, Discipline, RehearsalDescription};
+use peernet_clock::{ClockIdentity, Discipline, Interval, RehearsalDescription};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{Condition, Hardware, Release, VersionRange};
 use serde::de::Error as _;
@@ -12,7 +12,10 @@ use uuid::Uuid;
 use super::{printable, words};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
-pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 4, Release(0, 1, 0));
+pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1, 0));
+
+/// The first version in which messages carry stamps of the free-running clocks.
+pub const RAW_STAMPS_SINCE: u16 = 5;
 
 /// Most findings about a host that a peer may tell.
 pub const MAX_CONDITIONS: usize = 32;
@@ -97,13 +100,13 @@ pub struct SessionAccepted {
     pub hardware: Hardware,
 }
 
-/// What a cloud tells of its wall clock: when a session opens, and whenever it changes. On the wire a claim whose
-/// interval is none, or a drift that is no number, makes the whole message unreadable.
+/// What a host tells of its clocks: when a session opens, and whenever it changes. On the wire an interval that is none, or a drift
+/// that is no number, makes the whole message unreadable.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PeerClock {
-    /// [`peernet_clock::Clock::epoch`].
+    /// [`peernet_clock::Clock::wall_epoch`].
     pub epoch: u32,
-    /// What its time daemon claims.
+    /// What its time daemon claims of its wall clock.
     #[serde(deserialize_with = "ordered")]
     pub discipline: Option<Discipline>,
     /// The same in words.
@@ -112,6 +115,30 @@ pub struct PeerClock {
     /// How it is made wrong on purpose.
     #[serde(deserialize_with = "finite")]
     pub rehearsal: Option<RehearsalDescription>,
+    /// Its free-running clock; `None` in sessions of a version before [`RAW_STAMPS_SINCE`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub raw: Option<RawClock>,
+}
+
+impl PeerClock {
+    /// Returns what a session of this version tells of it.
+    #[must_use]
+    pub fn in_version(self, version: u16) -> Self {
+        Self { raw: self.raw.filter(|_| version >= RAW_STAMPS_SINCE), ..self }
+    }
+}
+
+/// What a host tells of its free-running clock.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RawClock {
+    /// [`peernet_clock::Clock::epoch`].
+    pub epoch: u32,
+    /// How far the wall clock was ahead of it when the message was made, [`peernet_clock::Clock::wall_ahead`].
+    #[serde(deserialize_with = "ordered_ends")]
+    pub wall_ahead: Interval,
+    /// What the kernel reads it from, such as `tsc` or `kvm-clock`; empty where that is not known.
+    #[serde(deserialize_with = "words")]
+    pub clocksource: String,
 }
 
 fn perhaps_words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<String>, D::Error> {
@@ -152,6 +179,14 @@ fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Erro
         system: short(system),
         architecture: short(architecture),
     })
+}
+
+fn ordered_ends<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interval, D::Error> {
+    let interval = Interval::deserialize(deserializer)?;
+    if interval.hi < interval.lo {
+        return Err(D::Error::custom("an interval that ends before it begins"));
+    }
+    Ok(interval)
 }
 
 /// A peer's claim, from which intervals are computed here: one that ends before it begins is none.

@@ -26,7 +26,10 @@ pub(crate) use header::{
     Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
     Refused, Reply, Request, SampleHeader, UnknownSession,
 };
-pub use hello::{MAX_CONDITIONS, PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId};
+pub use hello::{
+    MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
+    SessionId,
+};
 pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
 use peernet_sample::printable_line;

@@ -1,7 +1,8 @@
 //! Arbitrary messages, for property tests.
 
 use peernet_clock::{
-    ClockIdentity, DelaySource, Discipline, Interval, RehearsalDescription, RehearsedStep, Span, WallTime,
+    ClockIdentity, DelaySource, Discipline, Interval, RawTime, RehearsalDescription, RehearsedStep, Span,
+    WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
@@ -9,8 +10,8 @@ use peernet_stream::{Condition, Grade, Hardware, Release, VersionRange};
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply,
-    Request, SampleHeader, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, RawClock, RefusalKind,
+    Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -68,8 +69,16 @@ fn rehearsal() -> impl Strategy<Value = RehearsalDescription> {
 
 pub(crate) fn peer_clock() -> impl Strategy<Value = PeerClock> {
     let (discipline, rehearsal) = (proptest::option::of(discipline()), proptest::option::of(rehearsal()));
-    (any::<u32>(), discipline, words(), rehearsal)
-        .prop_map(|(epoch, discipline, text, rehearsal)| PeerClock { epoch, discipline, text, rehearsal })
+    (any::<u32>(), discipline, words(), rehearsal, proptest::option::of(raw_clock())).prop_map(
+        |(epoch, discipline, text, rehearsal, raw)| PeerClock { epoch, discipline, text, rehearsal, raw },
+    )
+}
+
+fn raw_clock() -> impl Strategy<Value = RawClock> {
+    (any::<u32>(), span(), span(), words()).prop_map(|(epoch, a, b, clocksource)| {
+        let wall_ahead = Interval { lo: a.min(b), hi: a.max(b) };
+        RawClock { epoch, wall_ahead, clocksource }
+    })
 }
 
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
@@ -142,11 +151,16 @@ fn sample() -> impl Strategy<Value = SampleHeader> {
 }
 
 fn departure() -> impl Strategy<Value = Departure> {
-    (any::<i64>(), span(), any::<u32>()).prop_map(|(sent, start, epoch)| Departure {
+    (any::<i64>(), span(), any::<u32>(), raw()).prop_map(|(sent, start, epoch, sent_raw)| Departure {
         sent: WallTime::from_unix_nanos(sent),
         start,
         epoch,
+        sent_raw,
     })
+}
+
+fn raw() -> impl Strategy<Value = Option<RawTime>> {
+    proptest::option::of(any::<i64>().prop_map(RawTime::from_nanos))
 }
 
 /// Texts that reading leaves as they are: it replaces control characters and separators of lines.
@@ -175,11 +189,11 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         proptest::option::of(departure()),
         outcome(),
         (hello(), accepted(), peer_clock()),
-        (kind, words(), any::<u64>(), any::<Option<u64>>()),
+        (kind, words(), any::<u64>(), any::<Option<u64>>(), raw()),
     )
         .prop_flat_map(
             |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
-                let (kind, reason, max_message_bytes, ordered) = rest;
+                let (kind, reason, max_message_bytes, ordered, arrived_raw) = rest;
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
                 let protocol = versions.oldest();
                 prop_oneof![
@@ -193,7 +207,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     }))),
                     1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
-                    4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome })),
+                    4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
                     1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),

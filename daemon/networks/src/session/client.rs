@@ -171,6 +171,7 @@ mod tests {
             departure: None,
             arrival_epoch: 0,
             outcome: Outcome::Failed(String::new()),
+            arrived_raw: None,
         })
     }
 

@@ -16,11 +16,11 @@ use super::announcer::Announcer;
 use super::budget::Budget;
 
 use super::exchange::Sizes;
-use super::incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
+use super::incoming::{ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
 use super::server::{Heard, Route, Server, Standing};
 use crate::message::{
-    Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, Reply, Request, SampleHeader,
-    SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
+    Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, RAW_STAMPS_SINCE, Reply, Request,
+    SampleHeader, SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
 };
 use crate::statistics::{ConnectionStatistics, Counters, TransportStatistics};
 use crate::transport::{
@@ -170,9 +170,10 @@ impl Listener {
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
                     // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
-                    let epoch = self.shared.clock.wall_epoch();
+                    let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
-                    if let Some(incoming) = heard(&self.shared, &peer, frames, (received, epoch)) {
+                    let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };
+                    if let Some(incoming) = heard(&self.shared, &peer, frames, (received, arrival)) {
                         return Some(incoming);
                     }
                 }
@@ -221,8 +222,13 @@ impl Listener {
     }
 }
 
-/// A message arrived in this epoch of the clock: what to hand out, if anything.
-fn heard(shared: &Arc<PortState>, peer: &Peer, frames: Frames, received: (Stamp, u32)) -> Option<Incoming> {
+/// A message arrived: what to hand out, if anything.
+fn heard(
+    shared: &Arc<PortState>,
+    peer: &Peer,
+    frames: Frames,
+    received: (Stamp, ArrivalStamp),
+) -> Option<Incoming> {
     shared.counters.received(Sizes::of(&frames).total());
     if frames.len() > MAX_FRAMES {
         shared.malformed(peer.address, "too many frames");
@@ -268,9 +274,9 @@ fn incoming_request(
     peer: &Peer,
     request: Request,
     frames: Frames,
-    (received, arrival_epoch): (Stamp, u32),
+    (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
-    let ticket = Ticket { session: request.session, request: request.request, arrival_epoch };
+    let ticket = Ticket { session: request.session, request: request.request, arrival };
     let frames = match shared.budget.hold(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {
@@ -379,14 +385,18 @@ impl PortState {
     ) -> bool {
         let (outcome, payload) = outcome(result, route.max_message_bytes);
         let (grown, zero) = grown(log);
+        let raw = route.version >= RAW_STAMPS_SINCE;
         let stamp = self.clock.stamp();
-        let epoch = self.clock.wall_epoch();
+        let epoch = if raw { self.clock.epoch() } else { self.clock.wall_epoch() };
         let departure = grown.as_ref().map(|_| {
             let start = zero + (stamp.mono - MonoTime::default());
-            Departure { sent: stamp.wall, start, epoch }
+            Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
         });
-        let Ticket { session, request, arrival_epoch } = ticket;
-        let header = Header::Reply(Reply { session, request, departure, arrival_epoch, outcome });
+        let Ticket { session, request, arrival } = ticket;
+        let arrival_epoch = if raw { arrival.epoch } else { arrival.wall_epoch };
+        let arrived_raw = departure.filter(|_| raw).map(|_| arrival.raw);
+        let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };
+        let header = Header::Reply(reply);
         let header = match header.encode() {
             Ok(header) => header,
             Err(error) => {

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
-use peernet_clock::SharedClock;
+use peernet_clock::{RelatedClocks, SharedClock};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
@@ -14,8 +14,8 @@ use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, 
 use super::open::{OpenError, handshake};
 use super::receiving::Receiving;
 use crate::message::{
-    Accepted, Departure, Header, HeaderError, PeerClock, Request, SampleHeader, SessionAccepted,
-    SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
+    Accepted, Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader,
+    SessionAccepted, SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::transport::{Dialled, EdgeSender, SendFailure, SendOptions};
@@ -57,6 +57,8 @@ pub(crate) struct SessionState {
     pub(crate) sender: Box<dyn EdgeSender>,
     pub(crate) clock: SharedClock,
     pub(crate) counters: Counters,
+    /// The version of the protocol that the cloud chose.
+    version: u16,
     /// Places in flight; closed when the session is over.
     pub(crate) places: Semaphore,
     /// The tighter limit of both ends.
@@ -108,6 +110,7 @@ impl Session {
             sender: dialled.sender,
             clock,
             counters,
+            version: accepted.protocol,
             places: Semaphore::new(places as usize),
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
@@ -125,7 +128,12 @@ impl Session {
         &self.inner.accepted
     }
 
-    /// What the cloud tells of its wall clock: at first what it said when it accepted the session.
+    /// Which clocks the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
+    pub fn clocks(&self) -> RelatedClocks {
+        if self.inner.shared.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
+    }
+
+    /// What the cloud tells of its clocks: at first what it said when it accepted the session.
     pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
         self.inner.shared.peer_clock.subscribe()
     }
@@ -191,7 +199,8 @@ impl Session {
         let sizes = Sizes::of(&arrived.frames);
         let log = &mut exchange.log;
         exchange.arrived = Some(arrived.at);
-        let absorbed = absorb(log, self.inner.accepted.host, &sent.departed, &arrived);
+        let raw = shared.has_raw_stamps();
+        let absorbed = absorb(log, self.inner.accepted.host, raw, &sent.departed, &arrived);
         sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
@@ -278,6 +287,10 @@ impl SessionState {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    const fn has_raw_stamps(&self) -> bool {
+        self.version >= RAW_STAMPS_SINCE
+    }
+
     fn statistics(&self) -> ConnectionStatistics {
         self.counters.statistics(&self.sender.statistics())
     }
@@ -325,10 +338,13 @@ impl SessionState {
             self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
 
         // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
-        let epoch = self.clock.wall_epoch();
+        let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
-        let departure = Departure { sent: stamp.wall, start: log.offset(stamp.mono), epoch };
+        let (told_epoch, sent_raw) =
+            if self.has_raw_stamps() { (epoch, Some(stamp.raw)) } else { (self.clock.wall_epoch(), None) };
+        let start = log.offset(stamp.mono);
+        let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
         let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
         // From here on the request is given up by dropping it.
         let mut pending = Pending { shared: self, request, departed, sizes: Sizes::default(), answer };

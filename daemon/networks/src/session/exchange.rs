@@ -2,7 +2,8 @@
 
 use peernet_clock::{RawTime, Span, Stamp, WallTime, Witnessed};
 use peernet_logger::{
-    HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Transit, TreeError, Unit, stage,
+    HostId, HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Tree, TreeError, Unit,
+    stage,
 };
 use peernet_sample::Sample;
 
@@ -22,8 +23,9 @@ pub struct Exchange {
     pub up: Option<NodeId>,
     /// The `download` node; `None` when no model answered.
     pub down: Option<NodeId>,
-    /// The four stamps of `upload` and `download`, for the relation of the two clocks. `None` when no model answered,
-    /// and when either host says that its clock was stepped meanwhile: nothing follows from such stamps.
+    /// The four stamps of `upload` and `download`, for the relation of the two clocks: of the edge's free-running clock and, since
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), of the cloud's, before that of the cloud's wall clock. `None` when no model
+    /// answered, and when either host says that its clock was interrupted meanwhile: nothing follows from such stamps.
     pub witnessed: Option<Witnessed>,
 }
 
@@ -110,6 +112,8 @@ pub(crate) enum GrowthError {
     TooManyHosts,
     #[error("the cloud added a node to a host that was there before it")]
     EarlierHost,
+    #[error("no stamps of the cloud's free-running clock")]
+    NoRawStamps,
     #[error("too many nodes in one tree")]
     TooManyNodes,
     #[error(transparent)]
@@ -117,13 +121,15 @@ pub(crate) enum GrowthError {
 }
 
 /// Takes over what the cloud added to the tree: closes `upload`, appends the cloud's nodes and `download`.
-/// Returns the position of `download`, and the stamps. `None` when no model answered.
+/// Returns the position of `download`, and the stamps. `None` when no model answered. `raw` says whether the version of the session has
+/// stamps of the cloud's free-running clock.
 ///
 /// # Errors
 /// When what the cloud sent does not fit; the tree is then as it was.
 pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
+    raw: bool,
     departed: &Departed,
     arrived: &Arrived,
 ) -> Result<Option<(NodeId, Option<Witnessed>)>, GrowthError> {
@@ -142,8 +148,13 @@ pub(crate) fn absorb(
     if growth.nodes.iter().any(|node| node.host < host) {
         return Err(GrowthError::EarlierHost);
     }
-    let transit =
-        Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps: None };
+    let there = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
+        (false, ..) => None,
+        (true, Some(received), Some(replied)) => Some((received, replied)),
+        (true, ..) => return Err(GrowthError::NoRawStamps),
+    };
+    let raw_stamps = there.map(|(_, sent)| RawStamps { sent, received: arrived.at.raw });
+    let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
     growth.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
@@ -151,33 +162,47 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let witnessed = witnessed(departed, growth.closed.1, departure, arrived);
+    let witnessed = witnessed(departed, growth.closed.1, there, departure, arrived);
     log.tree_mut().absorb(growth)?;
+    if let Some((received, _)) = there {
+        set_raw_stamps(log.tree_mut(), departed.upload, RawStamps { sent: departed.at.raw, received });
+    }
     let last = log.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
     Ok(Some((download, witnessed)))
 }
 
+fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
+    if let Some(Measure::Transit(transit)) = tree.measure_mut(node) {
+        transit.raw_stamps = Some(stamps);
+    }
+}
+
+/// The stamps of an exchange. `there` are those of the cloud's free-running clock, without which its wall clock counts.
 fn witnessed(
     departed: &Departed,
     received: WallTime,
+    there: Option<(RawTime, RawTime)>,
     departure: Departure,
     arrived: &Arrived,
 ) -> Option<Witnessed> {
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
     }
+    let by_wall = || (RawTime::of_wall(received), RawTime::of_wall(departure.sent));
+    let (received, replied) = there.unwrap_or_else(by_wall);
     let exchange = peernet_clock::Exchange {
-        sent: RawTime::of_wall(departed.at.wall),
-        received: RawTime::of_wall(received),
-        replied: RawTime::of_wall(departure.sent),
-        returned: RawTime::of_wall(arrived.at.wall),
+        sent: departed.at.raw,
+        received,
+        replied,
+        returned: arrived.at.raw,
         uncertainty: UNCERTAINTY,
     };
     Some(Witnessed {
         exchange,
-        edge_elapsed: Some(arrived.at.mono - departed.at.mono),
-        cloud_elapsed: Some(departure.start),
+        edge_elapsed: None,
+        // A free-running clock is not stepped, and may run otherwise than the monotonic one, which is slewed.
+        cloud_elapsed: there.is_none().then_some(departure.start),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),
     })

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::sync::Weak;
 
-use peernet_clock::Stamp;
+use peernet_clock::{RawTime, Stamp};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
@@ -103,8 +103,17 @@ pub enum Failure {
 pub(crate) struct Ticket {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// This host's epoch right before the arrival was stamped.
-    pub(crate) arrival_epoch: u32,
+    pub(crate) arrival: ArrivalStamp,
+}
+
+/// When a request had arrived, as far as its reply tells.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ArrivalStamp {
+    pub(crate) raw: RawTime,
+    /// Epoch of the free-running clock right before.
+    pub(crate) epoch: u32,
+    /// Epoch of the wall clock right before.
+    pub(crate) wall_epoch: u32,
 }
 
 /// Takes the answer to one request, on any thread. Dropping it unanswered tells the edge that the request failed.

@@ -29,7 +29,7 @@ impl SessionState {
         };
         match heard {
             Heard::Answer(waiter, reply) => {
-                let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.wall_epoch() };
+                let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
                 // A request that was given up this very moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();

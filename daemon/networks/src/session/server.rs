@@ -72,6 +72,8 @@ pub(crate) struct Route {
     pub(crate) peer: Peer,
     /// Largest message that the edge takes.
     pub(crate) max_message_bytes: u64,
+    /// The version of the protocol that was chosen.
+    pub(crate) version: u16,
 }
 
 impl Server {
@@ -207,6 +209,7 @@ impl Server {
                 departure: None,
                 arrival_epoch: 0,
                 outcome,
+                arrived_raw: None,
             }));
         }
         if !entry.in_flight.insert(number) {
@@ -233,6 +236,7 @@ impl Server {
         if let Some(clock) = &self.clock {
             accepted.host_clock.clone_from(clock);
         }
+        accepted.host_clock = accepted.host_clock.in_version(entry.version);
         let header = Header::Accepted(Box::new(Accepted {
             protocol: entry.version,
             session,
@@ -253,7 +257,8 @@ impl Server {
         let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
         let news = open
             .map(|(session, entry)| {
-                let news = ClockNews { session: *session, clock: clock.clone() };
+                let clock = clock.clone().in_version(entry.version);
+                let news = ClockNews { session: *session, clock };
                 (entry.peer.clone(), Header::Clock(Box::new(news)))
             })
             .collect();
@@ -264,10 +269,11 @@ impl Server {
     /// A request has its answer: where to send it. `None` when the session is gone.
     pub(crate) fn finish(&mut self, session: SessionId, request: u64) -> Option<Route> {
         let entry = self.sessions.get_mut(&session)?;
-        entry
-            .in_flight
-            .remove(&request)
-            .then(|| Route { peer: entry.peer.clone(), max_message_bytes: entry.max_message_bytes })
+        entry.in_flight.remove(&request).then(|| Route {
+            peer: entry.peer.clone(),
+            max_message_bytes: entry.max_message_bytes,
+            version: entry.version,
+        })
     }
 
     /// A connection's peer has another address from now on.

@@ -1,50 +1,82 @@
 //! What two hosts tell each other of their clocks, and the stamps that relate them.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use peernet_clock::{
     Clock, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RawTime, RehearsalDescription,
-    RehearsedStep, Span, Stamp, SystemClock, WallTime,
+    RehearsedStep, RelatedClocks, Span, Stamp, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
-use peernet_networks::{Exchange, PeerClock, RequestError};
+use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
+use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
-/// The system's clocks, set forward by hand; every setting is a new epoch.
+/// Version 4 of the protocol alone, as releases before 0.3.0.
+const FOUR: VersionRange = VersionRange::single(4);
+const DAY: Span = Span::from_seconds(86_400);
+const HOUR: Span = Span::from_seconds(3_600);
+
+/// The system's clocks, moved by hand; every move is a new epoch.
 #[derive(Debug)]
 struct Set {
     system: SystemClock,
-    ahead: AtomicI64,
-    epoch: AtomicU32,
-    /// It is set right after the next stamp, by little.
-    slips: AtomicBool,
+    wall: Moved,
+    raw: Moved,
+    /// The clock that is moved right after the next stamp, by little.
+    slips: Mutex<Option<Slips>>,
 }
 
-impl Set {
-    fn new(ahead: Span) -> Arc<Self> {
-        let system = SystemClock::new(ClockIdentity::new("boot", "set"));
-        Arc::new(Self {
-            system,
-            ahead: AtomicI64::new(ahead.nanos()),
-            epoch: AtomicU32::new(0),
-            slips: AtomicBool::new(false),
-        })
+/// How far a clock was moved, and how often.
+#[derive(Debug, Default)]
+struct Moved {
+    by: AtomicI64,
+    epoch: AtomicU32,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Slips {
+    Wall,
+    Raw,
+}
+
+impl Moved {
+    fn by(&self) -> Span {
+        Span::from_nanos(self.by.load(Ordering::SeqCst))
+    }
+
+    fn unnoticed(&self, by: Span) {
+        self.by.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
     fn forward(&self, by: Span) {
-        self.ahead.fetch_add(by.nanos(), Ordering::SeqCst);
+        self.unnoticed(by);
         self.epoch.fetch_add(1, Ordering::SeqCst);
+    }
+}
+
+impl Set {
+    /// The wall clock and the free-running clock, so far ahead.
+    fn new(wall: Span, raw: Span) -> Arc<Self> {
+        let system = SystemClock::new(ClockIdentity::new("boot", "set"));
+        let set = Self { system, wall: Moved::default(), raw: Moved::default(), slips: Mutex::default() };
+        set.wall.unnoticed(wall);
+        set.raw.unnoticed(raw);
+        Arc::new(set)
+    }
+
+    fn slip_after_next_stamp(&self, slips: Slips) {
+        *self.slips.lock().expect("no panic") = Some(slips);
     }
 }
 
 impl Clock for Set {
     fn wall(&self) -> WallTime {
-        self.system.wall() + Span::from_nanos(self.ahead.load(Ordering::SeqCst))
+        self.system.wall() + self.wall.by()
     }
 
     fn mono(&self) -> MonoTime {
@@ -52,7 +84,7 @@ impl Clock for Set {
     }
 
     fn raw(&self) -> RawTime {
-        self.system.raw()
+        self.system.raw() + self.raw.by()
     }
 
     fn identity(&self) -> &ClockIdentity {
@@ -60,15 +92,22 @@ impl Clock for Set {
     }
 
     fn stamp(&self) -> Stamp {
-        let stamp = Stamp { wall: self.wall(), ..self.system.stamp() };
-        if self.slips.swap(false, Ordering::SeqCst) {
-            self.forward(Span::from_micros(-30));
+        let stamp = self.system.stamp();
+        let stamp = Stamp { wall: stamp.wall + self.wall.by(), raw: stamp.raw + self.raw.by(), ..stamp };
+        match self.slips.lock().expect("no panic").take() {
+            Some(Slips::Wall) => self.wall.forward(Span::from_micros(-30)),
+            Some(Slips::Raw) => self.raw.forward(Span::from_micros(-30)),
+            None => {}
         }
         stamp
     }
 
+    fn epoch(&self) -> u32 {
+        self.raw.epoch.load(Ordering::SeqCst)
+    }
+
     fn wall_epoch(&self) -> u32 {
-        self.epoch.load(Ordering::SeqCst)
+        self.wall.epoch.load(Ordering::SeqCst)
     }
 }
 
@@ -87,94 +126,148 @@ fn transits(exchange: &Exchange) -> (Transit, Transit) {
 }
 
 #[tokio::test]
-async fn an_exchange_carries_the_four_stamps_of_its_tree() {
-    let day = Span::from_seconds(86_400);
-    let mut cloud = Cloud::start_by(Set::new(day)).await;
+async fn exchange_carries_raw_stamps_beside_wall_stamps() {
+    let mut cloud = Cloud::start_by(Set::new(DAY, HOUR)).await;
     let (session, _) = cloud.session(settings()).await;
+    assert_eq!(session.clocks(), RelatedClocks::Raw);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
     let (up, down) = transits(&exchange);
     let witnessed = exchange.witnessed.expect("answered");
     let stamps = witnessed.exchange;
-    let of_transit =
-        |transit: &Transit| (RawTime::of_wall(transit.sent), transit.received.map(RawTime::of_wall));
-    assert_eq!((stamps.sent, Some(stamps.received)), of_transit(&up));
-    assert_eq!((stamps.replied, Some(stamps.returned)), of_transit(&down));
-
-    assert!(stamps.sent + day <= stamps.received && stamps.received <= stamps.replied);
-    assert!(stamps.replied <= stamps.returned + day);
-    assert!(stamps.lower() <= day && day <= stamps.upper(), "{:?}", stamps.bounds());
+    let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
+    assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
+    assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
+    assert!(stamps.sent + HOUR <= stamps.received && stamps.received <= stamps.replied);
+    assert!(stamps.replied <= stamps.returned + HOUR);
+    assert!(stamps.lower() <= HOUR && HOUR <= stamps.upper(), "{:?}", stamps.bounds());
     assert!(stamps.uncertainty > Span::ZERO && stamps.uncertainty < Span::from_micros(1));
+
+    let (there, back) =
+        (up.received.expect("arrived") - up.sent, down.received.expect("arrived") - down.sent);
+    assert!(there >= DAY && back <= Span::ZERO - DAY + Span::from_seconds(60), "{there} {back}");
     assert_eq!((witnessed.edge_epoch, witnessed.cloud_epoch), (0, Some(0)));
-    let (edge, there) = (witnessed.edge_elapsed.expect("read"), witnessed.cloud_elapsed.expect("read"));
-    assert!(Span::ZERO <= there && there <= edge, "{there} of {edge}");
+    assert_eq!((witnessed.edge_elapsed, witnessed.cloud_elapsed), (None, None), "nothing to compare");
+}
+
+#[tokio::test]
+async fn session_of_version_four_has_wall_stamps_of_cloud() {
+    let cloud_clock = Set::new(DAY, HOUR);
+    let mut cloud = Cloud::start_by(cloud_clock.clone()).await;
+    let session = cloud.session_by(Set::new(Span::ZERO, Span::ZERO), FOUR).await;
+    assert_eq!(session.clocks(), RelatedClocks::RawToWall);
+    let exchange = echo(&mut cloud, &session, "four stamps").await;
+    let (up, down) = transits(&exchange);
+    let witnessed = exchange.witnessed.expect("answered");
+    let stamps = witnessed.exchange;
+    assert_eq!((up.raw_stamps, down.raw_stamps), (None, None));
+    assert_eq!(Some(stamps.received), up.received.map(RawTime::of_wall));
+    assert_eq!(stamps.replied, RawTime::of_wall(down.sent));
+    let offset = cloud_clock.system.wall_ahead();
+    let wide = Span::from_millis(1);
+    let offset = Interval { lo: offset.lo + DAY - wide, hi: offset.hi + DAY + wide };
+    assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
+    let there = witnessed.cloud_elapsed.expect("read");
+    assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
+
+    cloud.listener.announcer().announce(PeerClock { epoch: 1, ..raw_news() });
+    let mut told = session.peer_clock();
+    let told = within(told.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
+    assert_eq!(told.raw, None, "version 4 has no word for it");
 }
 
 #[tokio::test]
 async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does() {
-    let clock = Set::new(Span::ZERO);
+    let clock = Set::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
-    let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "stepped", PATIENCE);
-    let incoming = cloud.next_request().await;
-    // Not a step that the clock notices by itself, so that only the two clocks of the cloud can show it.
-    clock.ahead.fetch_add(Span::from_seconds(3).nanos(), Ordering::SeqCst);
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
-    let exchange = within(pending).await.expect("no panic");
-    let witnessed = exchange.witnessed.expect("answered");
-    let by_wall = witnessed.exchange.replied - witnessed.exchange.received;
-    let by_mono = witnessed.cloud_elapsed.expect("read");
-    assert!(by_wall >= Span::from_seconds(3) + by_mono - Span::from_seconds(1), "{by_wall} {by_mono}");
-    assert!(by_mono < witnessed.edge_elapsed.expect("read"));
-}
-
-#[tokio::test]
-async fn a_clock_stepped_meanwhile_leaves_nothing_to_learn_from() {
-    let clock = Set::new(Span::ZERO);
-    let mut cloud = Cloud::start_by(clock.clone()).await;
-    let (session, _) = cloud.session(settings()).await;
-    let pending = request(&session, "stepped at the cloud", PATIENCE);
-    let incoming = cloud.next_request().await;
-    clock.forward(Span::from_seconds(3));
-    incoming.reply.send(incoming.log, Ok(incoming.sample));
-    let exchange = within(pending).await.expect("no panic");
-    assert!(exchange.result.is_ok() && exchange.down.is_some());
-    assert_eq!(exchange.witnessed, None);
-    let exchange = echo(&mut cloud, &session, "after").await;
-    assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
-
-    let clock = Set::new(Span::ZERO);
-    let session = cloud.session_by(clock.clone()).await;
-    for stepped in [true, false] {
-        let pending = request(&session, "stepped at the edge", PATIENCE);
+    let mut open = Vec::new();
+    for version in [4, 5] {
+        let edge = Set::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_by(edge, VersionRange::single(version)).await;
+        open.push(session.clone());
+        let pending = request(&session, "stepped", PATIENCE);
         let incoming = cloud.next_request().await;
-        if stepped {
-            clock.forward(Span::from_seconds(-3));
-        }
+        // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
+        clock.wall.unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.log, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
-        assert!(exchange.result.is_ok());
-        assert_eq!(exchange.witnessed.map(|witnessed| witnessed.edge_epoch), (!stepped).then_some(1));
+        let witnessed = exchange.witnessed.expect("answered");
+        let there = witnessed.exchange.replied - witnessed.exchange.received;
+        let waited = witnessed.exchange.returned - witnessed.exchange.sent;
+        if version == 4 {
+            let by_mono = witnessed.cloud_elapsed.expect("read");
+            assert!(there >= Span::from_seconds(3) + by_mono - Span::from_seconds(1), "{there} {by_mono}");
+            assert!(by_mono < waited);
+        } else {
+            assert!(Span::ZERO <= there && there < waited, "{there} of {waited}");
+        }
     }
 }
 
 #[tokio::test]
-async fn a_clock_stepped_right_after_the_first_stamp_at_a_host_leaves_nothing_to_learn_from_either() {
-    let clock = Set::new(Span::ZERO);
+async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
+    let clock = Set::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
-    let (session, _) = cloud.session(settings()).await;
-    clock.slips.store(true, Ordering::SeqCst);
-    let exchange = echo(&mut cloud, &session, "stepped at the cloud").await;
-    assert_eq!((exchange.witnessed, clock.wall_epoch()), (None, 1));
-    let exchange = echo(&mut cloud, &session, "after").await;
-    assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
+    let mut open = Vec::new();
+    for (version, moved, untouched) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
+        let edge = Set::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_by(edge, VersionRange::single(version)).await;
+        open.push(session.clone());
+        for (clock, voids) in [(moved, true), (untouched, false)] {
+            let pending = request(&session, "moved at the cloud", PATIENCE);
+            let incoming = cloud.next_request().await;
+            clock.forward(Span::from_seconds(3));
+            incoming.reply.send(incoming.log, Ok(incoming.sample));
+            let exchange = within(pending).await.expect("no panic");
+            assert!(exchange.result.is_ok() && exchange.down.is_some());
+            assert_eq!(exchange.witnessed.is_none(), voids, "version {version}: {:?}", exchange.witnessed);
+        }
+        let exchange = echo(&mut cloud, &session, "after").await;
+        let epoch = moved.epoch.load(Ordering::SeqCst);
+        assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(epoch));
+    }
+}
 
-    let clock = Set::new(Span::ZERO);
-    let session = cloud.session_by(clock.clone()).await;
-    clock.slips.store(true, Ordering::SeqCst);
-    let exchange = echo(&mut cloud, &session, "stepped at the edge").await;
-    assert_eq!((exchange.witnessed, clock.wall_epoch()), (None, 1));
-    let exchange = echo(&mut cloud, &session, "after").await;
-    assert_eq!(exchange.witnessed.expect("answered").edge_epoch, 1);
+#[tokio::test]
+async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
+    let mut cloud = Cloud::start().await;
+    let mut open = Vec::new();
+    for version in [4, 5] {
+        let clock = Set::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_by(clock.clone(), VersionRange::single(version)).await;
+        open.push(session.clone());
+        for (moved, voids) in [(&clock.raw, true), (&clock.wall, false)] {
+            let pending = request(&session, "moved at the edge", PATIENCE);
+            let incoming = cloud.next_request().await;
+            moved.forward(Span::from_seconds(3));
+            incoming.reply.send(incoming.log, Ok(incoming.sample));
+            let exchange = within(pending).await.expect("no panic");
+            assert!(exchange.result.is_ok());
+            let epoch = exchange.witnessed.map(|witnessed| witnessed.edge_epoch);
+            assert_eq!(epoch, (!voids).then_some(1), "version {version}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_learn_from_either() {
+    let clock = Set::new(Span::ZERO, Span::ZERO);
+    let mut cloud = Cloud::start_by(clock.clone()).await;
+    let mut open = Vec::new();
+    for (version, slips) in [(4, Slips::Wall), (5, Slips::Raw)] {
+        let edge = Set::new(Span::ZERO, Span::ZERO);
+        let session = cloud.session_by(edge.clone(), VersionRange::single(version)).await;
+        open.push(session.clone());
+        clock.slip_after_next_stamp(slips);
+        let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
+        assert_eq!(exchange.witnessed, None);
+        let exchange = echo(&mut cloud, &session, "after").await;
+        assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
+        edge.slip_after_next_stamp(Slips::Raw);
+        let exchange = echo(&mut cloud, &session, "moved at the edge").await;
+        assert_eq!((exchange.witnessed, edge.epoch()), (None, 1));
+        let exchange = echo(&mut cloud, &session, "after").await;
+        assert_eq!(exchange.witnessed.expect("answered").edge_epoch, 1);
+    }
 }
 
 #[tokio::test]
@@ -203,7 +296,13 @@ fn news() -> PeerClock {
             steps: vec![step],
             since: WallTime::from_unix_nanos(7),
         }),
+        raw: None,
     }
+}
+
+fn raw_news() -> PeerClock {
+    let wall_ahead = Interval { lo: Span::from_seconds(9), hi: Span::from_nanos(9_000_000_080) };
+    PeerClock { raw: Some(RawClock { epoch: 4, wall_ahead, clocksource: "tsc".into() }), ..news() }
 }
 
 #[tokio::test]
@@ -214,7 +313,7 @@ async fn an_announcement_reaches_open_sessions_and_those_to_come() {
     let mut clock = session.peer_clock();
     assert_eq!(*clock.borrow_and_update(), accepted(cloud.host).host_clock);
 
-    let news = news();
+    let news = raw_news();
     announcer.clone().announce(news.clone());
     within(clock.changed()).await.expect("the session is open");
     assert_eq!(*clock.borrow_and_update(), news);

@@ -51,6 +51,13 @@ impl FakeCloud {
     }
 
     pub(crate) async fn session(&self) -> (peernet_networks::Session, zeromq::Identity, Id) {
+        self.session_of_version(PROTOCOL).await
+    }
+
+    pub(crate) async fn session_of_version(
+        &self,
+        version: u16,
+    ) -> (peernet_networks::Session, zeromq::Identity, Id) {
         let address = self.address.clone();
         let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
         let (to, header) = self.hear().await;
@@ -63,7 +70,7 @@ impl FakeCloud {
             Vec::new(),
         )
         .await;
-        self.say(&to, &Self::accepted(id.clone(), PROTOCOL), Vec::new()).await;
+        self.say(&to, &Self::accepted(id.clone(), version), Vec::new()).await;
         (within(edge).await.expect("no panic").expect("accepted"), to, id)
     }
 }

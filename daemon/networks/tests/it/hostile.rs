@@ -21,7 +21,7 @@ fn tree() -> Bytes {
 
 fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
     let parts = vec![("bytes".to_owned(), Vec::new(), None); parts];
-    Header::Request(session.clone(), number, (5, 5, 0), (parts, String::new(), None))
+    Header::Request(session.clone(), number, wire::Departure(5, 5, 0, None), (parts, String::new(), None))
 }
 
 /// Opens a session over a plain socket.
@@ -254,26 +254,27 @@ async fn a_cloud_that_lost_the_session_ends_it() {
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
+/// What a cloud adds to an edge's tree, which has three nodes: root, encode, upload.
+fn growth(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
+    let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
+    let node = Node {
+        parent: Some(NodeId::ROOT),
+        name: stage::INFERENCE,
+        host: HostIndex(node_host),
+        start: Span::ZERO,
+        measure: Measure::Timer(Some(Span::ZERO)),
+    };
+    let closed = (NodeId(closed), WallTime::default());
+    let growth = Growth { base, anchor, others: Vec::new(), closed, nodes: vec![node] };
+    let mut out = Vec::new();
+    logger::encode_growth(&growth, &mut out);
+    out.into()
+}
+
 #[tokio::test]
 async fn answers_that_make_no_sense_change_no_tree() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
-    // The edge's tree has three nodes: root, encode, upload.
-    let growth = |base: u32, host: u8, closed: u32, node_host: u8| -> Bytes {
-        let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
-        let node = Node {
-            parent: Some(NodeId::ROOT),
-            name: stage::INFERENCE,
-            host: HostIndex(node_host),
-            start: Span::ZERO,
-            measure: Measure::Timer(Some(Span::ZERO)),
-        };
-        let closed = (NodeId(closed), WallTime::default());
-        let growth = Growth { base, anchor, others: Vec::new(), closed, nodes: vec![node] };
-        let mut out = Vec::new();
-        logger::encode_growth(&growth, &mut out);
-        out.into()
-    };
     let bad = [
         Bytes::from("garbage"),
         growth(2, 2, 2, 1),
@@ -288,7 +289,13 @@ async fn answers_that_make_no_sense_change_no_tree() {
         let (_, header) = cloud.hear().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
-        cloud.say(&to, &Header::Reply(id.clone(), number, Some((1, 1, 0)), 0, answer), vec![growth]).await;
+        cloud
+            .say(
+                &to,
+                &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+                vec![growth],
+            )
+            .await;
         let exchange = within(pending).await.expect("no panic");
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
         assert_eq!((exchange.down, exchange.log.tree().anchors().len()), (None, 1));
@@ -317,7 +324,37 @@ async fn answers_that_make_no_sense_change_no_tree() {
     let (_, header) = cloud.hear().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
-    cloud.say(&to, &Header::Reply(id, number, Some((1, 1, 0)), 0, answer), vec![growth(3, 2, 2, 1)]).await;
+    cloud
+        .say(
+            &to,
+            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+            vec![growth(3, 2, 2, 1)],
+        )
+        .await;
     assert!(within(pending).await.expect("no panic").result.is_ok());
     assert_eq!(session.statistics().malformed_messages, count + 5);
+}
+
+#[tokio::test]
+async fn reply_of_version_five_without_raw_stamps_makes_no_sense() {
+    let cloud = FakeCloud::start().await;
+    let (session, to, id) = cloud.session_of_version(5).await;
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move { session.request(log(), &sample("x"), PATIENCE).await }
+    });
+    let (_, header) = cloud.hear().await;
+    let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
+    let answer = Outcome::Answer((Vec::new(), String::new(), None));
+    cloud
+        .say(
+            &to,
+            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+            vec![growth(3, 2, 2, 1)],
+        )
+        .await;
+    let exchange = within(pending).await.expect("no panic");
+    let Err(RequestError::Failed(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
+    assert!(reason.contains("no stamps of the cloud's free-running clock"), "{reason}");
+    assert_eq!((exchange.witnessed, session.statistics().malformed_messages), (None, 1));
 }

@@ -13,7 +13,7 @@ use peernet_networks::{
     SessionSettings,
 };
 use peernet_sample::{Description, Sample};
-use peernet_stream::Hardware;
+use peernet_stream::{Hardware, VersionRange};
 
 use crate::ros_master::RosMaster;
 
@@ -235,9 +235,9 @@ impl Cloud {
         (within(edge).await.expect("no panic").expect("accepted"), id)
     }
 
-    /// Opens a session with an edge that reads another clock.
-    pub(crate) async fn session_by(&mut self, clock: SharedClock) -> Session {
-        let edge = tokio::spawn(open_by(self.address(), clock));
+    /// Opens a session with an edge that reads another clock and speaks these versions of the protocol.
+    pub(crate) async fn session_by(&mut self, clock: SharedClock, versions: VersionRange) -> Session {
+        let edge = tokio::spawn(open_by(self.address(), clock, versions));
         assert!(self.next_open().await.accept(accepted(self.host)));
         within(edge).await.expect("no panic").expect("accepted")
     }
@@ -251,9 +251,9 @@ pub(crate) async fn open(
     within(Session::open(address, hello, settings, clock())).await
 }
 
-/// Opens a session as an edge that reads another clock.
-async fn open_by(address: Address, clock: SharedClock) -> Result<Session, OpenError> {
-    within(Session::open(&address, hello(), settings(), clock)).await
+async fn open_by(address: Address, clock: SharedClock, versions: VersionRange) -> Result<Session, OpenError> {
+    let hello = SessionHello { versions, ..hello() };
+    within(Session::open(&address, hello, settings(), clock)).await
 }
 
 pub(crate) fn log() -> Recorder {

@@ -7,6 +7,8 @@ use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL, Plain};
 
+const NEWEST: u16 = 5;
+
 /// An edge that speaks other versions, and names in its hello that this version does not know.
 fn later(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
@@ -27,7 +29,7 @@ async fn later_edge_is_served_in_common_version() {
     assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
     assert!(wish.accept(accepted(cloud.host)));
     let (Header::Accepted { protocol, .. }, _) = plain.hear().await else { panic!("not accepted") };
-    assert_eq!(protocol, PROTOCOL);
+    assert_eq!(protocol, NEWEST);
 }
 
 #[tokio::test]
@@ -48,7 +50,7 @@ async fn edge_without_common_version_is_refused_with_release() {
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         let Header::Refused { protocol, newest, since, kind, reason } = header else { panic!("{header:?}") };
-        assert_eq!((protocol, newest, since), (PROTOCOL, Some(PROTOCOL), Some((0, 1, 0))));
+        assert_eq!((protocol, newest, since), (PROTOCOL, Some(NEWEST), Some((0, 1, 0))));
         assert_eq!(kind, "incompatible");
         let (spoken, update) = needed.split_once(": ").expect("two parts");
         assert!(reason.contains(spoken) && reason.ends_with(update), "{reason}");
@@ -84,7 +86,7 @@ async fn refused_edge_says_what_to_update() {
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
-            "this program speaks version 4 of the session protocol, the cloud at {address} versions 6 to 7: update this \
+            "this program speaks versions 4 to 5 of the session protocol, the cloud at {address} versions 6 to 7: update this \
              program to at least PEERNet 0.4.0"
         )
     );
@@ -93,11 +95,11 @@ async fn refused_edge_says_what_to_update() {
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
-            "the cloud at {address} speaks version 3 of the session protocol, this program version 4: update the cloud at \
+            "the cloud at {address} speaks version 3 of the session protocol, this program versions 4 to 5: update the cloud at \
              {address} to at least PEERNet 0.1.0"
         )
     );
-    let (opened, ..) = answered_by(FakeCloud::accepted(Id::from([3; 16]), PROTOCOL + 1)).await;
+    let (opened, ..) = answered_by(FakeCloud::accepted(Id::from([3; 16]), NEWEST + 1)).await;
     assert!(
         matches!(opened, Err(OpenError::Incompatible { .. })),
         "a version that was not offered: {opened:?}"

@@ -6,7 +6,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// The version of the protocol that this is.
+/// The version of the protocol that this is, where nothing else is said.
 pub(crate) const PROTOCOL: u16 = 4;
 
 #[derive(Serialize, Deserialize, Debug)]
@@ -53,8 +53,14 @@ pub(crate) enum Header {
 /// Major, minor and patch version.
 pub(crate) type Release = (u16, u16, u16);
 
-/// Wall clock, offset on the monotonic clock, epoch.
-pub(crate) type Departure = (i64, i64, u32);
+/// Wall clock, offset on the monotonic clock, epoch; since version 5 the free-running clock.
+#[derive(Serialize, Deserialize, Debug)]
+pub(crate) struct Departure(
+    pub(crate) i64,
+    pub(crate) i64,
+    pub(crate) u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")] pub(crate) Option<i64>,
+);
 
 /// Sixteen random bytes.
 pub(crate) type Id = serde_bytes::ByteBuf;

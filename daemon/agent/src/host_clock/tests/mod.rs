@@ -7,7 +7,7 @@ mod real_chrony;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_stream::HostClock;
+use peernet_networks::PeerClock;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
@@ -24,7 +24,7 @@ fn watched(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,
     clock: &SharedClock,
-) -> (watch::Receiver<HostClock>, DropGuard) {
+) -> (watch::Receiver<PeerClock>, DropGuard) {
     let (feed, _) =
         crate::feed::entrance(&HostConfig::default(), clock, crate::feed::EventCounter::default());
     let incidents = Incidents::new(Arc::clone(clock), feed);

@@ -1,7 +1,7 @@
 //! What a real chrony says becomes an interval that contains the truth, with the right sign.
 
 use peernet_clock::{DelaySource, Span};
-use peernet_stream::HostClock;
+use peernet_networks::PeerClock;
 use tokio::sync::watch;
 
 use super::chronyd::Chronyd;
@@ -9,7 +9,7 @@ use super::{system_clock, watched};
 use crate::config::ClockConfig;
 
 /// What is published first after chrony was asked.
-async fn asked(published: &mut watch::Receiver<HostClock>) -> HostClock {
+async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
     let asked = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
     asked.await.expect("the task runs").clone()
 }

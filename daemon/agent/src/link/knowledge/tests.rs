@@ -1,13 +1,28 @@
 //! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
 
 use peernet_clock::{ClockIdentity, DelaySource, Discipline, Exchange, Interval, RelationSettings};
+use peernet_networks::RawClock;
 
 use super::*;
 
 const MS: i64 = 1_000_000;
+const WAY: Way = Way { raw: Span::ZERO, bits: None };
+const WAYS: [Way; 2] = [WAY, WAY];
 
 fn at(millis: i64) -> WallTime {
     WallTime::from_unix_nanos(1_000_000 * MS + millis * MS)
+}
+
+/// All clocks of the edge at that time.
+fn now(millis: i64) -> Stamp {
+    Stamp { wall: at(millis), raw: RawTime::of_wall(at(millis)), ..Stamp::default() }
+}
+
+/// What a host tells in this epoch of its free-running clock, which shows what its wall clock shows.
+fn told(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
+    let wall_ahead = Interval::exactly(Span::ZERO);
+    let raw = Some(RawClock { epoch, wall_ahead, clocksource: "tsc".into() });
+    PeerClock { raw, discipline, ..PeerClock::default() }
 }
 
 /// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
@@ -19,13 +34,7 @@ fn exchange(sent: i64, ahead: i64) -> Witnessed {
         returned: RawTime::of_wall(at(sent + 4)),
         uncertainty: Span::ZERO,
     };
-    Witnessed {
-        exchange,
-        edge_elapsed: Some(Span::from_millis(4)),
-        cloud_elapsed: Some(Span::from_millis(2)),
-        edge_epoch: 0,
-        cloud_epoch: Some(0),
-    }
+    Witnessed { exchange, edge_elapsed: None, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
 }
 
 fn knowledge() -> Knowledge {
@@ -33,7 +42,7 @@ fn knowledge() -> Knowledge {
     let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
     let relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
-    let mut knowledge = Knowledge::new(peer, relation, (HostClock::default(), HostClock::default()), at(0));
+    let mut knowledge = Knowledge::new(peer, relation, (told(0, None), told(0, None)), now(0));
     knowledge.join(&network());
     knowledge
 }
@@ -45,35 +54,39 @@ fn network() -> NetworkName {
 #[test]
 fn what_is_told_of_clocks_that_were_not_stepped_voids_nothing() {
     let mut knowledge = knowledge();
-    knowledge.edge_says(HostClock::default());
-    knowledge.cloud_says(HostClock::default());
-    let ([up, _], _) = knowledge.judge(&network(), &exchange(0, 0), [None, None], at(4));
+    knowledge.edge_says(told(0, None), now(0).raw);
+    let _ = knowledge.cloud_says(told(0, None), now(0).raw);
+    let ([up, _], _) = knowledge.judge(&network(), &exchange(0, 0), WAYS, now(4));
     assert!(up.value.is_some(), "{up:?}");
-    knowledge.cloud_says(HostClock { text: "something else".into(), ..HostClock::default() });
-    assert_eq!(knowledge.judge(&network(), &exchange(10, 0), [None, None], at(14)).1.restart, None);
+    let _ = knowledge.cloud_says(PeerClock { text: "something else".into(), ..told(0, None) }, now(5).raw);
+    assert_eq!(knowledge.judge(&network(), &exchange(10, 0), WAYS, now(14)).1.restart, None);
 }
 
 #[test]
 fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
     let mut knowledge = knowledge();
     for sent in [0, 300, 600] {
-        let ([up, down], news) =
-            knowledge.judge(&network(), &exchange(sent, 5000), [Some(1e6), None], at(sent + 4));
+        let ([up, down], news) = knowledge.judge(
+            &network(),
+            &exchange(sent, 5000),
+            [Way { raw: Span::ZERO, bits: Some(1e6) }, WAY],
+            now(sent + 4),
+        );
         assert!(news.samples.is_empty() && news.restart.is_none());
         for delay in [up, down] {
             let bounds = delay.bounds.expect("bounded by itself alone");
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
         }
     }
-    let _ = knowledge.probed(&ProbeResult::Sent, at(700));
-    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), at(704));
+    let _ = knowledge.probed(&ProbeResult::Sent, now(700));
+    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), now(704));
     assert_eq!(
-        knowledge.now(&network(), at(800)).up.map(|up| up.count),
+        knowledge.now(&network(), now(800)).up.map(|up| up.count),
         Some(3),
         "as much of it as has passed"
     );
 
-    let news = knowledge.turn(at(1001));
+    let news = knowledge.turn(now(1001));
     let [sample] = &news.samples[..] else { panic!("{news:?}") };
     assert_eq!(sample.at, at(1000));
     assert_eq!((sample.probes.sent, sample.probes.answered, sample.probes.lost), (1, 1, 0));
@@ -84,54 +97,54 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
     let offset = sample.offset.as_ref().expect("known");
     let truth = Span::from_seconds(5);
     assert!(offset.bounds.lo <= truth && truth <= offset.bounds.hi, "{offset:?}");
-    assert_eq!(knowledge.now(&network(), at(1500)), *sample);
+    assert_eq!(knowledge.now(&network(), now(1500)), *sample);
 
-    assert!(knowledge.turn(at(2500)).samples.is_empty(), "nothing new, nothing told");
-    assert!(knowledge.now(&network(), at(2600)).up.is_none());
+    assert!(knowledge.turn(now(2500)).samples.is_empty(), "nothing new, nothing told");
+    assert!(knowledge.now(&network(), now(2600)).up.is_none());
 }
 
 #[test]
 fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     let mut knowledge = knowledge();
     for sent in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), [None, None], at(sent + 4));
+        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    let before = knowledge.now(&network(), at(250)).window;
-    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    let before = knowledge.now(&network(), now(250)).window;
+    let _ = knowledge.cloud_says(told(1, None), now(250).raw);
     // What was under way when the step was told is not believed, however it looks.
     let under_way = Witnessed { cloud_epoch: Some(1), ..exchange(300, 3000) };
-    let ([up, down], news) = knowledge.judge(&network(), &under_way, [None, None], at(304));
+    let ([up, down], news) = knowledge.judge(&network(), &under_way, WAYS, now(304));
     assert_eq!((up.value, down.value, news.restart), (None, None, None));
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
     let [sample] = &news.samples[..] else { panic!("{news:?}") };
     assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = Witnessed { cloud_epoch: Some(1), ..exchange(400, 3000) };
-    let (_, news) = knowledge.judge(&network(), &after, [None, None], at(404));
+    let (_, news) = knowledge.judge(&network(), &after, WAYS, now(404));
     let restart = news.restart.expect("told");
     assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
     if let Some(moved) = restart.moved {
         assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
     }
     assert!(news.samples.is_empty(), "{news:?}");
-    let news = knowledge.turn(at(1000));
+    let news = knowledge.turn(now(1000));
     assert_ne!(news.samples[0].window, before);
     assert_eq!(news.samples[0].upper, Some(after.exchange));
 
-    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    let _ = knowledge.cloud_says(told(1, None), now(250).raw);
     let again = Witnessed { cloud_epoch: Some(1), ..exchange(1100, 3000) };
-    assert_eq!(knowledge.judge(&network(), &again, [None, None], at(1104)).1.restart, None, "once");
+    assert_eq!(knowledge.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
 }
 
 #[test]
 fn an_exchange_across_a_step_has_no_value_and_is_counted() {
     let mut knowledge = knowledge();
     let way = Way { raw: Span::from_seconds(3), bits: None };
-    let (delays, _) = knowledge.stepped(&network(), [way, way], at(4));
+    let (delays, _) = knowledge.stepped(&network(), [way, way], now(4));
     for delay in delays {
         assert_eq!((delay.raw, delay.value, delay.verdict), (Span::from_seconds(3), None, Verdict::Stepped));
     }
-    let news = knowledge.finish(at(500));
+    let news = knowledge.finish(now(500));
     assert_eq!(
         (news.samples[0].up.map(|up| (up.count, up.median)), news.samples[0].at),
         (Some((1, None)), at(500))
@@ -141,24 +154,20 @@ fn an_exchange_across_a_step_has_no_value_and_is_counted() {
 #[test]
 fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() {
     let mut knowledge = knowledge();
-    let claiming = |millis, epoch| HostClock {
-        discipline: Some(Discipline {
-            source: DelaySource::Chrony,
-            error: Interval::exactly(Span::from_millis(millis)),
-        }),
-        epoch,
-        ..HostClock::default()
+    let claiming = |millis, epoch| {
+        let error = Interval::exactly(Span::from_millis(millis));
+        told(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
     };
-    knowledge.cloud_says(claiming(0, 0));
-    let _ = knowledge.judge(&network(), &exchange(5000, 0), [None, None], at(5004));
-    let before = knowledge.now(&network(), at(5010)).window;
+    let _ = knowledge.cloud_says(claiming(0, 0), now(5000).raw);
+    let _ = knowledge.judge(&network(), &exchange(5000, 0), WAYS, now(5004));
+    let before = knowledge.now(&network(), now(5010)).window;
     // Set back by three seconds, and chrony knows at once by how much.
-    knowledge.edge_says(claiming(-3000, 1));
-    assert_eq!(knowledge.now(&network(), at(2200)).offset, None);
-    let news = knowledge.turn(at(2200));
+    knowledge.edge_says(claiming(-3000, 1), now(2200).raw);
+    assert_eq!(knowledge.now(&network(), now(2200)).offset, None);
+    let news = knowledge.turn(now(2200));
     let [sample] = &news.samples[..] else { panic!("{news:?}") };
     assert_eq!((sample.window, sample.at, &sample.offset), (before, at(6000), &None));
-    let now = knowledge.now(&network(), at(2300));
+    let now = knowledge.now(&network(), now(2300));
     assert_ne!(now.window, before);
     assert_eq!(now.offset.map(|offset| offset.estimate), Some(Span::from_seconds(3)));
 }
@@ -167,18 +176,18 @@ fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() 
 fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
     let mut knowledge = knowledge();
     for millis in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(millis, 0), [None, None], at(millis + 4));
+        let _ = knowledge.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
     }
-    assert!(knowledge.now(&network(), at(300)).offset.is_some());
-    let _ = knowledge.probed(&ProbeResult::Sent, at(300));
-    let _ = knowledge.probed(&ProbeResult::Stepped(1), at(304));
-    assert_eq!((knowledge.clocks().0.epoch, knowledge.now(&network(), at(305)).offset), (1, None));
-    let news = knowledge.probed(&ProbeResult::Stepped(1), at(306));
+    assert!(knowledge.now(&network(), now(300)).offset.is_some());
+    let _ = knowledge.probed(&ProbeResult::Sent, now(300));
+    let _ = knowledge.probed(&ProbeResult::Stepped(1), now(304));
+    assert_eq!(knowledge.now(&network(), now(305)).offset, None);
+    let news = knowledge.probed(&ProbeResult::Stepped(1), now(306));
     assert!(news.restart.is_none(), "{news:?}");
     let after = |millis| Witnessed { edge_epoch: 1, ..exchange(millis, -3000) };
     // It may have been under way, for all the relation knows.
-    let _ = knowledge.judge(&network(), &after(400), [None, None], at(404));
-    let (_, news) = knowledge.judge(&network(), &after(500), [None, None], at(504));
+    let _ = knowledge.judge(&network(), &after(400), WAYS, now(404));
+    let (_, news) = knowledge.judge(&network(), &after(500), WAYS, now(504));
     assert!(news.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{news:?}");
 }
 
@@ -188,20 +197,20 @@ fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
         let discipline = Some(Discipline { source: DelaySource::Chrony, error });
-        HostClock { discipline, epoch, ..HostClock::default() }
+        told(epoch, discipline)
     };
-    knowledge.edge_says(claim(0));
-    knowledge.cloud_says(claim(0));
+    knowledge.edge_says(claim(0), now(0).raw);
+    let _ = knowledge.cloud_says(claim(0), now(0).raw);
     for sent in [0, 10, 20] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), [None, None], at(sent + 4));
+        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     // The cloud is set forward by 5 s; an exchange tells of it before the announcement does.
     let stepped = |sent| Witnessed { cloud_epoch: Some(1), ..exchange(sent, 5000) };
-    let _ = knowledge.judge(&network(), &stepped(30), [None, None], at(34));
-    knowledge.edge_says(claim(0));
-    knowledge.cloud_says(claim(0));
+    let _ = knowledge.judge(&network(), &stepped(30), WAYS, now(34));
+    knowledge.edge_says(claim(0), now(0).raw);
+    let _ = knowledge.cloud_says(claim(0), now(0).raw);
     for sent in [40, 50] {
-        let ([up, down], _) = knowledge.judge(&network(), &stepped(sent), [None, None], at(sent + 4));
+        let ([up, down], _) = knowledge.judge(&network(), &stepped(sent), WAYS, now(sent + 4));
         assert!(up.value.is_some() && down.value.is_some(), "{up:?} {down:?}");
         assert_eq!((up.source, down.source), (DelaySource::InBand, DelaySource::InBand));
     }
@@ -212,30 +221,30 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     for sent in [0, 100, 200] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 0), [None, None], at(sent + 4));
+        let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    let _ = knowledge.judge(&other, &exchange(300, 0), [None, None], at(304));
-    let _ = knowledge.probed(&ProbeResult::Sent, at(310));
-    let of_now = |network| knowledge.now(network, at(400)).up.map(|up| up.count);
+    let _ = knowledge.judge(&other, &exchange(300, 0), WAYS, now(304));
+    let _ = knowledge.probed(&ProbeResult::Sent, now(310));
+    let of_now = |network| knowledge.now(network, now(400)).up.map(|up| up.count);
     assert_eq!((of_now(&network()), of_now(&other)), (Some(3), Some(1)));
 
-    let news = knowledge.turn(at(1001));
+    let news = knowledge.turn(now(1001));
     let [tcp, udp] = &news.samples[..] else { panic!("one for each network: {news:?}") };
     assert_eq!((&tcp.network, &udp.network), (&network(), &other));
     assert_eq!((tcp.up.map(|up| up.count), udp.up.map(|up| up.count)), (Some(3), Some(1)));
     let delays_apart = ClockSample { network: network(), up: tcp.up, down: tcp.down, ..udp.clone() };
     assert_eq!(*tcp, delays_apart, "the relation is that of the pair of hosts");
     assert_eq!(
-        (knowledge.now(&network(), at(1100)), knowledge.now(&other, at(1100))),
+        (knowledge.now(&network(), now(1100)), knowledge.now(&other, now(1100))),
         (tcp.clone(), udp.clone())
     );
 
     // What had its session's last delays in this second is told of once more.
-    let _ = knowledge.judge(&network(), &exchange(1200, 0), [None, None], at(1204));
+    let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
-    assert_eq!(networks(knowledge.turn(at(2001))), [network(), other.clone()]);
-    let _ = knowledge.probed(&ProbeResult::Sent, at(2100));
+    assert_eq!(networks(knowledge.turn(now(2001))), [network(), other.clone()]);
+    let _ = knowledge.probed(&ProbeResult::Sent, now(2100));
     knowledge.leave(&other);
-    assert_eq!(networks(knowledge.finish(at(2200))), [other]);
+    assert_eq!(networks(knowledge.finish(now(2200))), [other]);
 }

@@ -7,8 +7,9 @@ use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, System
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::HostId;
+use peernet_networks::PeerClock;
 use peernet_sample::{Description, Sample};
-use peernet_stream::{Event, HostClock, Outcome};
+use peernet_stream::{Event, Outcome};
 use tokio::sync::{oneshot, watch};
 
 use super::super::cycle::{Awaited, Cycle};
@@ -72,7 +73,7 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
     let (feed, exit) = crate::feed::entrance(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
-    let (_own, own) = watch::channel(HostClock::default());
+    let (_own, own) = watch::channel(PeerClock::default());
     let near = Near {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),

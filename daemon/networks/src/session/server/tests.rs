@@ -43,7 +43,8 @@ fn accepted() -> SessionAccepted {
 }
 
 fn request(session: SessionId, request: u64) -> Header {
-    let departure = Departure { sent: Default::default(), start: Default::default(), epoch: 0 };
+    let departure =
+        Departure { sent: Default::default(), start: Default::default(), epoch: 0, sent_raw: None };
     let sample = SampleHeader { parts: Vec::new(), source: String::new(), label: None };
     Header::Request(Request { session, request, departure, sample })
 }
