@@ -52,8 +52,6 @@ pub enum SteppedClock {
 
 impl SteppedClock {
     /// Whether it is the wall clock.
-    // By reference, as serde asks.
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
     pub fn is_wall(&self) -> bool {
         *self == Self::Wall
     }

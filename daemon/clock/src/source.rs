@@ -124,7 +124,8 @@ impl SystemClock {
     /// now on.
     pub fn new(identity: ClockIdentity) -> Self {
         let clock = Self { identity, steps: Arc::default(), sleeps: Arc::default() };
-        (clock.epoch(), clock.wall_epoch());
+        clock.epoch();
+        clock.wall_epoch();
         clock
     }
 }

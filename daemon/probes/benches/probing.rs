@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
+use peernet_clock::{ClockIdentity, RelatedClocks, SharedClock, Span, SystemClock};
 use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, Stamps};
 use rustix::time::{ClockId, clock_gettime};
 use tokio::runtime::{Builder, Runtime};
@@ -98,6 +98,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                     target,
                     key: key.cloned(),
                     instance: Some(1),
+                    clocks: RelatedClocks::Raw,
                     padding_bytes: 0,
                     stamps,
                     timeout,

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use peernet_clock::{Clock, ClockIdentity, ManualClock, RawTime, Span, WallTime};
+use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, WallTime};
 
 use crate::Refusal;
 use crate::stamp::auth::Key;
@@ -18,6 +18,7 @@ const STATEFUL: u8 = 2;
 const AUTHENTIC: u8 = 4;
 const MATCHING: u8 = 8;
 const PROGRAM: u8 = 16;
+const RAW: u8 = 32;
 
 /// The first byte chooses the circumstances, the others are the packet.
 ///
@@ -41,12 +42,14 @@ fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock)
     // Twice: the second finds a session.
     for _ in 0..2 {
         let mut answer = packet.clone();
-        let arrival = Arrival { source, received: clock.wall(), now: clock.mono() };
+        let arrival =
+            Arrival { source, received: clock.wall(), received_raw: clock.raw(), now: clock.mono() };
         let Ok(prepared) = reflector.prepare(&mut answer, &arrival) else { return };
         clock.advance(Span::from_micros(20));
         let stamp = reflector.complete(&prepared, &mut answer, clock);
         reflector.sent(&prepared, stamp);
-        reflector.departed(&prepared.session(), prepared.sequence(), stamp + Span::from_micros(1));
+        let left = stamp + Span::from_micros(1);
+        reflector.departed(&prepared.session(), prepared.sequence(), left.wall, left.raw);
         assert_eq!(answer.len(), packet.len(), "an answer has the length of its request");
         let back = reflector.prepare(&mut answer, &arrival);
         assert_eq!(back.map(|_| ()), Err(Refusal::Reply), "an answer is not answered");
@@ -58,6 +61,7 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut sender = Sending::new(SendingConfig {
         key: key.cloned(),
         instance: None,
+        clocks: if how & RAW != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
         ssid: 5,
         first: u32::MAX,
         padding_bytes: 0,
@@ -69,7 +73,7 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         let sent = clock.wall();
         sender.sent(departure);
         if how & PROGRAM == 0 {
-            sender.departed(departure.sequence(), sent + Span::from_micros(1));
+            sender.departed(departure.sequence(), sent + Span::from_micros(1), clock.wall_ahead());
         }
         if how & MATCHING != 0
             && let Some(mut reply) = Reply::parse(mode, &packet)
@@ -81,10 +85,10 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         }
         authenticate(how, key, &mut packet);
         clock.advance(Span::from_millis(3));
-        let returned = Return { kernel: None, read: clock.stamp(), epoch: 0 };
+        let returned = Return { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
         if let Ok(heard) = sender.receive(&packet, &returned) {
             let answered = heard.answered.expect("no step");
-            assert_eq!(answered.exchange.returned, RawTime::of_wall(returned.read.wall));
+            assert_eq!(answered.exchange.returned, returned.read.raw);
             assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }

@@ -5,7 +5,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use peernet_clock::{MonoTime, SharedClock, WallTime, Witnessed};
+use peernet_clock::{MonoTime, RelatedClocks, SharedClock, WallTime, Witnessed};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -37,6 +37,9 @@ pub struct ProberConfig {
     /// one that serves the data, whose clock is to be known. Anybody is believed at `None`, other implementations
     /// included.
     pub instance: Option<u64>,
+    /// Which clocks its exchanges are of: the free-running ones, where a reflector of PEERNet 0.3.0 or later is asked, or this host's
+    /// free-running clock and the reflector's wall clock.
+    pub clocks: RelatedClocks,
     /// Bytes of padding (the value of an Extra Padding TLV, RFC 8972, section 4.1); none at 0.
     pub padding_bytes: u16,
     /// Where packet stamps are made.
@@ -52,8 +55,8 @@ pub enum ProbeResult {
     Sent,
     /// Its answer is there.
     Answered(Witnessed),
-    /// It was answered, but this host's clock was set while it was under way: nothing follows from its stamps. The
-    /// clock's epoch since.
+    /// It was answered, but this host's free-running clock was interrupted while it was under way: nothing follows from its stamps.
+    /// The clock's epoch since.
     Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
     Refined(Witnessed),
@@ -104,6 +107,7 @@ impl Prober {
         let logic = Sending::new(SendingConfig {
             key: config.key.clone(),
             instance: config.instance,
+            clocks: config.clocks,
             ssid,
             first: 0,
             padding_bytes: config.padding_bytes,
@@ -226,7 +230,7 @@ impl Prober {
         };
         let named = self.departing.drain(..=found).next_back();
         if let (Some((_, sequence)), Some(left)) = (named, left) {
-            self.logic.departed(sequence, left);
+            self.logic.departed(sequence, left, self.clock.wall_ahead());
         }
     }
 
@@ -237,7 +241,8 @@ impl Prober {
             news.push(ProbeResult::Refused("not from the target"));
             return;
         }
-        let returned = Return { kernel: received.kernel, read, epoch: self.clock.wall_epoch() };
+        let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
+        let returned = Return { kernel: received.kernel, read, ahead, epoch };
         news.lost(self.logic.expire(read.mono));
         let heard = self.logic.receive(packet, &returned);
         if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {

@@ -5,12 +5,13 @@ use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
-use peernet_clock::{SharedClock, WallTime};
+use peernet_clock::{Interval, RawTime, SharedClock, WallTime};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::complaints::Complaints;
 use crate::socket::{ProbeSocket, Received, Token};
+use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, Reflecting, SessionId};
 use crate::stamp::uncertainty::AGREEMENT;
 use crate::{Key, ReflectorFigures, Refusal, Stamps};
@@ -23,6 +24,9 @@ const MAX_FAILURES: u32 = 100;
 
 /// Stamps of departures that are waited for at most.
 const MAX_DEPARTING: usize = 1024;
+
+/// Looks at both clocks that are remembered at most.
+const MAX_LOOKS: usize = 8;
 
 /// How a reflector works.
 #[derive(Clone, Debug)]
@@ -92,8 +96,27 @@ pub struct Reflector {
     figures: ReflectorFigures,
     peers: watch::Sender<Vec<IpAddr>>,
     /// Replies whose stamp of departure may still come.
-    departing: VecDeque<(Token, SessionId, u32)>,
+    departing: VecDeque<Departing>,
+    /// The latest looks at both clocks, the newest last.
+    looks: VecDeque<Look>,
     complaints: Complaints,
+}
+
+/// A reply whose stamp of departure may still come.
+#[derive(Debug)]
+struct Departing {
+    token: Token,
+    session: SessionId,
+    sequence: u32,
+    /// How far the wall clock was ahead before it was sent.
+    ahead: Interval,
+}
+
+/// How far the wall clock was ahead, and a time thereafter.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    at: RawTime,
+    ahead: Interval,
 }
 
 impl Reflector {
@@ -120,6 +143,7 @@ impl Reflector {
             figures: ReflectorFigures::default(),
             peers: watch::Sender::default(),
             departing: VecDeque::new(),
+            looks: VecDeque::new(),
         })
     }
 
@@ -150,6 +174,7 @@ impl Reflector {
     /// Only when the socket is lost.
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
         self.socket.check().await;
+        self.look();
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
         let mut peers = self.peers.subscribe();
@@ -216,8 +241,16 @@ impl Reflector {
             // Of another clock, or the clock was set back in between.
             self.socket.check().await;
         }
-        let arrival =
-            Arrival { source: received.source, received: kernel.unwrap_or(read.wall), now: read.mono };
+        let before = kernel.and_then(|stamp| self.ahead_before(stamp));
+        let ahead = self.look();
+        let latest = |stamp| before.map(|before| KernelStamp::between(stamp, before, ahead).latest);
+        let arrival = Arrival {
+            source: received.source,
+            received: kernel.unwrap_or(read.wall),
+            // The program's read is the outer bound, which the kernel's stamp may narrow.
+            received_raw: kernel.and_then(latest).map_or(read.raw, |latest| latest.min(read.raw)),
+            now: read.mono,
+        };
         let answer = self.logic.prepare(packet, &arrival)?;
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
         let stamp = self.logic.complete(&answer, packet, &*self.clock);
@@ -231,19 +264,40 @@ impl Reflector {
             if self.departing.len() >= MAX_DEPARTING {
                 self.departing.pop_front();
             }
-            self.departing.push_back((token, answer.session(), answer.sequence()));
+            let (session, sequence) = (answer.session(), answer.sequence());
+            self.departing.push_back(Departing { token, session, sequence, ahead });
         }
         Ok(())
     }
 
     fn departed(&mut self, token: Token, left: Option<WallTime>) {
         // Stamps come in the order of departure; those of dropped packets never do.
-        let Some(found) = self.departing.iter().position(|(departing, ..)| *departing == token) else {
+        let Some(found) = self.departing.iter().position(|departing| departing.token == token) else {
             return;
         };
         let named = self.departing.drain(..=found).next_back();
-        if let (Some((_, session, sequence)), Some(left)) = (named, left) {
-            self.logic.departed(&session, sequence, left);
+        if let (Some(Departing { session, sequence, ahead, .. }), Some(left)) = (named, left) {
+            let left_raw = KernelStamp::between(left, ahead, self.look()).earliest;
+            self.logic.departed(&session, sequence, left, left_raw);
         }
+    }
+
+    /// Looks how far the wall clock is ahead, and remembers it.
+    fn look(&mut self) -> Interval {
+        let ahead = self.clock.wall_ahead();
+        let at = self.clock.raw();
+        if self.looks.len() >= MAX_LOOKS {
+            self.looks.pop_front();
+        }
+        self.looks.push_back(Look { at, ahead });
+        ahead
+    }
+
+    /// How far the wall clock was ahead at the newest look that was certainly before the kernel's stamp; `None` where all that are
+    /// remembered may have been after it.
+    fn ahead_before(&self, stamp: WallTime) -> Option<Interval> {
+        let newest = self.looks.back()?.ahead;
+        let is_before = |look: &&Look| look.at < KernelStamp::between(stamp, look.ahead, newest).earliest;
+        self.looks.iter().rev().find(is_before).map(|look| look.ahead)
     }
 }

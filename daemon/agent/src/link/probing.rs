@@ -143,6 +143,7 @@ async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, Sock
         target,
         key: probes.key.clone(),
         instance: Some(session.instance),
+        clocks: link.clocks,
         padding_bytes: probes.padding_bytes,
         stamps: probes.stamps,
         timeout: TIMEOUT,

@@ -2,6 +2,7 @@
 
 pub mod auth;
 pub mod figures;
+pub mod kernel;
 pub mod limiter;
 pub mod packet;
 mod recent;

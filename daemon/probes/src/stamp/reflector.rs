@@ -5,7 +5,7 @@
 
 use std::net::{IpAddr, SocketAddr};
 
-use peernet_clock::{Clock, MonoTime, Span, WallTime};
+use peernet_clock::{Clock, MonoTime, RawTime, Span, Stamp, WallTime};
 
 use super::auth::{CODE_BYTES, Key};
 use super::figures::Refusal;
@@ -13,7 +13,7 @@ use super::limiter::Limiter;
 use super::packet::{self, Mode, Reply, Request};
 use super::recent::Recent;
 use super::timestamp::ErrorEstimate;
-use super::tlv::{self, FollowUp, Origin};
+use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
 /// STAMP sessions that are remembered at least, of peers and of others each.
@@ -56,6 +56,8 @@ pub struct Arrival {
     pub source: SocketAddr,
     /// When, by the wall clock.
     pub received: WallTime,
+    /// When, by the free-running clock: not earlier than the truth.
+    pub received_raw: RawTime,
     /// When, by the monotonic clock.
     pub now: MonoTime,
 }
@@ -71,7 +73,15 @@ pub struct SessionId {
 #[derive(Debug, Default)]
 struct Session {
     next: u32,
-    last: Option<(u32, WallTime)>,
+    last: Option<Left>,
+}
+
+/// The latest reply of a session and when it left, by the wall clock and by the free-running clock.
+#[derive(Clone, Copy, Debug)]
+struct Left {
+    sequence: u32,
+    wall: WallTime,
+    raw: RawTime,
 }
 
 /// An answer that still lacks the stamp of its departure.
@@ -80,6 +90,8 @@ pub struct Answer {
     reply: Reply,
     session: SessionId,
     intact: bool,
+    received_raw: RawTime,
+    previous: Option<(u32, RawTime)>,
 }
 
 impl Answer {
@@ -135,10 +147,10 @@ impl Reflecting {
         let format = asked.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
         let intact = tlv::are_intact(self.key.as_ref(), asked.sequence, tlvs);
-        let previous = session
-            .and_then(|session| session.last)
-            .map(|(sequence, left)| FollowUp { sequence, timestamp: format.encode(left) });
-        answer_tlvs(tlvs, intact, previous);
+        let previous = session.and_then(|session| session.last);
+        let follow_up =
+            previous.map(|left| FollowUp { sequence: left.sequence, timestamp: format.encode(left.wall) });
+        answer_tlvs(tlvs, intact, follow_up);
 
         let reply = Reply {
             sequence: session.map_or(asked.sequence, |session| session.next),
@@ -148,23 +160,30 @@ impl Reflecting {
             asked,
             ttl: 0,
         };
-        Ok(Answer { reply, session: id, intact })
+        let (previous, received_raw) = (previous.map(|left| (left.sequence, left.raw)), arrival.received_raw);
+        Ok(Answer { reply, session: id, intact, received_raw, previous })
     }
 
     /// Stamps the answer and authenticates it; returns the stamp. To be sent at once.
-    pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> WallTime {
+    pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
         let mode = Mode::of(self.key.as_ref());
-        let now = clock.wall();
+        let now = clock.stamp();
         // After the stamp: a step in between must show.
-        let epoch = clock.wall_epoch();
-        let reply = Reply { timestamp: answer.reply.estimate.format().encode(now), ..answer.reply };
+        let (epoch, wall_epoch) = (clock.epoch(), clock.wall_epoch());
+        let reply = Reply { timestamp: answer.reply.estimate.format().encode(now.wall), ..answer.reply };
         reply.write(mode, packet);
         let tlvs = &mut packet[mode.base_bytes()..];
         if answer.intact {
-            let ours = tlv::places(tlvs).find(|place| is_for_origin(place, tlvs));
-            if let Some(place) = ours {
-                let origin = Origin { epoch, instance: self.instance };
+            let origin = tlv::places(tlvs).find(|place| is_for_origin(place, tlvs));
+            let raw_stamps = tlv::places(tlvs).find(|place| is_for_raw_stamps(place, tlvs));
+            if let Some(place) = origin {
+                let origin = Origin { epoch: wall_epoch, instance: self.instance };
                 tlvs[place.value].copy_from_slice(&origin.to_value());
+            }
+            if let Some(place) = raw_stamps {
+                let Answer { received_raw: received, previous, .. } = *answer;
+                let stamps = RawStamps { epoch, received, replied: now.raw, previous };
+                tlvs[place.value].copy_from_slice(&stamps.to_value());
             }
         }
         if let Some(key) = &self.key {
@@ -177,26 +196,29 @@ impl Reflecting {
     }
 
     /// The answer was sent, not before `stamp`. Only now its number is used up.
-    pub fn sent(&mut self, answer: &Answer, stamp: WallTime) {
+    pub fn sent(&mut self, answer: &Answer, stamp: Stamp) {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next = answer.sequence().wrapping_add(1);
-            session.last = Some((answer.sequence(), stamp));
+            session.last = Some(Left { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
         }
     }
 
-    /// The kernel's stamp of a reply's departure. Believed if it fits between the program's and the longest that a
-    /// packet can wait here.
-    pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime) {
+    /// The kernel's stamp of a reply's departure, and what follows from it for the free-running clock: a time that is not later than
+    /// the truth. Believed if it fits between the program's and the longest that a packet can wait here.
+    pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime, left_raw: RawTime) {
         let last = self
             .sessions
             .as_mut()
             .and_then(|sessions| sessions.table(session).get_mut(session)?.last.as_mut());
-        if let Some((number, stamp)) = last
-            && *number == sequence
-            && (Span::ZERO..=LONGEST_ANSWER).contains(&(left - *stamp))
-        {
-            *stamp = left;
+        if let Some(last) = last.filter(|last| last.sequence == sequence) {
+            let is_possible = |after: Span| (Span::ZERO..=LONGEST_ANSWER).contains(&after);
+            if is_possible(left - last.wall) {
+                last.wall = left;
+            }
+            if is_possible(left_raw - last.raw) {
+                last.raw = left_raw;
+            }
         }
     }
 }
@@ -224,7 +246,7 @@ fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
             tlv::EXTRA_PADDING => (true, true),
             tlv::FOLLOW_UP => (true, length == FollowUp::BYTES),
             tlv::HMAC => (true, length == CODE_BYTES),
-            _ => (is_for_origin(&place, tlvs), true),
+            _ => (is_for_origin(&place, tlvs) || is_for_raw_stamps(&place, tlvs), true),
         };
         let mut flags = 0;
         if !known {
@@ -246,6 +268,10 @@ fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
         }
         at = place.end();
     }
+}
+
+fn is_for_raw_stamps(place: &tlv::Place, tlvs: &[u8]) -> bool {
+    place.kind == tlv::RAW_STAMPS && RawStamps::from_value(&tlvs[place.value.clone()]).is_some()
 }
 
 fn is_for_origin(place: &tlv::Place, tlvs: &[u8]) -> bool {

@@ -2,12 +2,15 @@
 
 use std::collections::VecDeque;
 
-use peernet_clock::{Clock, Exchange, MonoTime, RawTime, Span, Stamp, WallTime, Witnessed};
+use peernet_clock::{
+    Clock, Exchange, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime, Witnessed,
+};
 
 use super::auth::{CODE_BYTES, Key};
+use super::kernel::KernelStamp;
 use super::packet::{self, Mode, Reply, Request};
 use super::timestamp::{ErrorEstimate, Format};
-use super::tlv::{self, FollowUp, Origin};
+use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, AGREEMENT};
 
 /// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
@@ -23,6 +26,8 @@ pub struct SendingConfig {
     pub key: Option<Key>,
     /// The only reflector that is believed, by its [`Origin::instance`]; any at `None`.
     pub instance: Option<u64>,
+    /// Which clock of the reflector is asked for. Reflectors of other implementations have the wall clock alone.
+    pub clocks: RelatedClocks,
     /// Tells the session from other sessions between the same ports.
     pub ssid: u16,
     /// Number of the first packet.
@@ -38,6 +43,7 @@ pub struct SendingConfig {
 pub struct Sending {
     key: Option<Key>,
     instance: Option<u64>,
+    clocks: RelatedClocks,
     ssid: u16,
     next: u32,
     packet: Vec<u8>,
@@ -53,6 +59,8 @@ pub struct Departure {
     sequence: u32,
     timestamp: u64,
     sent: Stamp,
+    /// How far the wall clock was ahead before.
+    ahead: Interval,
     /// The edge's epoch, read before: the stamp belongs to this one or a later one.
     epoch: u32,
 }
@@ -67,7 +75,8 @@ impl Departure {
 #[derive(Debug)]
 struct Pending {
     departure: Departure,
-    left: Option<WallTime>,
+    /// When it left, by the kernel and not later than the truth.
+    left: Option<RawTime>,
     /// The kernel says that it left before the program stamped it.
     left_early: bool,
     answer: Option<Answered>,
@@ -77,7 +86,7 @@ struct Pending {
 struct Answered {
     /// The reply's own number.
     sequence: u32,
-    /// `None` if the edge's clock was stepped meanwhile.
+    /// `None` if the edge's clock was interrupted meanwhile.
     witnessed: Option<Witnessed>,
 }
 
@@ -86,8 +95,10 @@ struct Answered {
 pub struct Return {
     /// The kernel's stamp of the arrival, if it made one.
     pub kernel: Option<WallTime>,
-    /// Both clocks, read by the program thereafter.
+    /// The clocks, read by the program thereafter.
     pub read: Stamp,
+    /// How far the wall clock was ahead of the free-running one, read thereafter.
+    pub ahead: Interval,
     /// The edge's epoch, read thereafter.
     pub epoch: u32,
 }
@@ -97,7 +108,7 @@ pub struct Return {
 pub struct Heard {
     /// An earlier exchange, now with the stamp of when its reply really left.
     pub refined: Option<Witnessed>,
-    /// The exchange that it completes; `None` if the edge's clock was set meanwhile: nothing follows from its stamps.
+    /// The exchange that it completes; `None` if the edge's clock was interrupted meanwhile: nothing follows from its stamps.
     pub answered: Option<Witnessed>,
 }
 
@@ -106,16 +117,30 @@ pub struct Heard {
 struct Told {
     follow_up: Option<FollowUp>,
     origin: Option<Origin>,
+    raw: Option<RawStamps>,
+}
+
+/// What a reply tells of the reflector's related clock.
+#[derive(Clone, Copy, Debug)]
+struct There {
+    received: RawTime,
+    replied: RawTime,
+    epoch: Option<u32>,
+    /// Number of an earlier reply, and when it really left.
+    previous: Option<(u32, RawTime)>,
 }
 
 impl Sending {
     /// A session that has sent nothing.
     pub fn new(config: SendingConfig) -> Self {
-        let SendingConfig { key, instance, ssid, first, padding_bytes, timeout } = config;
+        let SendingConfig { key, instance, clocks, ssid, first, padding_bytes, timeout } = config;
         let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
         // Empty TLVs that the reflector fills in.
         tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
         tlv::push(&mut packet, tlv::ORIGIN, &Origin::default().to_value());
+        if clocks == RelatedClocks::Raw {
+            tlv::push(&mut packet, tlv::RAW_STAMPS, &RawStamps::default().to_value());
+        }
         if key.is_some() {
             tlv::push(&mut packet, tlv::HMAC, &[0; CODE_BYTES]);
         }
@@ -123,7 +148,7 @@ impl Sending {
             tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
         }
         let pending = VecDeque::new();
-        Self { key, instance, ssid, next: first, packet, timeout, pending, distrusts_kernel: false }
+        Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, distrusts_kernel: false }
     }
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
@@ -133,8 +158,9 @@ impl Sending {
         if let Some(key) = &self.key {
             tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
         }
+        let ahead = clock.wall_ahead();
         // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
-        let epoch = clock.wall_epoch();
+        let epoch = clock.epoch();
         let sent = clock.stamp();
         let timestamp = Format::Ntp.encode(sent.wall);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
@@ -142,7 +168,7 @@ impl Sending {
         if let Some(key) = &self.key {
             packet::seal(key, &mut self.packet);
         }
-        (Departure { sequence: self.next, timestamp, sent, epoch }, &self.packet)
+        (Departure { sequence: self.next, timestamp, sent, ahead, epoch }, &self.packet)
     }
 
     /// The request was sent; returns how many earlier ones are given up for it.
@@ -153,16 +179,18 @@ impl Sending {
         usize::from(given_up.is_some_and(|oldest| oldest.answer.is_none()))
     }
 
-    /// The kernel's stamp of a request's departure. Believed if it fits between the program's and the longest that a
-    /// packet can wait here.
-    pub fn departed(&mut self, sequence: u32, left: WallTime) {
+    /// The kernel's stamp of a request's departure, and how far the wall clock was ahead when it was looked at thereafter. Believed
+    /// if it fits between the program's and the longest that a packet can wait here.
+    pub fn departed(&mut self, sequence: u32, left: WallTime, ahead: Interval) {
         if self.distrusts_kernel {
             return;
         }
         if let Some(pending) = find(&mut self.pending, sequence) {
-            let after = left - pending.departure.sent.wall;
-            pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left);
-            pending.left_early = after < -AGREEMENT;
+            let Departure { sent, ahead: before, .. } = pending.departure;
+            let left = KernelStamp::between(left, before, ahead);
+            let after = left.earliest - sent.raw;
+            pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left.earliest);
+            pending.left_early = left.is_steady && left.latest < sent.raw - AGREEMENT;
         }
     }
 
@@ -213,12 +241,7 @@ impl Sending {
             (Some(_), None) => return Err(NOT_OURS),
             _ => {}
         }
-        let near = returned.read.wall;
-        let format = reply.estimate.format();
-        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near) };
-        let stamps = decode(reply.received).zip(decode(reply.timestamp));
-        let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
-
+        let there = self.there(&reply, &told, returned.read.wall)?;
         let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
         if pending.departure.timestamp != reply.asked.timestamp {
             return Err("to another stamp than was sent");
@@ -227,40 +250,55 @@ impl Sending {
             return Err("a second answer to the same probe");
         }
         // Between two equal epochs all stamps are of one clock.
-        let Departure { sent, epoch, .. } = pending.departure;
+        let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
             pending.answer = Some(Answered { sequence: reply.sequence, witnessed: None });
             return Ok(Heard { refined: None, answered: None });
         }
-        let impossible =
-            |kernel: WallTime| kernel > returned.read.wall + AGREEMENT || kernel < sent.wall - AGREEMENT;
-        if pending.left_early || returned.kernel.is_some_and(impossible) {
+        let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
+        let is_impossible = |kernel: KernelStamp| {
+            kernel.is_steady
+                && (kernel.earliest > returned.read.raw + AGREEMENT || kernel.latest < sent.raw - AGREEMENT)
+        };
+        if pending.left_early || kernel.is_some_and(is_impossible) {
             self.distrust_kernel();
         }
-        let kernel = returned.kernel.filter(|_| !self.distrusts_kernel);
+        let kernel = kernel.filter(|_| !self.distrusts_kernel);
         let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
+        // The program's reads are the outer bounds, which the kernel's stamps may narrow.
         let exchange = Exchange {
-            sent: RawTime::of_wall(pending.left.unwrap_or(sent.wall)),
-            received: RawTime::of_wall(received),
-            replied: RawTime::of_wall(replied),
-            returned: RawTime::of_wall(kernel.unwrap_or(returned.read.wall)),
+            sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
+            received: there.received,
+            replied: there.replied,
+            returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
             uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
-        // The monotonic clock was read beside the program's stamps only. With the kernel's the epochs show a step.
-        let by_program = pending.left.is_none() && kernel.is_none();
         let answered = Witnessed {
             exchange,
-            edge_elapsed: by_program.then(|| returned.read.mono - sent.mono),
+            edge_elapsed: None,
             cloud_elapsed: None,
             edge_epoch: returned.epoch,
-            cloud_epoch: told.origin.map(|origin| origin.epoch),
+            cloud_epoch: there.epoch,
         };
         pending.answer = Some(Answered { sequence: reply.sequence, witnessed: Some(answered) });
-        let refined = told.follow_up.and_then(|told| {
-            let left = decode(told.timestamp)?;
-            refine(&mut self.pending, reply.asked.sequence, told.sequence, left, answered.cloud_epoch)
+        let refined = there.previous.and_then(|(sequence, left)| {
+            refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
         });
         Ok(Heard { refined, answered: Some(answered) })
+    }
+
+    /// What a reply tells of the clock that was asked for.
+    fn there(&self, reply: &Reply, told: &Told, near: WallTime) -> Result<There, &'static str> {
+        if self.clocks == RelatedClocks::Raw {
+            let RawStamps { epoch, received, replied, previous } = told.raw.ok_or(NOT_RAW)?;
+            return Ok(There { received, replied, epoch: Some(epoch), previous });
+        }
+        let format = reply.estimate.format();
+        let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::of_wall) };
+        let stamps = decode(reply.received).zip(decode(reply.timestamp));
+        let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
+        let previous = told.follow_up.and_then(|told| Some((told.sequence, decode(told.timestamp)?)));
+        Ok(There { received, replied, epoch: told.origin.map(|origin| origin.epoch), previous })
     }
 }
 
@@ -270,6 +308,9 @@ const LATE: &str = "late, or to no probe of ours";
 pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
 /// Of a reply by no reflector of ours where one was expected.
 pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
+
+/// Of a reply by a reflector of ours that lacks the stamps of its free-running clock where they are asked for.
+const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
 
 /// The probe of that number: they stand in order and without holes.
 fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
@@ -283,7 +324,7 @@ fn refine(
     pending: &mut VecDeque<Pending>,
     now: u32,
     sequence: u32,
-    left: WallTime,
+    left: RawTime,
     epoch: Option<u32>,
 ) -> Option<Witnessed> {
     let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
@@ -291,7 +332,6 @@ fn refine(
         .filter_map(|pending| pending.answer.as_mut())
         .find(|answered| answered.sequence == sequence)?;
     let witnessed = answered.witnessed.as_mut()?;
-    let left = RawTime::of_wall(left);
     let later = left - witnessed.exchange.replied;
     if later <= Span::ZERO || later > LONGEST_DEPARTURE || witnessed.cloud_epoch != epoch {
         return None;
@@ -315,6 +355,9 @@ fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
             match place.kind {
                 tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
                 tlv::ORIGIN => told.origin = Origin::from_value(&tlvs[place.value]),
+                tlv::RAW_STAMPS => {
+                    told.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
+                }
                 _ => {}
             }
         }

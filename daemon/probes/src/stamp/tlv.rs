@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use peernet_clock::RawTime;
+
 use super::auth::{CODE_BYTES, Key};
 
 /// Octets to make a packet larger.
@@ -12,6 +14,8 @@ pub const FOLLOW_UP: u8 = 7;
 pub const HMAC: u8 = 8;
 /// Ours, of the range for private use: the mark `PEER`, then an [`Origin`].
 pub const ORIGIN: u8 = 252;
+/// Ours, of the range for private use: the mark `PRAW`, then [`RawStamps`].
+pub const RAW_STAMPS: u8 = 253;
 
 /// Flag: the reflector does not know the type. Senders set it, reflectors that know the type clear it.
 pub const UNRECOGNISED: u8 = 0x80;
@@ -24,6 +28,7 @@ pub const NOT_INTACT: u8 = 0x20;
 pub const HEADER_BYTES: usize = 4;
 
 const ORIGIN_MARK: [u8; 4] = *b"PEER";
+const RAW_MARK: [u8; 4] = *b"PRAW";
 
 /// Where a TLV stands among others.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -134,6 +139,59 @@ impl Origin {
         let epoch = u32::from_be_bytes(*value[4..].first_chunk()?);
         let instance = u64::from_be_bytes(*value[8..].first_chunk()?);
         value.starts_with(&ORIGIN_MARK).then_some(Self { epoch, instance })
+    }
+}
+
+/// The value of [`RAW_STAMPS`]: when the reflector's free-running clock showed what. A request has the room for it, with zeros, so that
+/// the answer is no longer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RawStamps {
+    /// The reflector's [`epoch`](peernet_clock::Clock::epoch).
+    pub epoch: u32,
+    /// Not earlier than the request arrived.
+    pub received: RawTime,
+    /// Not later than the reply left.
+    pub replied: RawTime,
+    /// Number of an earlier reply, and a time not later than it left.
+    pub previous: Option<(u32, RawTime)>,
+}
+
+impl RawStamps {
+    /// Bytes of the value.
+    pub const BYTES: usize = 36;
+
+    /// The value as it travels.
+    pub fn to_value(self) -> [u8; Self::BYTES] {
+        let (sequence, left) = self.previous.unwrap_or_default();
+        let mut value = [0; Self::BYTES];
+        value[..4].copy_from_slice(&RAW_MARK);
+        value[4..8].copy_from_slice(&self.epoch.to_be_bytes());
+        value[8..16].copy_from_slice(&self.received.nanos().to_be_bytes());
+        value[16..24].copy_from_slice(&self.replied.nanos().to_be_bytes());
+        value[24..28].copy_from_slice(&sequence.to_be_bytes());
+        value[28..].copy_from_slice(&left.nanos().to_be_bytes());
+        value
+    }
+
+    /// From a value; `None` where somebody else uses the type.
+    pub fn from_value(value: &[u8]) -> Option<Self> {
+        let value: &[u8; Self::BYTES] = value.try_into().ok()?;
+        let raw = |at: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[at..].first_chunk()?)));
+        let number = |at: usize| Some(u32::from_be_bytes(*value[at..].first_chunk()?));
+        let previous = (number(24)?, raw(28)?);
+        let stamps = Self {
+            epoch: number(4)?,
+            received: raw(8)?,
+            replied: raw(16)?,
+            // Zero is what a reflector leaves that remembers no earlier reply.
+            previous: Some(previous).filter(|(_, left)| *left != RawTime::default()),
+        };
+        value.starts_with(&RAW_MARK).then_some(stamps)
+    }
+
+    /// Whether a reflector has filled it in.
+    pub fn is_filled(&self) -> bool {
+        self.replied != RawTime::default()
     }
 }
 

@@ -8,7 +8,7 @@ use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
+use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, WallTime};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
 use peernet_probes::stamp::sender::{Heard, Return, Sending, SendingConfig};
 
@@ -52,8 +52,8 @@ impl Conversation {
 }
 
 /// Sends two probes. The packets that arrive are those of `stored` where it is given.
-fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
-    let key = with_key.then(|| key(7));
+fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
+    let key = mode.with_key.then(|| key(7));
     let edge = ManualClock::new(
         WallTime::from_unix_nanos(1_800_000_000_123_456_789),
         ClockIdentity::new("fixture", "edge"),
@@ -61,6 +61,7 @@ fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec
     let mut sender = Sending::new(SendingConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
+        clocks: mode.clocks,
         ssid: 0xBEEF,
         first: 0x0102_0304,
         padding_bytes: 24,
@@ -76,19 +77,25 @@ fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec
         sender.sent(departure);
         edge.advance(WAY);
 
-        let cloud =
-            ManualClock::new(edge.wall() + Span::from_seconds(3), ClockIdentity::new("fixture", "cloud"));
+        // Its free-running clock shows what the edge's does.
+        let elapsed = edge.raw() - ManualClock::FIRST_RAW;
+        let began = edge.wall() + Span::from_seconds(3) - elapsed;
+        let cloud = ManualClock::new(began, ClockIdentity::new("fixture", "cloud"));
+        cloud.advance(elapsed);
         let mut packet = stored.map_or(&conversation, |stored| stored).requests[number].clone();
-        let arrival = Arrival { source, received: cloud.wall(), now: edge.mono() };
+        let (received, received_raw) = (cloud.wall(), cloud.raw());
+        let arrival = Arrival { source, received, received_raw, now: edge.mono() };
         let answer = reflector.prepare(&mut packet, &arrival).expect("the request is answered");
         cloud.advance(REFLECTION);
         let stamp = reflector.complete(&answer, &mut packet, &cloud);
         reflector.sent(&answer, stamp);
-        reflector.departed(&answer.session(), answer.sequence(), stamp + Span::from_micros(5));
+        let left = stamp + Span::from_micros(5);
+        reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
         conversation.replies[number] = packet;
 
         edge.advance(REFLECTION + WAY);
-        let returned = Return { kernel: None, read: edge.stamp(), epoch: edge.wall_epoch() };
+        let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
+        let returned = Return { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
         heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));
@@ -96,14 +103,33 @@ fn exchange(with_key: bool, stored: Option<&Conversation>) -> (Conversation, Vec
     (conversation, heard)
 }
 
-const MODES: [(&str, bool); 2] = [("open", false), ("authenticated", true)];
+/// Which packets are sent.
+struct Mode {
+    name: &'static str,
+    with_key: bool,
+    clocks: RelatedClocks,
+}
+
+impl Mode {
+    const fn new(name: &'static str, with_key: bool, clocks: RelatedClocks) -> Self {
+        Self { name, with_key, clocks }
+    }
+}
+
+/// The first two are those of releases before 0.3.0.
+const MODES: [Mode; 4] = [
+    Mode::new("open", false, RelatedClocks::RawToWall),
+    Mode::new("authenticated", true, RelatedClocks::RawToWall),
+    Mode::new("open-raw", false, RelatedClocks::Raw),
+    Mode::new("authenticated-raw", true, RelatedClocks::Raw),
+];
 
 #[test]
 #[ignore = "writes the files of new packets"]
 fn write_missing_fixtures() {
-    for (mode, with_key) in MODES {
-        for (name, packet) in exchange(with_key, None).0.files() {
-            let path = file(mode, name);
+    for mode in MODES {
+        for (name, packet) in exchange(&mode, None).0.files() {
+            let path = file(mode.name, name);
             fs::create_dir_all(path.parent().expect("a folder")).expect("the folder can be made");
             if !path.exists() {
                 fs::write(path, packet).expect("a fixture can be written");
@@ -114,9 +140,10 @@ fn write_missing_fixtures() {
 
 #[test]
 fn stored_request_gets_stored_reply() {
-    for (mode, with_key) in MODES {
+    for kind in MODES {
+        let mode = kind.name;
         let stored = Conversation::read(mode);
-        let (today, heard) = exchange(with_key, Some(&stored));
+        let (today, heard) = exchange(&kind, Some(&stored));
         for ((name, packet), (_, before)) in today.files().zip(stored.files()) {
             assert!(packet == before, "{name}.{mode}: the bytes changed: {packet:02x?}, were {before:02x?}");
         }
@@ -124,7 +151,13 @@ fn stored_request_gets_stored_reply() {
         let answered = [first, second].map(|heard| heard.answered.expect("the clock was not set").exchange);
         for exchange in answered {
             assert_eq!(exchange.returned - exchange.sent, WAY + REFLECTION + WAY, "{mode}");
-            assert_eq!(exchange.received - exchange.sent, WAY + Span::from_seconds(3), "{mode}");
+            let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
+            let began = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
+            let ahead = match kind.clocks {
+                RelatedClocks::Raw => Span::ZERO,
+                _ => began + Span::from_seconds(3),
+            };
+            assert_eq!(exchange.received - exchange.sent, WAY + ahead, "{mode}");
         }
         // The second reply says when the first one really left.
         let refined = second.refined.expect("the first exchange is refined").exchange;

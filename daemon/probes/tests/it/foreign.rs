@@ -3,13 +3,15 @@
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
-use peernet_clock::{Interval, Span, Witnessed};
+use peernet_clock::{RelatedClocks, Span, Witnessed};
 use peernet_probes::stamp::uncertainty;
 use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
+use crate::support::{
+    PATIENCE, Probing, Running, prober_config, reflector_config, system_clock, wall_ahead_of_this_host,
+};
 
 fn stamp_suite() -> Command {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
@@ -157,6 +159,7 @@ async fn answered_by_their_reflector(
     let mut config = prober_config(target);
     config.key = key.map(SharedKey::ours);
     config.padding_bytes = 50;
+    config.clocks = RelatedClocks::RawToWall;
     let mut probing = Probing::start(config, 100.0, system_clock("edge"));
     let mut results = Vec::new();
     let answered = async {
@@ -170,8 +173,8 @@ async fn answered_by_their_reflector(
 }
 
 fn of_one_clock(witnessed: &Witnessed) {
-    let Interval { lo, hi } = witnessed.exchange.bounds();
-    assert!(lo <= Span::ZERO && Span::ZERO <= hi, "{witnessed:?}");
+    let offset = wall_ahead_of_this_host(Span::ZERO);
+    assert!(witnessed.exchange.bounds().intersection(offset).is_some(), "{witnessed:?} {offset:?}");
     assert_eq!((witnessed.cloud_epoch, witnessed.exchange.uncertainty), (None, uncertainty::FOREIGN));
 }
 

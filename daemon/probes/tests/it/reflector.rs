@@ -8,7 +8,7 @@ use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
 use peernet_probes::stamp::reflector::{Answer, Arrival, Reflecting};
 use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
-use peernet_probes::stamp::tlv::{self, FollowUp, Origin};
+use peernet_probes::stamp::tlv::{self, FollowUp, Origin, RawStamps};
 
 use crate::support::{INSTANCE, key};
 
@@ -23,7 +23,7 @@ fn source() -> SocketAddr {
 }
 
 fn arrival(clock: &ManualClock) -> Arrival {
-    Arrival { source: source(), received: clock.wall(), now: clock.mono() }
+    Arrival { source: source(), received: clock.wall(), received_raw: clock.raw(), now: clock.mono() }
 }
 
 /// A request with the given TLVs (type, value).
@@ -110,10 +110,13 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     assert_eq!(follow_up(&first), None, "there was none before");
     // Neither before the program's stamp nor absurdly late, nor of another reply.
     let (session, left) = (answered.session(), NOW + Span::from_micros(17));
-    reflector.departed(&session, answered.sequence(), left);
-    reflector.departed(&session, answered.sequence(), NOW - Span::from_nanos(1));
-    reflector.departed(&session, answered.sequence(), NOW + Span::from_seconds(10));
-    reflector.departed(&session, answered.sequence() + 1, NOW + Span::from_micros(20));
+    let mut departed = |sequence, after| {
+        reflector.departed(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
+    };
+    departed(answered.sequence(), Span::from_micros(17));
+    departed(answered.sequence(), -Span::from_nanos(1));
+    departed(answered.sequence(), Span::from_seconds(10));
+    departed(answered.sequence() + 1, Span::from_micros(20));
 
     clock.advance(Span::from_millis(1));
     let mut second = request(None, 6, 1, &[room]);
@@ -146,6 +149,8 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
             (tlv::FOLLOW_UP, &[1; 7]),
             (tlv::ORIGIN, &Origin::default().to_value()),
             (tlv::ORIGIN, b"another's"),
+            (tlv::RAW_STAMPS, &RawStamps::default().to_value()),
+            (tlv::RAW_STAMPS, &[0; RawStamps::BYTES]),
             (3, b""),
         ],
     );
@@ -155,6 +160,7 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
     clock.step_wall(Span::from_micros(1));
     answer(&mut reflector, &clock, &mut packet).expect("answered");
     let origin = Origin { epoch: 1, instance: INSTANCE };
+    let raw = RawStamps { epoch: 0, received: clock.raw(), replied: clock.raw(), previous: None };
     assert_eq!(
         tlvs_of(&packet, 44),
         [
@@ -163,6 +169,8 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
             (tlv::FOLLOW_UP, tlv::MALFORMED, vec![0; 7]),
             (tlv::ORIGIN, 0, origin.to_value().to_vec()),
             (tlv::ORIGIN, tlv::UNRECOGNISED, b"another's".to_vec()),
+            (tlv::RAW_STAMPS, 0, raw.to_value().to_vec()),
+            (tlv::RAW_STAMPS, tlv::UNRECOGNISED, vec![0; RawStamps::BYTES]),
             (3, tlv::UNRECOGNISED | tlv::MALFORMED, Vec::new()),
         ]
     );

@@ -3,11 +3,13 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use peernet_clock::{Clock, ClockIdentity, ManualClock, MonoTime, RawTime, Span, WallTime, Witnessed};
+use peernet_clock::{
+    Clock, ClockIdentity, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime, Witnessed,
+};
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
 use peernet_probes::stamp::sender::{Departure, Heard, Return, Sending, SendingConfig};
-use peernet_probes::stamp::tlv::{self, Origin};
+use peernet_probes::stamp::tlv::{self, Origin, RawStamps};
 use peernet_probes::stamp::uncertainty;
 
 use crate::support::{INSTANCE, key};
@@ -16,10 +18,19 @@ const TIMEOUT: Span = Span::from_seconds(1);
 const WAY: Span = Span::from_micros(700);
 
 fn config() -> SendingConfig {
-    SendingConfig { key: None, instance: None, ssid: 1, first: 0, padding_bytes: 0, timeout: TIMEOUT }
+    SendingConfig {
+        key: None,
+        instance: None,
+        clocks: RelatedClocks::RawToWall,
+        ssid: 1,
+        first: 0,
+        padding_bytes: 0,
+        timeout: TIMEOUT,
+    }
 }
 
-/// A sender and a reflector with nothing but two clocks between them, the reflector's ahead by a second.
+/// A sender and a reflector with nothing but two hosts' clocks between them. The reflector's wall clock is ahead by a second, and its
+/// free-running clock shows what the sender's does.
 struct Pair {
     clock: Arc<ManualClock>,
     sender: Sending,
@@ -39,6 +50,27 @@ impl Pair {
         }
     }
 
+    /// One whose exchanges are of the free-running clocks.
+    fn raw(with_key: bool) -> Self {
+        let mut pair = Self::new(0, with_key);
+        let key = with_key.then(|| key(7));
+        pair.sender = Sending::new(SendingConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
+        pair
+    }
+
+    /// The reflector's clocks now.
+    fn there(&self) -> ManualClock {
+        let elapsed = self.clock.raw() - ManualClock::FIRST_RAW;
+        let there = ManualClock::new(self.clock.wall() + self.ahead - elapsed, ClockIdentity::new("b", "d"));
+        there.advance(elapsed);
+        there
+    }
+
+    fn returned(&self, kernel: Option<WallTime>) -> Return {
+        let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
+        Return { kernel, read: self.clock.stamp(), ahead, epoch }
+    }
+
     fn send(&mut self) -> (Departure, Vec<u8>) {
         let (departure, packet) = self.sender.request(&*self.clock);
         let packet = packet.to_vec();
@@ -48,20 +80,22 @@ impl Pair {
 
     fn reflect(&mut self, mut packet: Vec<u8>) -> Vec<u8> {
         self.clock.advance(WAY);
-        let there = ManualClock::new(self.clock.wall() + self.ahead, ClockIdentity::new("b", "d"));
+        let there = self.there();
         let source: SocketAddr = "10.0.0.1:40000".parse().expect("an address");
-        let arrival = Arrival { source, received: there.wall(), now: self.clock.mono() };
+        let (received, received_raw) = (there.wall(), there.raw());
+        let arrival = Arrival { source, received, received_raw, now: self.clock.mono() };
         let answer = self.reflector.prepare(&mut packet, &arrival).expect("answered");
         there.advance(Span::from_micros(50));
         let stamp = self.reflector.complete(&answer, &mut packet, &there);
         self.reflector.sent(&answer, stamp);
-        self.reflector.departed(&answer.session(), answer.sequence(), stamp + Span::from_micros(5));
+        let left = stamp + Span::from_micros(5);
+        self.reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
         self.clock.advance(Span::from_micros(55) + WAY);
         packet
     }
 
     fn hear(&mut self, packet: &[u8]) -> Result<Heard, &'static str> {
-        let returned = Return { kernel: None, read: self.clock.stamp(), epoch: self.clock.wall_epoch() };
+        let returned = self.returned(None);
         self.sender.receive(packet, &returned)
     }
 
@@ -74,10 +108,9 @@ impl Pair {
     /// The next answer, whose arrival the kernel stamped when the program's clock showed `kernel`.
     fn stamped(&mut self, kernel: WallTime) -> Witnessed {
         let (departure, packet) = self.send();
-        self.sender.departed(departure.sequence(), self.clock.wall());
+        self.sender.departed(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
         let reply = self.reflect(packet);
-        let returned =
-            Return { kernel: Some(kernel), read: self.clock.stamp(), epoch: self.clock.wall_epoch() };
+        let returned = self.returned(Some(kernel));
         answered(&self.sender.receive(&reply, &returned).expect("an answer"))
     }
 }
@@ -102,17 +135,16 @@ impl Pair {
 fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
-        let begun = pair.clock.wall();
+        let begun = pair.clock.stamp();
         let first = pair.exchange();
         let Witnessed { exchange, edge_elapsed, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
-        assert_eq!(exchange.sent, RawTime::of_wall(begun));
-        assert_eq!(exchange.received, RawTime::of_wall(begun + WAY + pair.ahead));
+        assert_eq!(exchange.sent, begun.raw);
+        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + WAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
-        assert_eq!(exchange.returned, RawTime::of_wall(pair.clock.wall()));
+        assert_eq!(exchange.returned, pair.clock.raw());
         assert_eq!(exchange.uncertainty, uncertainty::OWN);
-        assert_eq!(edge_elapsed, Some(exchange.returned - exchange.sent));
-        assert_eq!((cloud_elapsed, edge_epoch, cloud_epoch), (None, 0, Some(0)));
+        assert_eq!((edge_elapsed, cloud_elapsed, edge_epoch, cloud_epoch), (None, None, 0, Some(0)));
 
         let second = pair.exchange();
         let refined = second.refined.expect("the follow-up");
@@ -128,13 +160,12 @@ fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
         let mut pair = Pair::new(0, false);
-        let begun = pair.clock.wall();
+        let begun = pair.clock.stamp();
         let (departure, packet) = pair.send();
-        pair.sender.departed(departure.sequence(), begun + late);
+        pair.sender.departed(departure.sequence(), begun.wall + late, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
         let answered = answered(&pair.hear(&reply).expect("an answer"));
-        assert_eq!(answered.exchange.sent, RawTime::of_wall(if taken { begun + late } else { begun }));
-        assert_eq!(answered.edge_elapsed.is_none(), taken);
+        assert_eq!(answered.exchange.sent, if taken { begun.raw + late } else { begun.raw });
     }
 }
 
@@ -157,7 +188,7 @@ fn late_ones_are_lost_and_second_ones_count_once() {
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
     let heard = pair.exchange();
-    assert!(answered(&heard).exchange.sent < RawTime::of_wall(pair.clock.wall()));
+    assert!(answered(&heard).exchange.sent < pair.clock.raw());
     pair.clock.advance(TIMEOUT - Span::from_millis(900));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -264,14 +295,17 @@ fn requests_are_authentic_and_padded_as_configured() {
     let mut sender = Sending::new(config());
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20);
+    let mut sender = Sending::new(SendingConfig { clocks: RelatedClocks::Raw, ..config() });
+    let (_, packet) = sender.request(&clock);
+    assert_eq!(packet.len(), 44 + 20 + 20 + 40);
 }
 
 #[test]
-fn all_that_were_under_way_while_the_clock_was_set_tell_nothing_but_that() {
+fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
     let mut pair = Pair::new(0, false);
     let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
-    pair.clock.step_wall(-Span::from_micros(30));
+    pair.clock.sleep(Span::from_micros(30));
     // The first one brings the news, the others are from before it all the same.
     for reply in replies {
         let heard = pair.hear(&reply).expect("an answer");
@@ -279,7 +313,7 @@ fn all_that_were_under_way_while_the_clock_was_set_tell_nothing_but_that() {
         assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
     }
     let after = pair.exchange();
-    assert_eq!(after.refined, None, "of an exchange across the step");
+    assert_eq!(after.refined, None, "of an exchange across the sleep");
     assert_eq!(answered(&after).edge_epoch, 1);
     assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0, "all were answered");
 }
@@ -321,22 +355,16 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
     let there_and_back = WAY + WAY + Span::from_micros(55);
     for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
         let mut pair = Pair::new(0, false);
-        let back = pair.clock.wall() + there_and_back;
-        let got = pair.stamped(back - early).exchange.returned;
-        assert_eq!(got, RawTime::of_wall(if sound { back - early } else { back }), "{early}");
+        let back = pair.clock.stamp() + there_and_back;
+        let got = pair.stamped(back.wall - early).exchange.returned;
+        // Whatever the kernel says, it had arrived when the program looked.
+        let earlier = early.max(Span::ZERO);
+        assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
         assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
-        let (begun, back) = (pair.clock.wall(), pair.clock.wall() + there_and_back);
-        let next = pair.stamped(back - little);
-        assert_eq!(
-            next.exchange.returned,
-            RawTime::of_wall(if sound { back - little } else { back }),
-            "{early}"
-        );
-        assert_eq!(
-            (next.exchange.sent, next.edge_elapsed.is_none()),
-            (RawTime::of_wall(begun), sound),
-            "{early}"
-        );
+        let (begun, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
+        let next = pair.stamped(back.wall - little);
+        assert_eq!(next.exchange.returned, if sound { back.raw - little } else { back.raw }, "{early}");
+        assert_eq!(next.exchange.sent, begun, "{early}");
     }
 }
 
@@ -344,25 +372,75 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
 fn a_kernel_that_saw_it_leave_before_we_stamped_it_is_ignored_for_good() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
-    pair.sender.departed(departure.sequence(), pair.clock.wall() - Span::from_micros(300));
+    let early = pair.clock.wall() - Span::from_micros(300);
+    pair.sender.departed(departure.sequence(), early, pair.clock.wall_ahead());
     let reply = pair.reflect(packet);
     pair.hear(&reply).expect("an answer");
     assert!(pair.sender.distrusts_kernel());
 }
 
 #[test]
-fn a_clock_that_was_set_meanwhile_is_no_reason_to_distrust_the_kernel() {
+fn wall_clock_set_meanwhile_moves_no_stamp_and_is_no_reason_to_distrust_kernel() {
     for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
-        let mut pair = Pair::new(0, false);
+        let mut pair = Pair::raw(false);
+        let begun = pair.clock.raw();
         let (departure, packet) = pair.send();
+        // It really left a little later; then the clock is set, and only then is the kernel's stamp read.
+        let left = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
+        let arrived = pair.clock.raw();
         pair.clock.step_wall(by);
-        // As if it had left only then.
-        pair.sender.departed(departure.sequence(), kernel + by);
-        let returned =
-            Return { kernel: Some(kernel), read: pair.clock.stamp(), epoch: pair.clock.wall_epoch() };
+        pair.sender.departed(departure.sequence(), left, pair.clock.wall_ahead());
+        pair.clock.advance(Span::from_micros(20));
+        let returned = pair.returned(Some(kernel));
         let heard = pair.sender.receive(&reply, &returned).expect("an answer");
-        assert_eq!((heard.answered, pair.sender.distrusts_kernel()), (None, false));
+        let exchange = answered(&heard).exchange;
+        assert!(begun <= exchange.sent && exchange.sent <= begun + Span::from_micros(9), "{exchange:?}");
+        assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
+        assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
+        assert!(!pair.sender.distrusts_kernel());
     }
+}
+
+#[test]
+fn raw_exchange_is_of_both_free_running_clocks() {
+    for with_key in [false, true] {
+        let mut pair = Pair::raw(with_key);
+        let begun = pair.clock.raw();
+        let first = answered(&pair.exchange());
+        assert_eq!((first.exchange.sent, first.exchange.returned), (begun, pair.clock.raw()));
+        assert_eq!(first.exchange.received, begun + WAY, "the same by both");
+        assert_eq!(first.exchange.replied, begun + WAY + Span::from_micros(50));
+        assert_eq!(first.cloud_epoch, Some(0));
+        // Steps of wall clocks reach nothing.
+        pair.clock.step_wall(Span::from_seconds(60));
+        pair.ahead = -Span::from_seconds(3600);
+        let second = pair.exchange();
+        let refined = second.refined.expect("the follow-up").exchange;
+        assert_eq!(refined.replied, first.exchange.replied + Span::from_micros(5));
+        assert_eq!(
+            answered(&second).exchange.bounds().middle(),
+            Span::from_nanos(-2_500),
+            "5 µs late to leave"
+        );
+    }
+}
+
+#[test]
+fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
+    let mut pair = Pair::raw(false);
+    let (_, packet) = pair.send();
+    let reply = pair.reflect(packet.clone());
+    let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::RAW_STAMPS).expect("we ask for it");
+    // As a release answers that does not know the type, and one that leaves it empty.
+    let mut unknown = reply.clone();
+    unknown[44 + place.at] = tlv::UNRECOGNISED;
+    let mut empty = reply.clone();
+    empty[44..][place.value].copy_from_slice(&RawStamps::default().to_value());
+    for touched in [unknown, empty, reply[..44].to_vec()] {
+        assert_eq!(pair.hear(&touched), Err("without the stamps of the reflector's free-running clock"));
+    }
+    assert_eq!(reply.len(), packet.len());
+    assert!(pair.hear(&reply).is_ok());
 }

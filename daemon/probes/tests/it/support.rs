@@ -4,7 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_clock::{ClockIdentity, Interval, RelatedClocks, SharedClock, Span, SystemClock};
 use peernet_probes::{
     Key, ProbeResult, Prober, ProberConfig, ReceiveError, Reflector, ReflectorConfig, ReflectorFigures,
     Stamps,
@@ -21,6 +21,14 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 pub(crate) fn system_clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", name)))
+}
+
+/// How far a wall clock that is `ahead` of this host's is ahead of its free-running clock, within what a time daemon slews it by
+/// during a test.
+pub(crate) fn wall_ahead_of_this_host(ahead: Span) -> Interval {
+    let slewed = Span::from_micros(200);
+    let Interval { lo, hi } = system_clock("truth").wall_ahead();
+    Interval { lo: lo + ahead - slewed, hi: hi + ahead + slewed }
 }
 
 pub(crate) fn loopback() -> SocketAddr {
@@ -47,6 +55,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
         target,
         key: None,
         instance: None,
+        clocks: RelatedClocks::Raw,
         padding_bytes: 0,
         stamps: Stamps::Kernel,
         timeout: Duration::from_secs(20),
