@@ -31,9 +31,9 @@ fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
     assert!(up.truth(0.0) > Span::ZERO && up.truth(0.5) < Span::from_millis(100), "{}", up.in_words());
 }
 
-/// No rehearsal that knows of its own steps: the edge has to find out.
+/// No rehearsal that knows of its own steps.
 #[test]
-fn a_step_that_nobody_announced_is_noticed() {
+fn step_that_nobody_announced_reaches_no_delay() {
     const LATER: Span = Span::from_millis(3_137);
     let plant = Plant::new(|_| Network::direct());
     let time = FalseTime::new(plant.folder(), AHEAD);
@@ -59,6 +59,5 @@ fn a_step_that_nobody_announced_is_noticed() {
     let times: Vec<Span> = bad.iter().map(|iteration| since(iteration)).collect();
     say(&format!("libfaketime, set by +3 s: neither ok nor limited {times:?} after it"));
     assert!(iterations.iter().any(|iteration| since(iteration) > Span::from_seconds(5)));
-    let near = Span::from_seconds(-1)..Span::from_seconds(5);
-    assert!(times.iter().all(|time| near.contains(time)), "{bad:?}");
+    assert!(bad.is_empty(), "{bad:?}");
 }

@@ -7,6 +7,7 @@ mod chrony;
 mod false_time;
 mod networks;
 mod shaped;
+mod slewed;
 mod steps;
 mod veth;
 

@@ -1,16 +1,13 @@
-//! A clock that is set by three seconds in mid-run.
+//! A wall clock that is set by three seconds in mid-run.
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
 use peernet_tests::{Network, Plant};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
+use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
 /// When the clock is set, after the start of its agent.
 const AT: Span = Span::from_seconds(8);
-
-/// A delay is good again so long after that.
-const RECOVERY: Span = Span::from_seconds(5);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stepped {
@@ -47,35 +44,30 @@ fn step(stepped: Stepped, by_ms: i32) {
     let before = |iteration: &&Iteration| iteration.number > WARM_UP && when(iteration) < at - second;
     let before: Vec<_> = iterations.iter().filter(before).collect();
     let after: Vec<_> = iterations.iter().filter(|iteration| when(iteration) >= at).collect();
-    let recovered = after.iter().copied().filter(|iteration| when(iteration) >= at + RECOVERY);
-    for settled in [before, recovered.collect()] {
+    for settled in [before, after] {
         assert!(settled.len() >= 200, "{what}: {}", settled.len());
         for iteration in settled {
             assert!(all_good(&iteration), "{what}, {} after: {iteration:?}", when(iteration) - at);
         }
     }
-    let bad = after.iter().filter(|iteration| !all_good(iteration));
-    let bad: Vec<Span> = bad.map(|iteration| when(iteration) - at).collect();
-    let (count, last) = (bad.len(), bad.iter().max().copied().unwrap_or_default());
-    say(&format!("{what}: {count} neither ok nor limited after it, the last {last} after"));
 }
 
 #[test]
-fn an_edge_that_is_set_forward_never_makes_a_wrong_delay() {
+fn wall_clock_of_edge_set_forward_reaches_no_delay() {
     step(Stepped::Edge, 3_000);
 }
 
 #[test]
-fn a_cloud_that_is_set_forward_never_makes_a_wrong_delay() {
+fn wall_clock_of_cloud_set_forward_reaches_no_delay() {
     step(Stepped::Cloud, 3_000);
 }
 
 #[test]
-fn an_edge_that_is_set_back_never_makes_a_wrong_delay() {
+fn wall_clock_of_edge_set_back_reaches_no_delay() {
     step(Stepped::Edge, -3_000);
 }
 
 #[test]
-fn a_cloud_that_is_set_back_never_makes_a_wrong_delay() {
+fn wall_clock_of_cloud_set_back_reaches_no_delay() {
     step(Stepped::Cloud, -3_000);
 }

@@ -1,0 +1,90 @@
+//! A time daemon that slews the wall clock of a host hard, in mid-run.
+
+use std::fmt::Write;
+
+use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
+use peernet_tests::truth::{Delay, HostClock, Iteration};
+use peernet_tests::{Network, Plant};
+
+use super::{WARM_UP, hold_to_the_truth, rehearsal};
+
+/// A wall clock that runs fast for a while: set forward a little, again and again.
+struct Slew {
+    at_s: f64,
+    for_s: f64,
+    ppm: f64,
+}
+
+impl Slew {
+    /// How often it is set forward in a second.
+    const HZ: f64 = 10.0;
+
+    fn steps(&self) -> impl Iterator<Item = RehearsedStep> {
+        let period = Span::from_seconds_f64(1.0 / Self::HZ);
+        let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::HZ);
+        let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.for_s * Self::HZ) as i64);
+        (0..count)
+            .map(move |number| RehearsedStep::of_wall(begin + Span::from_nanos(period.nanos() * number), by))
+    }
+}
+
+/// A clock that is ahead and is slewed; its rehearsal begins at the epoch.
+fn slewed(offset_ms: i64, slews: &[Slew]) -> RehearsalDescription {
+    let steps = slews.iter().flat_map(Slew::steps).collect();
+    RehearsalDescription {
+        offset: Span::from_millis(offset_ms),
+        drift_ppm: 0.0,
+        steps,
+        since: WallTime::default(),
+    }
+}
+
+/// The same as a table of a configuration.
+fn table(description: &RehearsalDescription) -> String {
+    let millis = |span: Span| span.nanos() as f64 * 1e-6;
+    let steps = description.steps.iter().fold(String::new(), |mut steps, step| {
+        let (at_s, by_ms) = (step.at.seconds(), millis(step.by));
+        write!(steps, "{{ at_s = {at_s:?}, by_ms = {by_ms:?} }}, ").expect("a string takes all");
+        steps
+    });
+    rehearsal(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
+}
+
+/// The clock of a host that runs. The API lists the first steps only.
+fn clock_of(plant: &Plant, host: &str, description: RehearsalDescription) -> HostClock {
+    let since = plant.clock_of(host).since().expect("rehearsed");
+    HostClock::new(RehearsalDescription { since, ..description })
+}
+
+/// 500 ppm is what a kernel slews at by itself; 40,000 ppm are below chrony's default maximum.
+#[test]
+fn wall_clock_that_is_slewed_reaches_no_delay() {
+    let edge_slews =
+        [Slew { at_s: 4.0, for_s: 4.0, ppm: 500.0 }, Slew { at_s: 10.0, for_s: 1.0, ppm: 40_000.0 }];
+    let cloud_slews = [Slew { at_s: 6.0, for_s: 6.0, ppm: 500.0 }];
+    let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
+    let plant = Plant::new(|_| Network::direct());
+    let _cloud = plant.cloud(&table(&cloud));
+    let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 16.0 }";
+    let pipeline = plant.pipeline("slewed", 1000, load);
+    let _edge = plant.edge(&format!("{}{pipeline}", table(&edge)), &[]);
+    let (edge, cloud) = (clock_of(&plant, "edge", edge), clock_of(&plant, "cloud", cloud));
+    plant.finished(1);
+
+    let iterations = plant.iterations();
+    let (up, down) = hold_to_the_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
+    for comparison in [&up, &down] {
+        assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
+        assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.in_words());
+    }
+    let good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
+    let settled: Vec<&Iteration> = iterations.iter().filter(|iteration| iteration.number > WARM_UP).collect();
+    assert!(settled.len() >= 1_000, "{}", settled.len());
+    for iteration in settled {
+        assert!(good(&iteration.up) && good(&iteration.down), "{iteration:?}");
+    }
+    // What is stored of the wall clocks did move: 42 ms on the edge, 3 ms on the cloud.
+    let raw = |iteration: &Iteration| iteration.up.received - iteration.up.sent;
+    let (first, last) = (raw(&iterations[0]), raw(&iterations[iterations.len() - 1]));
+    assert!((first - last).abs() > Span::from_millis(30), "{first} {last}");
+}
