@@ -123,8 +123,15 @@ pub struct PeerClock {
 impl PeerClock {
     /// Returns what a session of this version tells of it.
     #[must_use]
-    pub fn in_version(self, version: u16) -> Self {
-        Self { raw: self.raw.filter(|_| version >= RAW_STAMPS_SINCE), ..self }
+    pub fn in_version(mut self, version: u16) -> Self {
+        if version < RAW_STAMPS_SINCE {
+            self.raw = None;
+            if let Some(rehearsal) = &mut self.rehearsal {
+                // Such a peer would take them for steps of the wall clock.
+                rehearsal.steps.retain(|step| step.clock.is_wall());
+            }
+        }
+        self
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{
     Clock, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RawTime, RehearsalDescription,
-    RehearsedStep, RelatedClocks, Span, Stamp, SystemClock, WallTime,
+    RehearsedStep, RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
 use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
@@ -169,10 +169,13 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let there = witnessed.cloud_elapsed.expect("read");
     assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
 
-    cloud.listener.announcer().announce(PeerClock { epoch: 1, ..raw_news() });
+    let mut now = PeerClock { epoch: 1, ..raw_news() };
+    let raw_step = RehearsedStep { clock: SteppedClock::Raw, ..RehearsedStep::of_wall(HOUR, HOUR) };
+    now.rehearsal.as_mut().expect("rehearsed").steps.push(raw_step);
+    cloud.listener.announcer().announce(now);
     let mut told = session.peer_clock();
     let told = within(told.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
-    assert_eq!(told.raw, None, "version 4 has no word for it");
+    assert_eq!(*told, PeerClock { epoch: 1, ..news() }, "version 4 has no words for free-running clocks");
 }
 
 #[tokio::test]

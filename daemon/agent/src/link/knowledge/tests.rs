@@ -38,8 +38,12 @@ fn exchange(sent: i64, ahead: i64) -> Witnessed {
 }
 
 fn knowledge() -> Knowledge {
+    knowledge_of(RelatedClocks::Raw)
+}
+
+fn knowledge_of(clocks: RelatedClocks) -> Knowledge {
     let identity = |name| ClockIdentity::new("boot", name);
-    let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
+    let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
     let relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
     let mut knowledge = Knowledge::new(peer, relation, (told(0, None), told(0, None)), now(0));
@@ -247,4 +251,33 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     let _ = knowledge.probed(&ProbeResult::Sent, now(2100));
     knowledge.leave(&other);
     assert_eq!(networks(knowledge.finish(now(2200))), [other]);
+}
+
+#[test]
+fn wall_clock_of_cloud_counts_only_where_it_is_related() {
+    for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
+        let is_related = clocks == RelatedClocks::RawToWall;
+        let mut knowledge = knowledge_of(clocks);
+        for sent in [0, 100, 200] {
+            let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
+        }
+        // A cloud of an earlier release tells nothing of its free-running clock.
+        let raw = told(0, None).raw.filter(|_| !is_related);
+        let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
+        let news = knowledge.cloud_says(stepped.clone(), now(250).raw);
+        assert_eq!(news.is_cloud_wall_set, !is_related);
+        assert_eq!(knowledge.now(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
+        assert!(!knowledge.cloud_says(stepped, now(270).raw).is_cloud_wall_set, "told once");
+    }
+}
+
+#[test]
+fn raw_difference_is_that_of_wall_clocks() {
+    let mut knowledge = knowledge();
+    let hour = Span::from_seconds(3_600);
+    let ways = [Way { raw: hour, bits: None }, Way { raw: -hour, bits: None }];
+    let ([up, down], _) = knowledge.judge(&network(), &exchange(0, 0), ways, now(4));
+    assert_eq!((up.raw, down.raw), (hour, -hour));
+    let bounds = up.bounds.expect("bounded by itself alone");
+    assert!(bounds.contains(Span::from_millis(1)) && bounds.hi < Span::from_millis(10), "{bounds:?}");
 }
