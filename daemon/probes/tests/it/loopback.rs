@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Interval, MonoTime, RawTime, RehearsalDescription, RehearsedClock, RelatedClocks,
-    SharedClock, Span, SystemClock, WallTime, Witnessed,
+    Clock, ClockIdentity, Interval, MonoTime, RawTime, RehearsalDescription, RehearsedClock, RehearsedStep,
+    RelatedClocks, SharedClock, Span, SystemClock, WallTime, Witnessed,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;
@@ -137,6 +137,51 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
     }
     probing.stop().await;
     running.stop().await;
+}
+
+/// A wall clock that is set again and again, a thousand times: by much and by as little as a kernel's stamp gains.
+fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
+    let truth = system_clock(name);
+    let at = |number: i64| Span::from_nanos(every.nanos() * number);
+    let steps = (1..=1000).map(|number| RehearsedStep::of_wall(at(number), by[number as usize % 2]));
+    let description = RehearsalDescription {
+        offset: Span::ZERO,
+        drift_ppm: 0.0,
+        steps: steps.collect(),
+        since: truth.wall(),
+    };
+    std::sync::Arc::new(RehearsedClock::new(truth, ClockIdentity::new("test", name), description))
+}
+
+#[tokio::test]
+async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
+    let (much, little) = (Span::from_millis(20), Span::from_micros(15));
+    for direction in [1, -1] {
+        let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
+        let cloud = set_all_the_time("cloud", Span::from_millis(7), by);
+        let edge = set_all_the_time("edge", Span::from_millis(5), by);
+        let running = Running::start(reflector_config(), cloud.clone());
+        let mut probing = Probing::start(prober_config(running.address), 500.0, edge.clone());
+        let (mut answers, mut corrections) = (0, 0);
+        while answers < 300 {
+            match probing.next().await {
+                ProbeResult::Answered(witnessed) => {
+                    assert!(holds_zero(&witnessed), "{witnessed:?}");
+                    answers += 1;
+                }
+                ProbeResult::Refined(witnessed) => {
+                    assert!(holds_zero(&witnessed), "{witnessed:?}");
+                    corrections += 1;
+                }
+                ProbeResult::Sent => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        assert!(corrections > 0, "the kernel's stamps still count between the steps");
+        assert!(edge.wall_epoch() > 50 && cloud.wall_epoch() > 50, "they were set meanwhile");
+        probing.stop().await;
+        running.stop().await;
+    }
 }
 
 #[tokio::test]
