@@ -45,6 +45,7 @@ pub struct Transit {
     pub delay: Option<OneWayDelay>,
     /// The same moments on the free-running clocks, by which the delay is judged; `None` while the message is under way, and
     /// where an end did not stamp them (releases before 0.3).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw_stamps: Option<RawStamps>,
 }
 

@@ -1,11 +1,11 @@
 //! Bytes to values, from whoever sent them.
 
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict, WallTime};
 use rmp::{Marker, decode};
 
 use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
-use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, Transit, Unit, stage};
+use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
 /// The shortest node on the wire: what room is made for beforehand follows from it and the bytes that are there.
 const SHORTEST_NODE: usize = 6;
@@ -97,6 +97,10 @@ impl<'a> Reader<'a> {
         self.int(expected).map(WallTime::from_unix_nanos)
     }
 
+    fn raw(&mut self, expected: &'static str) -> Read<RawTime> {
+        self.int(expected).map(RawTime::from_nanos)
+    }
+
     fn text(&mut self, expected: &'static str) -> Read<&'a str> {
         let error = self.malformed(expected);
         let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
@@ -166,6 +170,12 @@ impl<'a> Reader<'a> {
             (0, 5) => Measure::Container,
             (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),
             (2, 8) => Measure::Transit(Box::new(self.transit()?)),
+            (2, 10) => {
+                let transit = self.transit()?;
+                let sent = self.raw("the raw time of sending")?;
+                let raw_stamps = Some(RawStamps { sent, received: self.raw("the raw time of receipt")? });
+                Measure::Transit(Box::new(Transit { raw_stamps, ..transit }))
+            }
             (3, 7) => Measure::Value(self.number("a value")?, self.unit()?),
             (4, 8) => {
                 let value = self.optional(|reader| reader.number("a throughput"))?;

@@ -1,9 +1,9 @@
-use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+use peernet_clock::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict};
 use proptest::prelude::*;
 
 use super::*;
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NAME_BYTES, MAX_NODES};
-use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, Rate, Transit, Unit, stage};
+use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, Rate, RawStamps, Transit, Unit, stage};
 
 fn name() -> impl Strategy<Value = Name> {
     let standard = prop::sample::select(stage::ORDER.to_vec());
@@ -40,16 +40,19 @@ fn delay() -> impl Strategy<Value = OneWayDelay> {
 
 fn measure() -> impl Strategy<Value = Measure> {
     let wall = || any::<i64>().prop_map(WallTime::from_unix_nanos);
-    let transit = (wall(), prop::option::of(wall()), prop::option::of(delay()));
+    let raw = || any::<i64>().prop_map(RawTime::from_nanos);
+    let raw_stamps = prop::option::of((raw(), raw()))
+        .prop_map(|stamps| stamps.map(|(sent, received)| RawStamps { sent, received }));
+    let transit = (wall(), prop::option::of(wall()), prop::option::of(delay()), raw_stamps);
     let rate = (prop::option::of(number()), pair(any::<i32>().prop_map(f64::from)));
     prop_oneof![
         Just(Measure::Container),
         prop::option::of(span()).prop_map(Measure::Timer),
-        transit.prop_map(|(sent, received, delay)| Measure::Transit(Box::new(Transit {
+        transit.prop_map(|(sent, received, delay, raw_stamps)| Measure::Transit(Box::new(Transit {
             sent,
             received,
             delay,
-            raw_stamps: None,
+            raw_stamps,
         }))),
         (number(), unit()).prop_map(|(value, unit)| Measure::Value(value, unit)),
         rate.prop_map(|(value, bounds)| Measure::Throughput(Rate { value, bounds })),
@@ -223,4 +226,29 @@ fn the_wire_form_stays_what_it_is() {
         &[0x97, 0, 0xa4, b'g', b'r', b'i', b'p', 0, 0, 3, 0xcb, 0x3f, 0xf8, 0, 0, 0, 0, 0, 0, 0xa1, b'B'],
     ];
     assert_eq!(wire(&tree), expected.concat());
+}
+
+#[test]
+fn transit_without_raw_stamps_keeps_its_earlier_form() {
+    let (sent, received) = (WallTime::from_unix_nanos(3), Some(WallTime::from_unix_nanos(4)));
+    let transit = |raw_stamps| {
+        let mut tree =
+            Tree::new(stage::ITERATION, Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::default() });
+        let transit = Transit { sent, received, delay: None, raw_stamps };
+        tree.add(NodeId::ROOT, stage::UPLOAD, Span::from_nanos(2), Measure::Transit(Box::new(transit)));
+        tree
+    };
+    let name = stage::code(&stage::UPLOAD).expect("a standard name");
+    let earlier = [0x98, 0, name, 0, 2, 2, 3, 4, 0xc0];
+    assert_eq!(wire(&transit(None)), by_hand(1, &[ROOT, &earlier]));
+    let json = serde_json::to_string(&transit(None)).expect("plain data");
+    assert!(!json.contains("raw_stamps"), "{json}");
+
+    let stamps = RawStamps { sent: RawTime::from_nanos(5), received: RawTime::from_nanos(-6) };
+    let later = [0x9a, 0, name, 0, 2, 2, 3, 4, 0xc0, 5, 0xfa];
+    assert_eq!(wire(&transit(Some(stamps))), by_hand(1, &[ROOT, &later]));
+    let json = serde_json::to_string(&transit(Some(stamps))).expect("plain data");
+    assert_eq!(serde_json::from_str::<Tree>(&json).expect("our own"), transit(Some(stamps)));
+    // One of the two alone is no form.
+    assert!(decode(&by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
 }

@@ -84,6 +84,7 @@ fn node(out: &mut Vec<u8>, node: &Node) {
     let (kind, length) = match &node.measure {
         Measure::Container => (0, 5),
         Measure::Timer(_) => (1, 6),
+        Measure::Transit(transit) if transit.raw_stamps.is_some() => (2, 10),
         Measure::Transit(_) => (2, 8),
         Measure::Value(..) => (3, 7),
         Measure::Throughput(_) => (4, 8),
@@ -103,6 +104,10 @@ fn node(out: &mut Vec<u8>, node: &Node) {
             int(out, transit.sent.unix_nanos());
             optional(out, transit.received, |out, at| int(out, at.unix_nanos()));
             optional(out, transit.delay.as_ref(), delay);
+            if let Some(stamps) = transit.raw_stamps {
+                int(out, stamps.sent.nanos());
+                int(out, stamps.received.nanos());
+            }
         }
         Measure::Value(value, symbol) => {
             number(out, *value);
