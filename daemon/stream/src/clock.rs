@@ -1,21 +1,23 @@
-//! What is told of clocks: the relation of two hosts' wall clocks, and what each host's time daemon says.
+//! What is told of clocks: the relation of two hosts' clocks, and what each host's time daemon says.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, Span, Verdict, WallTime,
+    Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, RelatedClocks, Span,
+    Verdict, WallTime,
 };
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeStruct;
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::bounded::at_most;
-use super::{Connection, NetworkName};
+use super::{Connection, EstimateBasis, NetworkName};
 use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
 use peernet_logger::{HostId, Slug};
 
-/// One second of a link: the relation between an edge's wall clock and a cloud's, and the delays of data over one network.
+/// One second of a link: the relation between a clock of an edge and one of a cloud, and the delays of data over one network.
 /// Stored, so that the delays of a past run can be computed again with what was learnt after it.
 ///
 /// The relation belongs to the pair of hosts. Where two hosts use several networks in a second, the sample of each has the
 /// same window, exchanges, offset and probes, and delays of its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ClockSample {
     /// The cloud.
     pub peer: HostId,
@@ -44,9 +46,50 @@ pub struct ClockSample {
     pub up: Option<DelaySecond>,
     /// From cloud to edge.
     pub down: Option<DelaySecond>,
-    /// The network of the link. Left out where it is `zmq-tcp`, and last, so that earlier releases read the rest.
-    #[serde(default, skip_serializing_if = "NetworkName::is_default")]
+    /// The network of the link. Left out where it is `zmq-tcp` and nothing follows.
+    #[serde(default)]
     pub network: NetworkName,
+    /// What the bounds rest on; `None` in samples of releases before 0.3, which related wall clocks. Since version 7 of the event
+    /// stream.
+    #[serde(default)]
+    pub basis: Option<EstimateBasis>,
+}
+
+impl ClockSample {
+    /// The clocks that the stamps of the exchanges are of.
+    pub fn clocks(&self) -> RelatedClocks {
+        self.basis.map_or(RelatedClocks::Wall, |basis| basis.clocks)
+    }
+}
+
+impl Serialize for ClockSample {
+    /// Leaves out the last values where they say nothing, so that a sample of an earlier release keeps its bytes. Values of an array
+    /// are known by their positions: the network can only be left out together with what follows.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let has_network = self.basis.is_some() || !self.network.is_default();
+        let fields = 13 + usize::from(has_network) + usize::from(self.basis.is_some());
+        let mut to = serializer.serialize_struct("ClockSample", fields)?;
+        to.serialize_field("peer", &self.peer)?;
+        to.serialize_field("peer_name", &self.peer_name)?;
+        to.serialize_field("at", &self.at)?;
+        to.serialize_field("window", &self.window)?;
+        to.serialize_field("max_drift_ppm", &self.max_drift_ppm)?;
+        to.serialize_field("upper", &self.upper)?;
+        to.serialize_field("lower", &self.lower)?;
+        to.serialize_field("offset", &self.offset)?;
+        to.serialize_field("probes", &self.probes)?;
+        to.serialize_field("exchanges", &self.exchanges)?;
+        to.serialize_field("round_trip", &self.round_trip)?;
+        to.serialize_field("up", &self.up)?;
+        to.serialize_field("down", &self.down)?;
+        if has_network {
+            to.serialize_field("network", &self.network)?;
+        }
+        if let Some(basis) = &self.basis {
+            to.serialize_field("basis", basis)?;
+        }
+        to.end()
+    }
 }
 
 /// The delays of data in one direction within a second.
@@ -169,4 +212,8 @@ pub struct HostClock {
     pub epoch: u32,
     /// How the clock is made wrong on purpose.
     pub rehearsal: Option<RehearsalDescription>,
+    /// What the kernel reads the time from, such as `tsc` (Linux: `current_clocksource`); `None` where it does not tell. Since
+    /// version 7 of the event stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clocksource: Option<String>,
 }

@@ -6,11 +6,12 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use crate::{Chain, HostDescription, Release, VersionRange};
 
-/// Versions of the event stream that this release speaks, as an agent and as an aggregator.
-pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 6, Release(0, 1, 0));
+/// Versions of the event stream that an aggregator of this release speaks.
+pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 7, Release(0, 1, 0));
 
-/// The first version whose live updates tell of connections.
-pub(crate) const CONNECTIONS_VERSION: u16 = 6;
+/// Versions that an agent of this release speaks. Its events may have raw stamps, which version 7 added, and are encoded before it is
+/// known which aggregator they go to.
+pub const AGENT_STREAM_VERSIONS: VersionRange = VersionRange::new(7, 7, Release(0, 3, 0));
 
 /// The only version that PEERNet 0.1.0 speaks.
 const FIRST_VERSION: u16 = 5;

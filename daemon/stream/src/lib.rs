@@ -18,6 +18,7 @@ mod clock;
 pub mod codec;
 mod connection;
 mod counts;
+mod estimate_basis;
 mod event;
 mod experiment;
 #[doc(hidden)]
@@ -44,9 +45,10 @@ pub use connection::{
 pub use counts::{
     CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled, Settled,
 };
+pub use estimate_basis::EstimateBasis;
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
-pub use hello::{Hello, HelloExtension, STREAM_VERSIONS, StreamId};
+pub use hello::{AGENT_STREAM_VERSIONS, Hello, HelloExtension, STREAM_VERSIONS, StreamId};
 pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,

@@ -5,7 +5,6 @@ use peernet_statistics::Summary;
 use serde::{Deserialize, Serialize};
 
 use super::bounded::at_most;
-use super::hello::CONNECTIONS_VERSION;
 use super::{HostClock, HostMetrics, LinkLive};
 use crate::limits::MAX_LINKS;
 use peernet_logger::{HostId, Name, RunId, Slug};
@@ -28,15 +27,6 @@ pub struct LiveUpdate {
     pub metrics: HostMetrics,
     /// What became of the agent's events.
     pub accounting: Accounting,
-}
-
-impl LiveUpdate {
-    /// Leaves out what a version of the event stream has no place for.
-    pub fn reduce_to(&mut self, version: u16) {
-        if version < CONNECTIONS_VERSION {
-            self.links.iter_mut().for_each(|link| link.connections.clear());
-        }
-    }
 }
 
 /// One pipeline, now.

@@ -267,6 +267,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         up: Some(delay(0.0063, 1.2e6)),
         down: Some(delay(0.0006, 3.3e3)),
         network: NetworkName::default(),
+        basis: None,
     }
 }
 

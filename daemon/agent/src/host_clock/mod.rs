@@ -57,9 +57,8 @@ pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
 /// Returns what is shown of the clocks of a host.
 pub(crate) fn shown(clock: &PeerClock) -> HostClock {
     let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
-    let supplied = raw.and_then(|raw| clocksource::in_words(&raw.clocksource));
-    let text = [Some(text), supplied].into_iter().flatten().filter(|words| !words.is_empty());
-    HostClock { discipline, text: text.collect::<Vec<_>>().join("; "), epoch, rehearsal }
+    let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
+    HostClock { discipline, text, epoch, rehearsal, clocksource }
 }
 
 fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {

@@ -341,6 +341,7 @@ impl Knowledge {
             up: self.second.delays(network, Direction::Up),
             down: self.second.delays(network, Direction::Down),
             network: network.clone(),
+            basis: None,
         }
     }
 

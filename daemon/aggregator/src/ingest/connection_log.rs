@@ -94,6 +94,7 @@ mod tests {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {
             network: NetworkName::default(),
+            basis: None,
             peer,
             peer_name: slug("cloud"),
             at,

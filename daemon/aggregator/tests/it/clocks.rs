@@ -66,6 +66,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
         up: Some(delays),
         down: Some(DelaySecond { count: 4, verdict: Verdict::Limited, ..delays }),
         network: NetworkName::default(),
+        basis: None,
     }
 }
 

@@ -232,8 +232,10 @@ fn the_wire_form_stays_what_it_is() {
 fn transit_without_raw_stamps_keeps_its_earlier_form() {
     let (sent, received) = (WallTime::from_unix_nanos(3), Some(WallTime::from_unix_nanos(4)));
     let transit = |raw_stamps| {
-        let mut tree =
-            Tree::new(stage::ITERATION, Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::default() });
+        let mut tree = Tree::new(
+            stage::ITERATION,
+            Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::default() },
+        );
         let transit = Transit { sent, received, delay: None, raw_stamps };
         tree.add(NodeId::ROOT, stage::UPLOAD, Span::from_nanos(2), Measure::Transit(Box::new(transit)));
         tree

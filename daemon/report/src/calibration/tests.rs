@@ -219,6 +219,7 @@ fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
         up: None,
         down: None,
         network: NetworkName::default(),
+        basis: None,
     }
 }
 

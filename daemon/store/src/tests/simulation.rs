@@ -189,6 +189,7 @@ impl Simulation {
             up: None,
             down: None,
             network: NetworkName::default(),
+            basis: None,
         }))
     }
 

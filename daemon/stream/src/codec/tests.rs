@@ -61,6 +61,7 @@ fn clock() -> ClockSample {
         up: Some(delays),
         down: Some(DelaySecond { median: None, ..delays }),
         network: NetworkName::default(),
+        basis: None,
     }
 }
 
@@ -75,6 +76,7 @@ fn host_clock() -> HostClock {
             steps: vec![RehearsedStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
             since: WallTime::from_unix_nanos(5),
         }),
+        clocksource: None,
     }
 }
 

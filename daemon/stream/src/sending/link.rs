@@ -3,7 +3,8 @@
 use peernet_clock::{MonoTime, Stamp};
 
 use super::super::{
-    Chain, Hello, HelloExtension, Nonce, Proof, STREAM_VERSIONS, ToAgent, ToAggregator, VersionRange, codec,
+    AGENT_STREAM_VERSIONS, Chain, Hello, HelloExtension, Nonce, Proof, ToAgent, ToAggregator, VersionRange,
+    codec,
 };
 use super::session::{Link, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
@@ -14,8 +15,8 @@ use peernet_logger::Slug;
 
 /// Returns the reason not to answer an aggregator that chose a version which this agent does not speak.
 fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
-    let chosen = VersionRange::single(chosen.unwrap_or(STREAM_VERSIONS.oldest()));
-    let mismatch = STREAM_VERSIONS.highest_common(&chosen).err()?;
+    let chosen = VersionRange::single(chosen.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
+    let mismatch = AGENT_STREAM_VERSIONS.highest_common(&chosen).err()?;
     Some(mismatch.describe("the event stream", "this agent", &format!("the aggregator on {aggregator}")))
 }
 
@@ -124,7 +125,7 @@ impl Sending {
     fn hello(&self) -> Hello {
         let (_, before) = self.spooler.backlog.acknowledged();
         Hello {
-            protocol: STREAM_VERSIONS.oldest(),
+            protocol: AGENT_STREAM_VERSIONS.oldest(),
             host: self.host.clone(),
             stream: self.spooler.backlog.origin.stream,
             previous: self.spooler.backlog.origin.previous,
@@ -135,7 +136,7 @@ impl Sending {
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.spooler.process(),
-            extension: HelloExtension::of(&STREAM_VERSIONS),
+            extension: HelloExtension::of(&AGENT_STREAM_VERSIONS),
         }
     }
 
@@ -151,7 +152,7 @@ impl Sending {
         if !self.session.challenged(now) {
             return;
         }
-        self.session.choose(version.unwrap_or(STREAM_VERSIONS.oldest()));
+        self.session.choose(version.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
         self.answered(now);
         let code = self.secret.prove(nonce, &self.hello(), aggregator);
         let secret = enrol.then(|| self.secret.clone());

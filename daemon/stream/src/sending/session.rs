@@ -5,7 +5,7 @@ use peernet_logger::Slug;
 
 use super::SendingConfig;
 use super::spool_reader::SpoolScan;
-use crate::{Chain, STREAM_VERSIONS};
+use crate::{AGENT_STREAM_VERSIONS, Chain};
 
 /// Greetings without any progress that follow one another at once; later ones wait, each longer than the one before.
 const PROMPT_GREETINGS: u32 = 3;
@@ -63,7 +63,7 @@ impl Session {
     /// There is no connection.
     pub(super) fn new(config: SendingConfig) -> Self {
         let (link, greeted) = (Link::Down, MonoTime::default());
-        let version = STREAM_VERSIONS.oldest();
+        let version = AGENT_STREAM_VERSIONS.oldest();
         Self { config, link, greetings: 0, unanswered: 0, greeted, proof: None, version }
     }
 
@@ -85,7 +85,7 @@ impl Session {
 
     /// There is none.
     pub(super) fn disconnect(&mut self) {
-        (self.link, self.proof, self.version) = (Link::Down, None, STREAM_VERSIONS.oldest());
+        (self.link, self.proof, self.version) = (Link::Down, None, AGENT_STREAM_VERSIONS.oldest());
     }
 
     /// Says hello: at once, unless that led to nothing several times.

@@ -74,6 +74,7 @@ fn clock(peer: HostId) -> Event {
         up: None,
         down: None,
         network: NetworkName::default(),
+        basis: None,
     }))
 }
 

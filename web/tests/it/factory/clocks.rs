@@ -139,6 +139,7 @@ pub(super) fn sample(
         up: Some(delays(line, "upload", numbers)),
         down: Some(delays(line, "download", numbers)),
         network: NetworkName::default(),
+        basis: None,
     }
 }
 

@@ -81,8 +81,7 @@ impl LiveLane {
         sent: WallTime,
         account: Accounting,
     ) -> (Vec<u8>, Receipt) {
-        let (mut update, receipt) = self.sources.update(machine.host(), sent, account);
-        update.reduce_to(machine.version());
+        let (update, receipt) = self.sources.update(machine.host(), sent, account);
         let message = ToAggregator::Live(update);
         let frame =
             if machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };

@@ -35,6 +35,7 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
             up: None,
             down: None,
             network: NetworkName::default(),
+            basis: None,
         },
         connections: Vec::new(),
     }

@@ -1,6 +1,6 @@
 //! The proof that this host is who it says it is.
 
-use super::super::super::{Nonce, STREAM_VERSIONS};
+use super::super::super::{AGENT_STREAM_VERSIONS, Nonce};
 use super::*;
 
 fn challenge(agent: &Agent, stream: StreamId, enrol: bool) -> ToAgent {
@@ -28,7 +28,7 @@ fn secret_is_told_only_when_asked_for() {
 fn version_that_agent_does_not_speak_is_not_proven() {
     let mut agent = Agent::new(SendingConfig::default());
     agent.connect();
-    let (stream, chosen) = (agent.hellos[0].stream, STREAM_VERSIONS.newest());
+    let (stream, chosen) = (agent.hellos[0].stream, AGENT_STREAM_VERSIONS.newest());
     let choosing = |version| match challenge(&agent, stream, false) {
         ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } => {
             ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
@@ -40,7 +40,7 @@ fn version_that_agent_does_not_speak_is_not_proven() {
     assert!(agent.proofs.is_empty());
     let Some(Notice::Refused(reason)) = agent.notices.last() else { panic!("{:?}", agent.notices) };
     assert!(reason.contains("the aggregator on base"), "{reason}");
-    assert_eq!(agent.sending.version(), STREAM_VERSIONS.oldest(), "until one is chosen that it speaks");
+    assert_eq!(agent.sending.version(), AGENT_STREAM_VERSIONS.oldest(), "until one is chosen that it speaks");
     agent.receive(&spoken);
     assert_eq!((agent.proofs.len(), agent.sending.version()), (1, chosen));
 }
