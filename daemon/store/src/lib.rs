@@ -46,10 +46,11 @@ pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
 pub use types::{
-    AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayRow, Episodes, ExperimentSummary, GapRow,
-    Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
-    LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics,
-    RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
+    AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayAssumptions, DelayRow, Episodes,
+    ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter,
+    IterationRow, Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage,
+    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
+    StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.
@@ -231,6 +232,11 @@ impl Store {
         most_points: u32,
     ) -> Result<ClockSeries, StoreError> {
         read::clocks::series(&self.readers, link, (from, to), most_points).await
+    }
+
+    /// What the one-way delays of a link rest on, by its newest window. `None` for a link that the store does not know.
+    pub async fn link_assumptions(&self, link: &LinkKey) -> Result<Option<DelayAssumptions>, StoreError> {
+        read::clocks::of_link(&self.readers, link).await
     }
 
     /// Judges the one-way delays of a run again, with the exchanges that came after them too. Writes nothing.

@@ -1,8 +1,8 @@
 //! What an agent says of clocks, as far as it can be true: shared by the store and the live picture, so that both show
 //! the same.
 
-use peernet_clock::{DelaySource, Interval, Offset};
-use peernet_stream::{DelayPoint, DelaySecond};
+use peernet_clock::{DelaySource, Interval, Offset, Span};
+use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis};
 
 /// The offset with each source once; `None` when its bounds are no interval or exclude the estimate.
 pub fn offset(offset: &Offset) -> Option<Offset> {
@@ -17,6 +17,18 @@ pub fn offset(offset: &Offset) -> Option<Offset> {
     }
     let skew_ppm = offset.skew_ppm.filter(|skew| skew.is_finite());
     Some(Offset { sources, skew_ppm, ..*offset })
+}
+
+/// The basis without figures that are no numbers or below zero, and without a proven skew whose ends are the wrong way round.
+pub fn basis(basis: EstimateBasis) -> EstimateBasis {
+    let change = |change: &f64| change.is_finite() && *change >= 0.0;
+    let skew = |(min, max): &(f64, f64)| min.is_finite() && max.is_finite() && min <= max;
+    EstimateBasis {
+        max_drift_change_ppm_per_s: basis.max_drift_change_ppm_per_s.filter(change),
+        proven_skew_ppm: basis.proven_skew_ppm.filter(skew),
+        grown_window: basis.grown_window.filter(|age| *age > Span::ZERO),
+        ..basis
+    }
 }
 
 /// The second without its median where that is below zero or outside its own bounds.

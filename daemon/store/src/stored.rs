@@ -1,6 +1,6 @@
 //! Types of the store that the live picture contains.
 
-use peernet_clock::{Offset, WallTime};
+use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
 use serde::Serialize;
 
@@ -21,6 +21,12 @@ pub struct ClockPoint {
     pub up: Option<DelaySecond>,
     /// Cloud to edge.
     pub down: Option<DelaySecond>,
+    /// The clocks that the offset is between.
+    pub clocks: RelatedClocks,
+    /// The lowest and the highest rate between them that the exchanges allow, parts per million; of a bucket the newest.
+    pub proven_skew_ppm: Option<(f64, f64)>,
+    /// The age of the oldest exchange that counts, where it is beyond the configured window; of a bucket the greatest.
+    pub grown_window: Option<Span>,
 }
 
 /// What the database holds of one host, since it first came.

@@ -11,9 +11,11 @@ pub use pairs::Pairs;
 pub(crate) use statistics::Known;
 pub use statistics::{Kept, RunStatistics, StageStatistics};
 
-use peernet_clock::{DelaySource, Verdict, WallTime};
+use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
-use peernet_stream::{Condition, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts, Placement};
+use peernet_stream::{
+    ClockSample, Condition, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts, Placement,
+};
 use serde::Serialize;
 
 use crate::figures::Figures;
@@ -250,6 +252,35 @@ pub struct DelayRow {
     pub source: DelaySource,
     /// How far it can be trusted.
     pub verdict: Verdict,
+    /// What its bounds rest on; `None` where no clock sample of its time is stored, and where both ends are on one clock.
+    pub assumptions: Option<DelayAssumptions>,
+}
+
+/// What the bounds of one-way delays rest on, beside the exchanges and the source.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DelayAssumptions {
+    /// The clocks that were related.
+    pub clocks: RelatedClocks,
+    /// The fastest that the two clocks may drift apart, parts per million; `None` where it was not told.
+    pub max_drift_ppm: Option<f64>,
+    /// How fast that rate may change, parts per million per second; `None` where nothing was assumed of it.
+    pub max_drift_change_ppm_per_s: Option<f64>,
+    /// Whether claims of time daemons might narrow the interval; `None` where it was not told (releases before 0.3).
+    pub claims_trusted: Option<bool>,
+    /// Whether all probes were authenticated; `None` where there were none or it was not told.
+    pub probes_authenticated: Option<bool>,
+}
+
+impl From<&ClockSample> for DelayAssumptions {
+    fn from(sample: &ClockSample) -> Self {
+        Self {
+            clocks: sample.clocks(),
+            max_drift_ppm: Some(sample.max_drift_ppm).filter(|drift| drift.is_finite()),
+            max_drift_change_ppm_per_s: sample.basis.and_then(|basis| basis.max_drift_change_ppm_per_s),
+            claims_trusted: sample.basis.map(|basis| basis.claims_trusted),
+            probes_authenticated: sample.basis.and_then(|basis| basis.probes_authenticated),
+        }
+    }
 }
 
 /// The stage that explains most of an iteration's slowness.
@@ -406,6 +437,9 @@ pub struct Recomputed {
     pub number: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
+    /// The clocks by whose stamps delays were judged again. Wall clocks are those of runs that were recorded before raw clocks were
+    /// stamped: their steps and slews reach these delays. Empty where all delays stay as they were judged.
+    pub clocks: Vec<RelatedClocks>,
     /// `upload`, `download`.
     pub stages: Vec<RecomputedStage>,
 }

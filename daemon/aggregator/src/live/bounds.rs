@@ -33,8 +33,9 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     let offset = now.offset.as_ref().and_then(plausible::offset);
     let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
     // Not-a-number is unequal to itself: taken out and counted as well.
-    *left_out += u64::from((&offset, up, down) != (&now.offset, now.up, now.down));
-    (now.offset, now.up, now.down) = (offset, up, down);
+    let basis = now.basis.map(plausible::basis);
+    *left_out += u64::from((&offset, up, down, basis) != (&now.offset, now.up, now.down, now.basis));
+    (now.offset, now.up, now.down, now.basis) = (offset, up, down, basis);
 }
 
 /// A connection of a link.
@@ -50,6 +51,7 @@ fn connection(connection: &mut Connection) {
 /// What a host says of its clock.
 pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
     text(&mut clock.text);
+    clock.clocksource.iter_mut().for_each(text);
     if let Some(rehearsal) = &mut clock.rehearsal {
         list(&mut rehearsal.steps, MOST_LISTED, left_out);
     }

@@ -104,5 +104,8 @@ fn point(sample: &ClockSample) -> ClockPoint {
         round_trip: sample.round_trip,
         up: sample.up,
         down: sample.down,
+        clocks: sample.clocks(),
+        proven_skew_ppm: sample.basis.and_then(|basis| basis.proven_skew_ppm),
+        grown_window: sample.basis.and_then(|basis| basis.grown_window),
     }
 }

@@ -6,6 +6,7 @@ use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
+use super::clocks::AssumedWindows;
 use super::comparison::Comparison;
 use super::{corrupt, count, known, sql, statistics, tree, wall};
 use crate::column::column;
@@ -48,6 +49,9 @@ struct Delay {
     raw_ns: i64,
     source: u8,
     verdict: u8,
+    sent_ns: i64,
+    received_ns: Option<i64>,
+    cloud: Option<i64>,
 }
 
 /// A place among the slowest, and who stands beside it.
@@ -174,8 +178,16 @@ async fn complete(
     for duration in durations {
         parts.entry(duration.iteration).or_default().0.push(duration);
     }
+    let times = || rows.iter().map(|row| row.started_ns);
+    let between = times().min().zip(times().max()).filter(|_| !delays.is_empty());
+    let windows = match between {
+        Some((from, to)) => Some(AssumedWindows::read(readers, run, (wall(from), wall(to))).await?),
+        None => None,
+    };
     for delay in delays {
-        parts.entry(delay.iteration).or_default().1.push(delay.row()?);
+        let iteration = delay.iteration;
+        let row = delay.row(windows.as_ref())?;
+        parts.entry(iteration).or_default().1.push(row);
     }
     rows.into_iter()
         .map(|row| {
@@ -228,14 +240,24 @@ fn complete_row(
 }
 
 impl Delay {
-    fn row(self) -> Result<DelayRow, StoreError> {
+    fn row(self, windows: Option<&AssumedWindows>) -> Result<DelayRow, StoreError> {
+        let source = known(WHAT, DelaySource::ALL, self.source)?;
+        let is_upload = stage::UPLOAD == self.text.as_str();
+        let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
+        let assumptions = match (windows, self.cloud, edge_ns) {
+            (Some(windows), Some(cloud), Some(at)) if source != DelaySource::SameClock => {
+                windows.at(cloud, wall(at))?
+            }
+            _ => None,
+        };
         Ok(DelayRow {
             stage: Name::from(self.text.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
             raw: Span::from_nanos(self.raw_ns).seconds(),
-            source: known(WHAT, DelaySource::ALL, self.source)?,
+            source,
             verdict: known(WHAT, Verdict::ALL, self.verdict)?,
+            assumptions,
         })
     }
 }

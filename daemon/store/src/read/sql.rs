@@ -46,8 +46,16 @@ macro_rules! clock_columns {
             $before,
             "down_bits_per_second",
             $after,
-            ", down_verdict"
+            ", down_verdict, clocks, proven_skew_min_ppm, proven_skew_max_ppm, grown_window_ns"
         )
+    };
+}
+
+macro_rules! exchange_columns {
+    () => {
+        "max_drift_ppm, upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
+         lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
+         offset_lo_ns, offset_hi_ns, offset_source, offset_sources"
     };
 }
 
@@ -146,7 +154,9 @@ statements! {
              AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4))";
     /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
-              transit.verdict FROM transit \
+              transit.verdict, transit.sent_ns, transit.received_ns, \
+              (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
+               AND anchor.position = 1) AS cloud FROM transit \
               CROSS JOIN node ON node.run = transit.run AND node.iteration = transit.iteration AND node.node = transit.node \
               CROSS JOIN name ON name.id = node.name \
               WHERE transit.run = ?1 AND transit.iteration IN (SELECT value FROM json_each(?2)) \
@@ -169,7 +179,7 @@ statements! {
              WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
              ORDER BY node.iteration, node.node";
     /// As `NODES`.
-    TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict FROM transit \
+    TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, received_raw_ns FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
     /// The host that senses, and the name of the one that serves it: ?1 run.
     ENDS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
@@ -228,6 +238,18 @@ statements! {
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
+    /// What the windows of all links of an edge over a network rest on, in the order of their arrival: ?1 edge, ?2 network, ?3 from,
+    /// ?4 to.
+    ASSUMED_WINDOWS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
+                       FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
+                       WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
+                       ORDER BY clock_window.id";
+    /// The same of the newest window of a link: ?1 link.
+    NEWEST_ASSUMED_WINDOW = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
+                             claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
+    /// The edge of a run and its network: ?1 run.
+    RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
+                 JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// The edge of a run and its network, when its first and last iterations began, and its first and last minutes with successful
     /// ones: where the edge's clock was set back, the first is not the earliest: ?1 run.
     RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, \
@@ -240,7 +262,8 @@ statements! {
     /// the joins is given, because any other sorts: ?1 run, ?2 and ?3 iteration and node of the last of the page
     /// before, ?4 limit.
     RUN_DELAYS = "SELECT transit.iteration, transit.node, name.text, transit.sent_ns, transit.received_ns, \
-                  transit.raw_ns, transit.source, transit.verdict, node.value, node.lo, node.hi, \
+                  transit.raw_ns, transit.source, transit.verdict, transit.sent_raw_ns, transit.received_raw_ns, \
+                  node.value, node.lo, node.hi, \
                   (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
                    AND anchor.position = 1) AS cloud \
                   FROM transit \
@@ -253,20 +276,26 @@ statements! {
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
     /// ?1 edge, ?2 cloud, as numbers, ?3 network.
     LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
-    /// From when to when a link's windows reach, and their first and last exchanges: ?1 link, ?2 from, ?3 to, ?4 limit.
-    CLOCK_WINDOWS = "SELECT window, min(at_ns) AS first_ns, max(at_ns) AS last_ns, \
+    /// From when to when a link's windows reach by the edge's clock that they relate, and their first and last exchanges: ?1 link,
+    /// ?2 from, ?3 to, by its wall clock, ?4 limit.
+    CLOCK_WINDOWS = "SELECT coalesce(clocks, 2) AS clocks, window, \
+                     min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
                      max(max(coalesce(upper_returned_ns, lower_returned_ns), coalesce(lower_returned_ns, upper_returned_ns))) \
                        AS returned_ns, \
+                     min(iif(clocks < 2, at_ns - at_raw_ns, NULL)) AS ahead_min_ns, \
+                     max(iif(clocks < 2, at_ns - at_raw_ns, NULL)) AS ahead_max_ns, \
                      count(coalesce(upper_sent_ns, lower_sent_ns)) AS samples \
                      FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 AND max_drift_ppm IS NOT NULL \
                      AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
-                     GROUP BY window ORDER BY first_ns LIMIT ?4";
-    /// What one window was given, a page of it: ?1 link, ?2 window, ?3 after, ?4 limit.
-    CLOCK_EXCHANGES = "SELECT at_ns, max_drift_ppm, \
-                       upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
-                       lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
-                       offset_lo_ns, offset_hi_ns, offset_source, offset_sources \
-                       FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
-                       ORDER BY at_ns LIMIT ?4";
+                     AND (coalesce(clocks, 2) = 2 OR at_raw_ns IS NOT NULL) \
+                     GROUP BY window, coalesce(clocks, 2) ORDER BY first_ns LIMIT ?4";
+    /// What one window of wall clocks was given, a page of it: ?1 link, ?2 window, ?3 after, ?4 limit.
+    CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
+        " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
+         ORDER BY at_ns LIMIT ?4");
+    /// The same of a window of the edge's raw clock, in the order of its time: its wall clock may have been set back meanwhile.
+    CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
+        " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
+         AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");
 }

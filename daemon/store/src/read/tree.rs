@@ -1,7 +1,9 @@
 //! From rows back to a tree.
 
-use peernet_clock::{OneWayDelay, Span, WallTime};
-use peernet_logger::{Anchor, HostIndex, Measure, Name, Node, NodeId, Rate, Slug, Transit, Tree, Unit};
+use peernet_clock::{OneWayDelay, RawTime, Span, WallTime};
+use peernet_logger::{
+    Anchor, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Slug, Transit, Tree, Unit,
+};
 use sqlx::FromRow;
 
 use super::{StoredDelay, corrupt, name, parse, sql, wall};
@@ -35,6 +37,15 @@ struct TransitRow {
     raw_ns: Option<i64>,
     source: Option<u8>,
     verdict: Option<u8>,
+    sent_raw_ns: Option<i64>,
+    received_raw_ns: Option<i64>,
+}
+
+impl TransitRow {
+    fn raw_stamps(&self) -> Option<RawStamps> {
+        let (sent, received) = self.sent_raw_ns.zip(self.received_raw_ns)?;
+        Some(RawStamps { sent: RawTime::from_nanos(sent), received: RawTime::from_nanos(received) })
+    }
 }
 
 #[derive(FromRow)]
@@ -158,7 +169,7 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
                 sent: wall(stamps.sent_ns),
                 received: stamps.received_ns.map(WallTime::from_unix_nanos),
                 delay: delay(row, stamps)?,
-                raw_stamps: None,
+                raw_stamps: stamps.raw_stamps(),
             }))
         }
         kind => return Err(corrupt(WHAT, format_args!("node {} is of an unknown kind, {kind:?}", row.node))),

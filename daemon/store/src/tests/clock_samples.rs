@@ -21,8 +21,11 @@ fn key(edge: HostId, cloud: HostId) -> LinkKey {
 }
 
 fn point(sample: ClockSample) -> ClockPoint {
-    let ClockSample { at, window, offset, probes, round_trip, up, down, .. } = sample;
-    ClockPoint { at, window, offset, probes, round_trip, up, down }
+    let clocks = sample.clocks();
+    let ClockSample { at, window, offset, probes, round_trip, up, down, basis, .. } = sample;
+    let proven_skew_ppm = basis.and_then(|basis| basis.proven_skew_ppm);
+    let grown_window = basis.and_then(|basis| basis.grown_window);
+    ClockPoint { at, window, offset, probes, round_trip, up, down, clocks, proven_skew_ppm, grown_window }
 }
 
 async fn store(bed: &mut Bed, samples: impl IntoIterator<Item = ClockSample>) {

@@ -7,17 +7,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use peernet_stream::{Event, Gap, Incident, IncidentKind, RunEnded};
+use sqlx::migrate::Migrator;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-use super::clocks::sample;
-use super::migrating::as_of_version;
-use super::{Bed, database, generate, open, readers};
+use super::{database, open, readers};
 use crate::Store;
 use crate::types::{IterationFilter, RunFilter};
-
-/// Iterations of the run in each of them.
-const ITERATIONS: u64 = 4;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/databases")
@@ -40,34 +35,29 @@ async fn answers(store: &Store) -> String {
     )
 }
 
+/// Brings the newest fixture up to a version, so that all of them hold the same data.
+async fn migrated(folder: &Path, version: i64) -> PathBuf {
+    let before =
+        database::MIGRATIONS.iter().map(|migration| migration.version).filter(|known| *known < version);
+    let newest = before.filter(|known| fixture(*known).exists()).max().expect("the first ones are there");
+    let text = fs::read_to_string(fixture(newest)).expect("reads");
+    let path = folder.join(format!("{version}.sqlite"));
+    let mut connection = database::writing(&path).connect().await.expect("makes");
+    sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
+    let migrations =
+        database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
+    let migrator = Migrator { migrations, ..Migrator::DEFAULT };
+    migrator.run_direct(None, &mut connection, false).await.expect("brings the schema up to date");
+    connection.close().await.expect("closes");
+    path
+}
+
 #[tokio::test]
 #[ignore = "writes the files of new migrations"]
 async fn write_missing_fixtures() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(ITERATIONS).await;
-    let ended = Event::RunEnded(RunEnded { run, ended: generate::at(9.0), reason: "stopped".into() });
-    let incident = Event::Incident(Incident {
-        at: generate::at(1.0),
-        kind: IncidentKind::Connected,
-        pipeline: "line".parse().ok(),
-        run: Some(run),
-        peer: None,
-        text: "connected".to_owned(),
-    });
-    let gap = Event::Gap(Gap {
-        pipeline: "line".parse().ok(),
-        run: Some(run),
-        from: generate::at(2.0),
-        to: generate::at(3.0),
-        count: 3,
-        reason: "the agent's spool was full".to_owned(),
-    });
-    let clock = Event::Clock(Box::new(sample(bed.cloud, 0, 4)));
-    let work = bed.batch(vec![incident, gap, clock, ended]);
-    bed.commit(&[work]).await;
-    fs::create_dir_all(folder()).expect("a folder");
+    let folder = tempfile::tempdir().expect("a folder");
     for migration in database::MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
-        let path = as_of_version(&bed, migration.version).await;
+        let path = migrated(folder.path(), migration.version).await;
         let dump = Command::new("sqlite3").arg(&path).arg(".dump").output().expect("sqlite3 is installed");
         assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
         fs::write(fixture(migration.version), dump.stdout).expect("writes");

@@ -23,6 +23,7 @@ mod plans;
 mod questions;
 mod rebuilding;
 mod recomputing;
+mod recomputing_by_raw;
 mod repairing;
 mod retention;
 mod retention_size;

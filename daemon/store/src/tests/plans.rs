@@ -18,7 +18,7 @@ const LARGE: [(&str, &[&str]); 7] = [
     ("iteration", &["run=? AND number", "run=? AND warm_up=? AND outcome=?"]),
     ("rollup", &["run=? AND resolution_s=?"]),
     ("verdict_count", &["run=?"]),
-    ("clock_sample", &["link=? AND at_ns"]),
+    ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
 ];
 
 /// Questions that look up less on purpose, with what stands in for it.
@@ -30,7 +30,7 @@ const EXCEPTIONS: [(&str, &str, &str); 4] = [
 ];
 
 /// Questions that sort, and why that is a small thing.
-const SORTING: [(&str, &str); 9] = [
+const SORTING: [(&str, &str); 11] = [
     ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
     ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
@@ -40,6 +40,8 @@ const SORTING: [(&str, &str); 9] = [
     ("LINKS", "all links are shown"),
     ("CLOCK_WINDOW_ORDER", "windows begin where a clock is stepped"),
     ("CLOCK_WINDOWS", "windows begin where a clock is stepped"),
+    ("ASSUMED_WINDOWS", "windows begin where a clock is stepped"),
+    ("NEWEST_ASSUMED_WINDOW", "windows begin where a clock is stepped"),
 ];
 
 async fn plan(bed: &Bed, name: &str, statement: &str) -> Vec<String> {

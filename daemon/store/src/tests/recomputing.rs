@@ -1,6 +1,6 @@
 //! A run judged again: never worse than before, raw stamps untouched, nothing claimed where nothing can be added.
 
-use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, Span, Verdict};
+use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;
 use peernet_stream::{Event, Iteration, Outcome};
 
@@ -10,22 +10,42 @@ use crate::read::recompute::judge_again;
 use crate::types::{Judgement, Recomputed, RecomputedStage};
 
 /// So many seconds before, within and after the run.
-const SECONDS: (i64, i64, i64) = (5, 60, 60);
+pub(super) const SECONDS: (i64, i64, i64) = (5, 60, 60);
 
-struct Simulated {
-    iterations: Vec<Iteration>,
+pub(super) struct Simulated {
+    pub(super) iterations: Vec<Iteration>,
     /// The delays of each as they really were.
-    truths: Vec<(Span, Span)>,
+    pub(super) truths: Vec<(Span, Span)>,
 }
 
 /// Stores a run in a simulated world that `change` changes at the begin of each second of the run.
 async fn simulate(
     bed: &mut Bed,
     seconds: (i64, i64, i64),
+    change: impl FnMut(i64, &mut Simulation),
+) -> Simulated {
+    simulate_by(bed, RelatedClocks::Wall, seconds, change).await
+}
+
+/// The same of hosts that are related by these clocks.
+pub(super) async fn simulate_by(
+    bed: &mut Bed,
+    clocks: RelatedClocks,
+    seconds: (i64, i64, i64),
+    change: impl FnMut(i64, &mut Simulation),
+) -> Simulated {
+    let simulation = Simulation::new(bed.hosts(), clocks);
+    go_on(bed, simulation, seconds, change).await
+}
+
+/// Stores a run of a world as it is.
+pub(super) async fn go_on(
+    bed: &mut Bed,
+    mut simulation: Simulation,
+    seconds: (i64, i64, i64),
     mut change: impl FnMut(i64, &mut Simulation),
 ) -> Simulated {
     let run = RunId::random();
-    let mut simulation = Simulation::new(bed.hosts());
     let mut all = Vec::new();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     let (before, within, after) = seconds;
@@ -43,10 +63,14 @@ async fn simulate(
     Simulated { iterations: all, truths: simulation.truths }
 }
 
-async fn recompute(bed: &Bed) -> Recomputed {
-    let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+pub(super) async fn recompute(bed: &Bed) -> Recomputed {
+    recompute_run(bed, 1).await
+}
+
+pub(super) async fn recompute_run(bed: &Bed, run: i64) -> Recomputed {
+    let recomputed = bed.store.recompute(run).await.expect("answers").expect("exists");
     // What it says of before is what statistics say.
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let stages = bed.store.statistics_of(run).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
         let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
         let bound = stored.bound.as_ref().expect("judged");
@@ -60,19 +84,23 @@ async fn recompute(bed: &Bed) -> Recomputed {
     recomputed
 }
 
-fn stage<'a>(recomputed: &'a Recomputed, name: &str) -> (&'a Judgement, &'a Judgement) {
+pub(super) fn stage<'a>(recomputed: &'a Recomputed, name: &str) -> (&'a Judgement, &'a Judgement) {
     let of_name = recomputed.stages.iter().find(|known| known.stage == name);
     of_name.map(|known| (&known.before, &known.after)).expect("has the stage")
 }
 
-fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
+pub(super) fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
     judgement.verdicts.iter().find(|(known, _)| *known == verdict).map_or(0, |(_, times)| *times)
 }
 
 /// Every delay judged again holds the truth, within what was known before.
-async fn assert_sound(bed: &Bed, simulated: &Simulated) {
+pub(super) async fn assert_sound(bed: &Bed, simulated: &Simulated) {
+    assert_run_is_sound(bed, 1, simulated).await;
+}
+
+pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulated) {
     let mut judged = 0;
-    let samples = judge_again(&bed.store.readers, 1, |delay| {
+    let samples = judge_again(&bed.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };
@@ -99,6 +127,7 @@ async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
     .await;
     let recomputed = recompute(&bed).await;
     assert_eq!((recomputed.number, recomputed.samples), (1, 125));
+    assert_eq!(recomputed.clocks, [RelatedClocks::Wall], "recorded without raw stamps");
     assert_sound(&bed, &simulated).await;
     let (before, after) = stage(&recomputed, "upload");
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
@@ -145,7 +174,7 @@ async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
 async fn warm_up_and_iterations_without_an_answer_are_left_out() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
-    let mut simulation = Simulation::new(bed.hosts());
+    let mut simulation = Simulation::new(bed.hosts(), RelatedClocks::Wall);
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for second in 0..10 {
         let (mut iterations, sample) = simulation.second(Some(run));

@@ -2,11 +2,11 @@
 //! what is stored was judged by the same code that judges it again.
 
 use peernet_clock::{
-    ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, Relation,
-    RelationSettings, Span, WallTime, Witnessed,
+    ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, RelatedClocks,
+    Relation, RelationSettings, Span, WallTime, Witnessed,
 };
-use peernet_logger::{HostId, Measure, RunId, Transit};
-use peernet_stream::{ClockSample, Event, Iteration, NetworkName, ProbeCounts};
+use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
+use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, ProbeCounts};
 
 use super::clocks::micros;
 use super::generate::{self, Numbers};
@@ -19,11 +19,14 @@ const JITTER: Span = Span::from_micros(100);
 /// Both hosts and their relation, as time goes on.
 pub(super) struct Simulation {
     hosts: (HostId, HostId),
+    clocks: RelatedClocks,
+    /// The true time at which the raw clock of the edge, and that of the cloud, showed zero.
+    pub(super) raw_zeros: (Span, Span),
     numbers: Numbers,
     relation: Relation,
     /// True time since [`generate::at`]'s zero.
-    now: Span,
-    /// The cloud's clock minus true time, without its drift of 20 ppm, and the edge's.
+    pub(super) now: Span,
+    /// The cloud's wall clock minus true time, without its drift of 20 ppm, and the edge's.
     pub(super) cloud_ahead: Span,
     pub(super) edge_ahead: Span,
     epochs: (u32, u32),
@@ -32,17 +35,22 @@ pub(super) struct Simulation {
     /// Happens in the middle of a second.
     pub(super) halfway: Option<fn(&mut Self)>,
     best: (Option<Exchange>, Option<Exchange>),
+    /// Number of the first window.
+    pub(super) first_window: u64,
     window: u64,
     /// The delays of each iteration as they really were: up, down.
     pub(super) truths: Vec<(Span, Span)>,
 }
 
 impl Simulation {
-    pub(super) fn new(hosts: (HostId, HostId)) -> Self {
+    /// Both hosts, related by these clocks.
+    pub(super) fn new(hosts: (HostId, HostId), clocks: RelatedClocks) -> Self {
         let clock = |name| ClockIdentity::new("boot", name);
-        let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
+        let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
         Self {
             hosts,
+            clocks,
+            raw_zeros: (Span::from_seconds(-3_600), Span::from_seconds(-777_000)),
             numbers: Numbers(11),
             relation: Relation::new(&clock("edge"), &clock("cloud"), settings),
             now: Span::ZERO,
@@ -52,6 +60,7 @@ impl Simulation {
             congestion: Span::ZERO,
             halfway: None,
             best: (None, None),
+            first_window: 1 << 63,
             window: 1 << 63,
             truths: Vec::new(),
         }
@@ -82,7 +91,7 @@ impl Simulation {
             if let Some(change) = self.halfway.take_if(|_| turn == 5) {
                 change(self);
             }
-            let (probe, _) = self.exchange((self.congestion, self.congestion), Span::from_micros(20));
+            let probe = self.exchange((self.congestion, self.congestion), Span::from_micros(20)).stamps;
             let learned = self.relation.learn(&self.witnessed(probe));
             self.note(probe, learned);
             self.now += Span::from_millis(37);
@@ -96,23 +105,25 @@ impl Simulation {
 
     fn iteration(&mut self, run: RunId) -> Iteration {
         let started = self.edge(self.now);
-        let (stamps, truth) = self.exchange((UP, DOWN), Span::from_millis(10));
-        self.truths.push(truth);
+        let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
+        self.truths.push(delays);
         let number = self.truths.len() as u64;
         let Judged { learned, up, down } = self.relation.judge(&self.witnessed(stamps));
         self.note(stamps, learned);
         let mut random = Numbers(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
-        for (stage, sent, received, delay) in [
-            ("upload", stamps.sent, stamps.received, up),
-            ("download", stamps.replied, stamps.returned, down),
+        let [left, arrived, answered, back] = wall;
+        for (stage, (sent, received), delay, raw) in [
+            ("upload", (left, arrived), up, (stamps.sent, stamps.received)),
+            ("download", (answered, back), down, (stamps.replied, stamps.returned)),
         ] {
             let (node, _) = iteration.tree.find(&[stage]).expect("measured");
+            let raw_stamps = RawStamps { sent: raw.0, received: raw.1 };
             let transit = Transit {
-                sent: wall(sent),
-                received: Some(wall(received)),
+                sent,
+                received: Some(received),
                 delay: Some(delay),
-                raw_stamps: None,
+                raw_stamps: (self.clocks != RelatedClocks::Wall).then_some(raw_stamps),
             };
             *iteration.tree.measure_mut(node).expect("found") = Measure::Transit(Box::new(transit));
         }
@@ -120,19 +131,20 @@ impl Simulation {
     }
 
     /// A message and its answer, with so much delay and some jitter each, and what that came to.
-    fn exchange(&mut self, (up, down): (Span, Span), at_cloud: Span) -> (Exchange, (Span, Span)) {
+    fn exchange(&mut self, (up, down): (Span, Span), at_cloud: Span) -> Passage {
         let base = Span::from_micros(50);
         let mut jitter = |of: Span| of + Span::from_nanos(self.numbers.between(0, JITTER.nanos()));
         let (up, down) = (jitter(up.max(base)), jitter(down.max(base)));
         let (arrived, left) = (self.now + up, self.now + up + at_cloud);
-        let exchange = Exchange {
-            sent: RawTime::of_wall(self.edge(self.now)),
-            received: RawTime::of_wall(self.cloud(arrived)),
-            replied: RawTime::of_wall(self.cloud(left)),
-            returned: RawTime::of_wall(self.edge(left + down)),
+        let stamps = Exchange {
+            sent: self.edge_stamp(self.now),
+            received: self.cloud_stamp(arrived),
+            replied: self.cloud_stamp(left),
+            returned: self.edge_stamp(left + down),
             uncertainty: Span::from_nanos(2),
         };
-        (exchange, (up, down))
+        let wall = [self.edge(self.now), self.cloud(arrived), self.cloud(left), self.edge(left + down)];
+        Passage { stamps, wall, delays: (up, down) }
     }
 
     fn witnessed(&self, exchange: Exchange) -> Witnessed {
@@ -146,6 +158,26 @@ impl Simulation {
         }
     }
 
+    /// What the edge's clock of the two that are related shows.
+    fn edge_stamp(&self, truth: Span) -> RawTime {
+        match self.clocks {
+            RelatedClocks::Wall => RawTime::of_wall(self.edge(truth)),
+            RelatedClocks::Raw | RelatedClocks::RawToWall => {
+                RawTime::from_nanos((truth - self.raw_zeros.0).nanos())
+            }
+        }
+    }
+
+    /// What the cloud's shows. Its raw clock drifts as its wall clock does.
+    fn cloud_stamp(&self, truth: Span) -> RawTime {
+        match self.clocks {
+            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::of_wall(self.cloud(truth)),
+            RelatedClocks::Raw => RawTime::from_nanos(
+                (truth - self.raw_zeros.1 + Span::from_nanos(truth.nanos() / 50_000)).nanos(),
+            ),
+        }
+    }
+
     fn edge(&self, truth: Span) -> WallTime {
         generate::at(0.0) + truth + self.edge_ahead
     }
@@ -155,7 +187,7 @@ impl Simulation {
     }
 
     fn note(&mut self, exchange: Exchange, learned: Learned) {
-        let window = (1 << 63) + u64::from(self.relation.counts().restarts);
+        let window = self.first_window + u64::from(self.relation.counts().restarts);
         if window != self.window {
             (self.window, self.best) = (window, (None, None));
         }
@@ -172,7 +204,16 @@ impl Simulation {
     }
 
     fn sample(&mut self) -> Event {
-        let at = self.edge(self.now);
+        let (at, at_raw) = (self.edge(self.now), self.edge_stamp(self.now));
+        let basis = EstimateBasis {
+            clocks: self.clocks,
+            at_raw: Some(at_raw),
+            max_drift_change_ppm_per_s: Some(1.0),
+            proven_skew_ppm: Some((19.0, 21.0)),
+            grown_window: None,
+            claims_trusted: true,
+            probes_authenticated: Some(true),
+        };
         let (upper, lower) = std::mem::take(&mut self.best);
         Event::Clock(Box::new(ClockSample {
             peer: self.hosts.1,
@@ -182,23 +223,33 @@ impl Simulation {
             max_drift_ppm: self.relation.settings().max_drift_ppm,
             upper,
             lower,
-            offset: self.relation.offset(RawTime::of_wall(at), at),
+            offset: self.relation.offset(at_raw, at),
             probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
             exchanges: self.relation.counts(),
             round_trip: None,
             up: None,
             down: None,
             network: NetworkName::default(),
-            basis: None,
+            // As a release before 0.3 sends it.
+            basis: (self.clocks != RelatedClocks::Wall).then_some(basis),
         }))
     }
 
     /// A claim around the true offset of now, that far to each side.
     pub(super) fn offset_within(&self, micros_around: i64) -> Interval {
-        let offset = self.cloud(self.now) - self.edge(self.now);
+        let offset = self.cloud_stamp(self.now) - self.edge_stamp(self.now);
         let around = micros(-micros_around, micros_around);
         Interval { lo: offset + around.lo, hi: offset + around.hi }
     }
+}
+
+/// A message and its answer.
+struct Passage {
+    stamps: Exchange,
+    /// The four moments by the wall clocks: left, arrived, answered, back.
+    wall: [WallTime; 4],
+    /// The true delays: up, down.
+    delays: (Span, Span),
 }
 
 /// The delays of an iteration as it was judged.
@@ -210,9 +261,4 @@ pub(super) fn delays(iteration: &Iteration) -> [OneWayDelay; 2] {
             other => panic!("{other:?}"),
         }
     })
-}
-
-/// The wall clock's time that an exchange of wall clocks has.
-fn wall(stamp: RawTime) -> WallTime {
-    WallTime::from_unix_nanos(stamp.nanos())
 }

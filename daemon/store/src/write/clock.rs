@@ -2,9 +2,11 @@
 
 use std::collections::HashMap;
 
-use peernet_clock::{DelaySource, Exchange, Interval, Offset, RawTime, Verdict, WallTime};
+use peernet_clock::{
+    DelaySource, Exchange, Interval, Offset, RawTime, RelatedClocks, Span, Verdict, WallTime,
+};
 use peernet_logger::{HostId, Slug};
-use peernet_stream::{ClockSample, DelaySecond, NetworkName};
+use peernet_stream::{ClockSample, DelaySecond, EstimateBasis, NetworkName};
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
@@ -28,13 +30,19 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      probes_sent, probes_answered, probes_lost, round_trip_min_ns, round_trip_median_ns, \
      up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
      down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict, \
-     taken, impossible, outliers, stepped, restarts) \
-     VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
+     taken, impossible, outliers, stepped, restarts, \
+     clocks, at_raw_ns, proven_skew_min_ppm, proven_skew_max_ppm, grown_window_ns) \
+     VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns) VALUES (?1, ?2, ?3, ?3) \
+/// What the bounds rest on is that of the newest sample; probes count as authenticated where those of all samples are.
+const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
+     max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
-     last_ns = max(last_ns, excluded.last_ns)";
+     last_ns = max(last_ns, excluded.last_ns), clocks = excluded.clocks, max_drift_ppm = excluded.max_drift_ppm, \
+     max_drift_change_ppm_per_s = excluded.max_drift_change_ppm_per_s, claims_trusted = excluded.claims_trusted, \
+     probes_authenticated = min(coalesce(probes_authenticated, excluded.probes_authenticated), \
+       coalesce(excluded.probes_authenticated, probes_authenticated))";
 
 /// ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
 const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
@@ -60,12 +68,18 @@ impl Links {
         now: WallTime,
     ) -> Result<(), Refusal> {
         let link = self.link(connection, entities, edge, sample, now).await?;
-        let values = values(link, sample).map_err(sqlx::Error::Encode)?;
+        let basis = sample.basis.map(plausible::basis);
+        let values = values(link, sample, basis).map_err(sqlx::Error::Encode)?;
         sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
         sqlx::query(WINDOW)
             .bind(link)
             .bind(sample.window.cast_signed())
             .bind(sample.at.unix_nanos())
+            .bind(basis.and_then(|basis| position(RelatedClocks::ALL, basis.clocks)))
+            .bind(sample.max_drift_ppm)
+            .bind(basis.and_then(|basis| basis.max_drift_change_ppm_per_s))
+            .bind(basis.map(|basis| basis.claims_trusted))
+            .bind(basis.and_then(|basis| basis.probes_authenticated))
             .execute(connection)
             .await?;
         let at = Extent::of(sample.at.unix_nanos());
@@ -131,7 +145,11 @@ impl Links {
 }
 
 /// The values of a row. SQLite keeps not-a-number as NULL.
-fn values(link: i64, sample: &ClockSample) -> Result<SqliteArguments, BoxDynError> {
+fn values(
+    link: i64,
+    sample: &ClockSample,
+    basis: Option<EstimateBasis>,
+) -> Result<SqliteArguments, BoxDynError> {
     let mut to = SqliteArguments::default();
     to.add(link)?;
     to.add(sample.at.unix_nanos())?;
@@ -153,6 +171,12 @@ fn values(link: i64, sample: &ClockSample) -> Result<SqliteArguments, BoxDynErro
         to.add(column(count))?;
     }
     to.add(counts.restarts)?;
+    let skew = basis.and_then(|basis| basis.proven_skew_ppm);
+    to.add(basis.and_then(|basis| position(RelatedClocks::ALL, basis.clocks)))?;
+    to.add(basis.and_then(|basis| basis.at_raw).map(RawTime::nanos))?;
+    to.add(skew.map(|(min, _)| min))?;
+    to.add(skew.map(|(_, max)| max))?;
+    to.add(basis.and_then(|basis| basis.grown_window).map(Span::nanos))?;
     Ok(to)
 }
 

@@ -60,8 +60,9 @@ impl Default for Inserts {
             ),
             anchors: Insert::new("INSERT INTO anchor (run, iteration, position, host, wall_ns)", 5, ""),
             transits: Insert::new(
-                "INSERT INTO transit (run, iteration, node, sent_ns, received_ns, raw_ns, source, verdict)",
-                8,
+                "INSERT INTO transit (run, iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, \
+                 received_raw_ns)",
+                10,
                 "",
             ),
         }
@@ -143,7 +144,9 @@ fn bind_transit(
     to.add(row.received_ns)?;
     to.add(row.raw_ns)?;
     to.add(row.source)?;
-    to.add(row.verdict)
+    to.add(row.verdict)?;
+    to.add(row.raw_stamps.map(|(sent, _)| sent))?;
+    to.add(row.raw_stamps.map(|(_, received)| received))
 }
 
 /// The rows of one table in all batches, one batch after the other.

@@ -1,6 +1,6 @@
 //! Several seconds as one point.
 
-use peernet_clock::{Offset, Span, Verdict, WallTime};
+use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 
 use super::{Row, wall};
@@ -21,6 +21,9 @@ pub(super) struct Bucket {
     round_trips: Vec<Span>,
     up: Delays,
     down: Delays,
+    clocks: RelatedClocks,
+    proven_skew_ppm: Option<(f64, f64)>,
+    grown_window: Option<Span>,
 }
 
 /// The delays of one direction.
@@ -42,6 +45,9 @@ impl Bucket {
             round_trips: Vec::new(),
             up: Delays::default(),
             down: Delays::default(),
+            clocks: RelatedClocks::Wall,
+            proven_skew_ppm: None,
+            grown_window: None,
         }
     }
 
@@ -72,6 +78,9 @@ impl Bucket {
         self.up.add(row.up()?);
         self.down.add(row.down()?);
         self.newest = Some((wall(row.at_ns), window));
+        self.clocks = row.clocks()?;
+        self.proven_skew_ppm = row.proven_skew_min_ppm.zip(row.proven_skew_max_ppm);
+        self.grown_window = self.grown_window.max(row.grown_window_ns.map(Span::from_nanos));
         Ok(())
     }
 
@@ -89,6 +98,9 @@ impl Bucket {
             round_trip: self.shortest.zip(median).map(|(min, median)| RoundTrip { min, median }),
             up: self.up.second(),
             down: self.down.second(),
+            clocks: self.clocks,
+            proven_skew_ppm: self.proven_skew_ppm,
+            grown_window: self.grown_window,
         })
     }
 }

@@ -1,16 +1,19 @@
 //! Links and what was known of their clocks.
 
+mod assumptions;
 mod bucket;
 mod repeats;
 
 use std::iter::successors;
 
 use futures::TryStreamExt;
-use peernet_clock::{DelaySource, Interval, Offset, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, Interval, Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
 
+pub(super) use self::assumptions::AssumedWindows;
+pub(crate) use self::assumptions::of_link;
 use self::bucket::Bucket;
 use self::repeats::Repeats;
 use super::{corrupt, count, known, parse, sql, wall};
@@ -68,6 +71,10 @@ struct Row {
     down_hi_ns: Option<i64>,
     down_bits_per_second: Option<f64>,
     down_verdict: Option<u8>,
+    clocks: Option<u8>,
+    proven_skew_min_ppm: Option<f64>,
+    proven_skew_max_ppm: Option<f64>,
+    grown_window_ns: Option<i64>,
 }
 
 pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
@@ -199,6 +206,10 @@ fn index(at_ns: i64, width: u32) -> i64 {
 }
 
 impl Row {
+    fn clocks(&self) -> Result<RelatedClocks, StoreError> {
+        self.clocks.map_or(Ok(RelatedClocks::Wall), |number| known(WHAT, RelatedClocks::ALL, number))
+    }
+
     fn bounds(&self) -> Option<Interval> {
         interval(self.offset_lo_ns, self.offset_hi_ns)
     }

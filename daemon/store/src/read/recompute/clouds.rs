@@ -1,11 +1,13 @@
 //! What the stored samples say of the clocks of a run's edge and of each cloud that it met.
+//!
+//! A window relates one pair of clocks: the times of raw clocks and those of wall clocks are looked up apart.
 
 use std::collections::{BTreeSet, HashMap};
 
-use peernet_clock::{Relation, Span, WallTime};
+use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
-use super::super::{sql, wall};
+use super::super::{known, sql};
 use super::rolling::{Rolling, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::column::count;
@@ -19,16 +21,46 @@ const LONGEST_ITERATION: Span = Span::from_seconds(600);
 const MOST_WINDOWS: u32 = 10_000;
 /// Clouds of one run, and relations of one cloud, that are kept at a time; beyond, all are read again when needed.
 const MOST: usize = 16;
+/// How much further than in a window's samples the edge's wall clock may be ahead of its raw one at a time of the window: it may be slewed
+/// between two samples.
+const SLEWED: Span = Span::from_seconds(1);
+
+/// A time of the edge, as a stamp of a transit shows it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EdgeTime {
+    /// The clocks that the transit's stamps are of.
+    pub(super) clocks: RelatedClocks,
+    /// By the edge's clock of the two.
+    pub(super) at: RawTime,
+    /// By its wall clock.
+    pub(super) wall: WallTime,
+}
 
 /// One stored window.
 #[derive(FromRow)]
 struct Window {
+    clocks: u8,
     window: i64,
+    // By the edge's clock of the two.
     first_ns: i64,
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
+    /// How far the edge's wall clock was ahead of its raw one; `None` where wall clocks are related.
+    ahead_min_ns: Option<i64>,
+    ahead_max_ns: Option<i64>,
     samples: i64,
+}
+
+impl Window {
+    /// Whether the edge's two clocks stood as they did in the window. After another start of the machine they do not, although its raw
+    /// clock shows the same times again.
+    fn agrees(&self, time: EdgeTime) -> bool {
+        let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
+        let reach = SLEWED.nanos();
+        self.ahead_min_ns.is_none_or(|min| min.saturating_sub(reach) <= ahead)
+            && self.ahead_max_ns.is_none_or(|max| ahead <= max.saturating_add(reach))
+    }
 }
 
 /// The clouds of a run, by their rows in the table `host`.
@@ -45,9 +77,36 @@ pub(super) struct Clouds<'a> {
 /// A cloud with a link.
 struct Cloud {
     link: i64,
+    /// By the clocks that they relate.
+    windows: HashMap<RelatedClocks, Windows>,
+    rolling: HashMap<(RelatedClocks, i64), Rolling>,
+}
+
+/// The windows that relate one pair of clocks.
+struct Windows {
     windows: Vec<Window>,
     timeline: Timeline,
-    rolling: HashMap<usize, Rolling>,
+}
+
+impl Windows {
+    fn of(windows: Vec<Window>) -> Self {
+        let at = RawTime::from_nanos;
+        let extents: Vec<Extent> = windows
+            .iter()
+            .map(|it| Extent {
+                first: at(it.first_ns),
+                last: at(it.last_ns),
+                sent: at(it.sent_ns),
+                returned: at(it.returned_ns),
+            })
+            .collect();
+        Self { timeline: Timeline::of(&extents), windows }
+    }
+
+    /// The window that a time belongs to; `None` where that cannot be told.
+    fn at(&self, time: EdgeTime) -> Option<&Window> {
+        self.windows.get(self.timeline.window(time.at)?).filter(|window| window.agrees(time))
+    }
 }
 
 impl<'a> Clouds<'a> {
@@ -64,7 +123,7 @@ impl<'a> Clouds<'a> {
     pub(super) async fn relation(
         &mut self,
         cloud: i64,
-        at: WallTime,
+        time: EdgeTime,
     ) -> Result<Option<&Relation>, StoreError> {
         if !self.known.contains_key(&cloud) {
             if self.known.len() >= MOST {
@@ -74,14 +133,15 @@ impl<'a> Clouds<'a> {
             self.known.insert(cloud, found);
         }
         let Some(Some(cloud)) = self.known.get_mut(&cloud) else { return Ok(None) };
-        let Some(place) = cloud.timeline.window(at) else { return Ok(None) };
-        let Some(Window { window, samples, .. }) = cloud.windows.get(place) else { return Ok(None) };
+        let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
+        let Some(Window { window, samples, .. }) = window else { return Ok(None) };
         self.used.insert((cloud.link, *window, *samples));
-        if cloud.rolling.len() >= MOST && !cloud.rolling.contains_key(&place) {
+        let key = (time.clocks, *window);
+        if cloud.rolling.len() >= MOST && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
-        let rolling = cloud.rolling.entry(place).or_insert_with(|| Rolling::new(cloud.link, *window, at));
-        rolling.at(self.readers, at).await
+        let begin = || Rolling::new((cloud.link, *window), time.clocks, time.at);
+        cloud.rolling.entry(key).or_insert_with(begin).at(self.readers, time.at).await
     }
 
     /// Stored samples of the windows that were asked for, from so long before the run to so long after as they count.
@@ -109,16 +169,11 @@ impl<'a> Clouds<'a> {
             .fetch_all(&self.readers.pool())
             .await
             .map_err(self.readers.failed(WHAT))?;
-        let extents: Vec<Extent> = windows
-            .iter()
-            .map(|it| Extent {
-                first: wall(it.first_ns),
-                last: wall(it.last_ns),
-                sent: wall(it.sent_ns),
-                returned: wall(it.returned_ns),
-            })
-            .collect();
-        let timeline = Timeline::of(&extents);
-        Ok(Some(Cloud { link, windows, timeline, rolling: HashMap::new() }))
+        let mut by_clocks: HashMap<RelatedClocks, Vec<Window>> = HashMap::new();
+        for window in windows {
+            by_clocks.entry(known(WHAT, RelatedClocks::ALL, window.clocks)?).or_default().push(window);
+        }
+        let windows = by_clocks.into_iter().map(|(clocks, windows)| (clocks, Windows::of(windows))).collect();
+        Ok(Some(Cloud { link, windows, rolling: HashMap::new() }))
     }
 }

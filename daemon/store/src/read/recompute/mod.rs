@@ -9,11 +9,11 @@ mod rolling;
 mod tally;
 mod windows;
 
-use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, Span, Verdict, WallTime};
-use peernet_logger::stage;
+use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Span, Verdict, WallTime};
+use peernet_logger::{RawStamps, stage};
 use sqlx::FromRow;
 
-use self::clouds::Clouds;
+use self::clouds::{Clouds, EdgeTime};
 use self::tally::Tally;
 use super::{StoredDelay, sql, wall};
 use crate::error::StoreError;
@@ -35,6 +35,8 @@ struct Row {
     raw_ns: Option<i64>,
     source: Option<u8>,
     verdict: Option<u8>,
+    sent_raw_ns: Option<i64>,
+    received_raw_ns: Option<i64>,
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
@@ -78,6 +80,8 @@ pub(crate) struct Rejudged {
     pub(crate) direction: Direction,
     pub(crate) before: Option<OneWayDelay>,
     pub(crate) after: Option<OneWayDelay>,
+    /// The clocks by whose stamps it was judged again; `None` where it stays as it was judged.
+    pub(crate) clocks: Option<RelatedClocks>,
 }
 
 pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Recomputed>, StoreError> {
@@ -85,7 +89,11 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
         (Direction::Up, stage::UPLOAD, Tally::default(), Tally::default()),
         (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
     ];
+    let mut clocks = [false; RelatedClocks::ALL.len()];
     let samples = judge_again(readers, run, |delay| {
+        for (known, is_used) in RelatedClocks::ALL.iter().zip(&mut clocks) {
+            *is_used |= delay.clocks == Some(*known);
+        }
         let of_direction = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
         of_direction.for_each(|(_, _, old, new)| {
             old.add(delay.before.as_ref());
@@ -103,7 +111,9 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
             after: new.judgement(),
         })
         .collect();
-    Ok(Some(Recomputed { number: run, samples, stages }))
+    let clocks =
+        RelatedClocks::ALL.iter().zip(clocks).filter_map(|(clocks, is_used)| is_used.then_some(*clocks));
+    Ok(Some(Recomputed { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
 /// Hands over each delay of a run that statistics are made of, in the order of iterations and nodes. Returns how many
@@ -135,8 +145,7 @@ pub(crate) async fn judge_again(
         for row in &rows {
             let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
             let before = row.judged()?;
-            let after = again(&mut clouds, row, direction, before).await?;
-            each(Rejudged { direction, before, after });
+            each(again(&mut clouds, row, direction, before).await?);
         }
     }
 }
@@ -147,21 +156,24 @@ async fn again(
     row: &Row,
     direction: Direction,
     before: Option<OneWayDelay>,
-) -> Result<Option<OneWayDelay>, StoreError> {
+) -> Result<Rejudged, StoreError> {
+    let as_it_was = Rejudged { direction, before, after: before, clocks: None };
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
-        return Ok(before);
+        return Ok(as_it_was);
     };
     // A stepped delay stays one: that its own exchange was refused shows in no sample.
     if before.is_some_and(|it| it.source == DelaySource::SameClock || it.verdict == Verdict::Stepped) {
-        return Ok(before);
+        return Ok(as_it_was);
     }
     let sent = wall(row.sent_ns);
-    let at = match direction {
-        Direction::Up => sent,
-        Direction::Down => received,
+    let (clocks, stamps) = row.stamps(direction, sent, received);
+    let time = match direction {
+        Direction::Up => EdgeTime { clocks, at: stamps.sent, wall: sent },
+        Direction::Down => EdgeTime { clocks, at: stamps.received, wall: received },
     };
-    let Some(relation) = clouds.relation(cloud, at).await? else { return Ok(before) };
-    Ok(Some(joined(before, relation.delay(direction, RawTime::of_wall(sent), RawTime::of_wall(received)))))
+    let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(as_it_was) };
+    let after = joined(before, relation.delay(direction, stamps.sent, stamps.received));
+    Ok(Rejudged { after: Some(after), clocks: Some(clocks), ..as_it_was })
 }
 
 /// What was known then and what is known now.
@@ -187,6 +199,21 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
+    /// The stamps by which the delay is judged, and the clocks that they are of: the raw clocks where both ends stamped by them, else the
+    /// wall clocks. A cloud that has no raw stamps gave its wall clock's instead.
+    fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
+        let by_wall = RawStamps { sent: RawTime::of_wall(sent), received: RawTime::of_wall(received) };
+        let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {
+            return (RelatedClocks::Wall, by_wall);
+        };
+        let raw = RawStamps { sent: RawTime::from_nanos(sent), received: RawTime::from_nanos(received) };
+        let is_of_wall_clock = match direction {
+            Direction::Up => raw.received == by_wall.received,
+            Direction::Down => raw.sent == by_wall.sent,
+        };
+        (if is_of_wall_clock { RelatedClocks::RawToWall } else { RelatedClocks::Raw }, raw)
+    }
+
     /// The delay as stored; `None` where it was never judged.
     fn judged(&self) -> Result<Option<OneWayDelay>, StoreError> {
         let Self { raw_ns, source, verdict, value, .. } = *self;

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 
 use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Exchange, Interval, RawTime, RelatedClocks, Relation,
-    RelationSettings, Span, WallTime, Witnessed,
+    RelationSettings, Span, Witnessed,
 };
 use sqlx::FromRow;
 
 use super::super::clocks::sources;
-use super::super::{known, sql, wall};
+use super::super::{known, sql};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
@@ -24,7 +24,8 @@ const PAGE: u32 = 1_000;
 /// One stored second.
 #[derive(FromRow)]
 struct Row {
-    at_ns: i64,
+    /// The end of the second, by the edge's clock of the two that are related.
+    time_ns: i64,
     max_drift_ppm: f64,
     upper_sent_ns: Option<i64>,
     upper_received_ns: Option<i64>,
@@ -47,8 +48,9 @@ type Claim = Option<(DelaySource, Interval)>;
 
 /// The exchanges of one window around the current time.
 pub(super) struct Rolling {
-    link: i64,
-    window: i64,
+    /// The link and its window.
+    of: (i64, i64),
+    clocks: RelatedClocks,
     /// Made with the first sample, whose limit of drift is that of all.
     relation: Option<Relation>,
     /// Read and not learnt yet.
@@ -56,19 +58,19 @@ pub(super) struct Rolling {
     read: i64,
     complete: bool,
     /// By the end of the second that they are of.
-    claims: VecDeque<(WallTime, Claim)>,
+    claims: VecDeque<(RawTime, Claim)>,
     claim: Claim,
 }
 
 impl Rolling {
     /// Begins a little before the first time asked for.
-    pub(super) fn new(link: i64, window: i64, at: WallTime) -> Self {
+    pub(super) fn new(of: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
-            link,
-            window,
+            of,
+            clocks,
             relation: None,
             ahead: VecDeque::new(),
-            read: (at - SPAN - DISORDER).unix_nanos(),
+            read: (at - SPAN - DISORDER).nanos(),
             complete: false,
             claims: VecDeque::new(),
             claim: None,
@@ -79,11 +81,11 @@ impl Rolling {
     pub(super) async fn at(
         &mut self,
         readers: &Readers,
-        at: WallTime,
+        at: RawTime,
     ) -> Result<Option<&Relation>, StoreError> {
-        let until = (at + SPAN).unix_nanos();
+        let until = (at + SPAN).nanos();
         loop {
-            while let Some(row) = self.ahead.pop_front_if(|row| row.at_ns <= until) {
+            while let Some(row) = self.ahead.pop_front_if(|row| row.time_ns <= until) {
                 self.learn(&row)?;
             }
             if self.complete || !self.ahead.is_empty() {
@@ -106,16 +108,18 @@ impl Rolling {
     }
 
     async fn read(&mut self, readers: &Readers) -> Result<(), StoreError> {
-        let rows: Vec<Row> = sqlx::query_as(sql::CLOCK_EXCHANGES)
-            .bind(self.link)
-            .bind(self.window)
+        let by_wall_clocks = self.clocks == RelatedClocks::Wall;
+        let statement = if by_wall_clocks { sql::CLOCK_EXCHANGES } else { sql::CLOCK_EXCHANGES_BY_RAW };
+        let rows: Vec<Row> = sqlx::query_as(statement)
+            .bind(self.of.0)
+            .bind(self.of.1)
             .bind(self.read)
             .bind(PAGE)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         self.complete = rows.len() < PAGE as usize;
-        self.read = rows.last().map_or(self.read, |row| row.at_ns);
+        self.read = rows.last().map_or(self.read, |row| row.time_ns);
         self.ahead.extend(rows);
         Ok(())
     }
@@ -123,7 +127,7 @@ impl Rolling {
     fn learn(&mut self, row: &Row) -> Result<(), StoreError> {
         let relation = self.relation.get_or_insert_with(|| {
             let settings = RelationSettings {
-                clocks: RelatedClocks::Wall,
+                clocks: self.clocks,
                 max_drift_ppm: row.max_drift_ppm,
                 window: SPAN,
                 retention: SPAN + SPAN + DISORDER,
@@ -143,7 +147,7 @@ impl Rolling {
                 cloud_epoch: Some(1),
             });
         }
-        self.claims.push_back((wall(row.at_ns), row.claim()?));
+        self.claims.push_back((RawTime::from_nanos(row.time_ns), row.claim()?));
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Which window of a clock relation a time belongs to.
 
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{RawTime, Span};
 
 /// A window at its ends reaches so far: what holds of an exchange holds for some seconds around it, as long as nothing
 /// tells of a step.
@@ -12,20 +12,21 @@ const UNTOLD: Span = Span::from_seconds(2);
 /// An exchange takes no longer; a stamp that is earlier is no clock's.
 const LONGEST: Span = Span::from_seconds(60);
 
-/// From when to when exchanges of one window are stored.
+/// From when to when exchanges of one window are stored, by the edge's clock that they are stamped with.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Extent {
     /// The end of the first second that has one.
-    pub(super) first: WallTime,
+    pub(super) first: RawTime,
     /// The end of the last one.
-    pub(super) last: WallTime,
+    pub(super) last: RawTime,
     /// When the first was sent.
-    pub(super) sent: WallTime,
+    pub(super) sent: RawTime,
     /// When the last returned.
-    pub(super) returned: WallTime,
+    pub(super) returned: RawTime,
 }
 
-/// The edge's time cut into pieces, each with the only window that it can belong to, if there is one.
+/// The time of a clock of the edge cut into pieces, each with the only window that it can belong to, if there is one. Raw clocks count
+/// from the start of their machine: a time that two starts have belongs to neither.
 ///
 /// Near a step two windows may overlap, when the edge's clock was set back, or leave a hole between them, in which the
 /// step happened: a time there belongs to neither. A window certainly holds from its first exchange to its last one; it
@@ -33,21 +34,21 @@ pub(super) struct Extent {
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
     /// By begin: pieces with the one window that is possible there.
-    pieces: Vec<(WallTime, Option<usize>)>,
+    pieces: Vec<(RawTime, Option<usize>)>,
     /// Where each window is certain.
-    certain: Vec<(WallTime, WallTime)>,
+    certain: Vec<(RawTime, RawTime)>,
 }
 
 impl Timeline {
     /// The timeline of windows in any order; they are named by their places.
     pub(super) fn of(windows: &[Extent]) -> Self {
-        let mut certain: Vec<(WallTime, WallTime)> = windows
+        let mut certain: Vec<(RawTime, RawTime)> = windows
             .iter()
             .map(|window| {
                 (window.sent.max(window.first - LONGEST), window.returned.min(window.last + LONGEST))
             })
             .collect();
-        let mut possible: Vec<(WallTime, WallTime)> = windows
+        let mut possible: Vec<(RawTime, RawTime)> = windows
             .iter()
             .zip(&certain)
             .map(|(window, (sent, returned))| {
@@ -62,7 +63,7 @@ impl Timeline {
                 last.1 = last.1 + REACH;
             }
         }
-        let mut changes: Vec<(WallTime, bool, usize)> = Vec::with_capacity(2 * possible.len());
+        let mut changes: Vec<(RawTime, bool, usize)> = Vec::with_capacity(2 * possible.len());
         for (window, (begin, end)) in possible.into_iter().enumerate() {
             changes.push((begin, true, window));
             changes.push((end + Span::from_nanos(1), false, window));
@@ -79,7 +80,7 @@ impl Timeline {
     }
 
     /// The window that a time belongs to; `None` where that cannot be told.
-    pub(super) fn window(&self, at: WallTime) -> Option<usize> {
+    pub(super) fn window(&self, at: RawTime) -> Option<usize> {
         let after = self.pieces.partition_point(|(begin, _)| *begin <= at);
         let window = self.pieces.get(after.checked_sub(1)?)?.1?;
         let (begin, end) = self.certain.get(window)?;
@@ -93,16 +94,16 @@ mod tests {
 
     use super::*;
 
-    fn wall(seconds: i64) -> WallTime {
-        WallTime::from_unix_nanos(0) + Span::from_seconds(seconds)
+    fn raw(seconds: i64) -> RawTime {
+        RawTime::from_nanos(0) + Span::from_seconds(seconds)
     }
 
     fn window(first: i64, last: i64) -> Extent {
-        Extent { first: wall(first), last: wall(last), sent: wall(first), returned: wall(last) }
+        Extent { first: raw(first), last: raw(last), sent: raw(first), returned: raw(last) }
     }
 
     fn windows(timeline: &Timeline, times: &[i64]) -> Vec<Option<usize>> {
-        times.iter().map(|at| timeline.window(wall(*at))).collect()
+        times.iter().map(|at| timeline.window(raw(*at))).collect()
     }
 
     #[test]
@@ -112,7 +113,7 @@ mod tests {
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
             [None, Some(0), Some(0), Some(0), Some(0), Some(0), None]
         );
-        assert_eq!(Timeline::of(&[]).window(wall(0)), None);
+        assert_eq!(Timeline::of(&[]).window(raw(0)), None);
     }
 
     #[test]
@@ -134,10 +135,10 @@ mod tests {
     #[test]
     fn stamps_of_no_clock_move_no_window() {
         let wild = Extent {
-            first: wall(300),
-            last: wall(301),
-            sent: WallTime::from_unix_nanos(i64::MIN),
-            returned: WallTime::from_unix_nanos(i64::MAX),
+            first: raw(300),
+            last: raw(301),
+            sent: RawTime::from_nanos(i64::MIN),
+            returned: RawTime::from_nanos(i64::MAX),
         };
         let timeline = Timeline::of(&[window(100, 200), wild]);
         assert_eq!(windows(&timeline, &[150, 239, 372]), [Some(0), None, None]);
@@ -148,7 +149,7 @@ mod tests {
         fn no_stamps_panic_and_only_one_window_is_named(
             stamps in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>(), any::<i64>()), 0..8), at: i64,
         ) {
-            let at_nanos = WallTime::from_unix_nanos;
+            let at_nanos = RawTime::from_nanos;
             let extents: Vec<Extent> = stamps
                 .into_iter()
                 .flat_map(|(first, last, sent, returned)| [(first, last, sent, returned), (i64::MIN, i64::MAX, last, sent)])

@@ -155,6 +155,7 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
         raw_ns: delay.map(|delay| delay.raw.nanos()),
         source: delay.and_then(|delay| position(DelaySource::ALL, delay.source)),
         verdict: delay.and_then(|delay| position(Verdict::ALL, delay.verdict)),
+        raw_stamps: transit.raw_stamps.map(|stamps| (stamps.sent.nanos(), stamps.received.nanos())),
     }
 }
 

@@ -1,0 +1,109 @@
+//! What the bounds of one-way delays rest on, by the windows of links.
+
+use peernet_clock::{RelatedClocks, Span, WallTime};
+use sqlx::FromRow;
+
+use super::WHAT;
+use crate::error::StoreError;
+use crate::read::{known, sql};
+use crate::readers::Readers;
+use crate::types::{DelayAssumptions, LinkKey};
+
+/// A window's first sample is of the second that ends with it, and the delays of a message are judged when its answer is there.
+const BEFORE: Span = Span::from_seconds(60);
+
+/// A window of a link and what it rests on.
+#[derive(Debug, FromRow)]
+struct Window {
+    cloud: i64,
+    first_ns: i64,
+    last_ns: i64,
+    clocks: Option<u8>,
+    max_drift_ppm: Option<f64>,
+    max_drift_change_ppm_per_s: Option<f64>,
+    claims_trusted: Option<bool>,
+    probes_authenticated: Option<bool>,
+}
+
+impl Window {
+    fn assumptions(&self) -> Result<DelayAssumptions, StoreError> {
+        let clocks = self.clocks.map(|number| known(WHAT, RelatedClocks::ALL, number)).transpose()?;
+        Ok(DelayAssumptions {
+            clocks: clocks.unwrap_or(RelatedClocks::Wall),
+            max_drift_ppm: self.max_drift_ppm,
+            max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
+            claims_trusted: self.claims_trusted,
+            probes_authenticated: self.probes_authenticated,
+        })
+    }
+}
+
+/// The windows of an edge over the network of a run, of some stretch of time.
+#[derive(Debug)]
+pub(in crate::read) struct AssumedWindows(Vec<Window>);
+
+impl AssumedWindows {
+    /// Reads the windows of a run's edge that have samples between two times of its wall clock.
+    pub(in crate::read) async fn read(
+        readers: &Readers,
+        run: i64,
+        (from, to): (WallTime, WallTime),
+    ) -> Result<Self, StoreError> {
+        let of_run: Option<(i64, String)> = sqlx::query_as(sql::RUN_LINKS)
+            .bind(run)
+            .fetch_optional(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        let Some((edge, network)) = of_run else { return Ok(Self(Vec::new())) };
+        let windows = sqlx::query_as(sql::ASSUMED_WINDOWS)
+            .bind(edge)
+            .bind(network)
+            .bind((from - BEFORE).unix_nanos())
+            .bind((to + BEFORE).unix_nanos())
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(Self(windows))
+    }
+
+    /// What the delays of a message between the edge and a cloud rest on that was sent or received at a time of the edge's wall clock;
+    /// `None` where no window has samples of it. Of several the one that arrived last counts: the edge's clock was set back.
+    pub(in crate::read) fn at(
+        &self,
+        cloud: i64,
+        at: WallTime,
+    ) -> Result<Option<DelayAssumptions>, StoreError> {
+        let holds = |early: Span| {
+            move |window: &&Window| {
+                let at = at.unix_nanos();
+                window.cloud == cloud
+                    && window.first_ns.saturating_sub(early.nanos()) <= at
+                    && at <= window.last_ns.saturating_add(early.nanos())
+            }
+        };
+        let windows = || self.0.iter().rev();
+        let window = windows().find(holds(Span::ZERO)).or_else(|| windows().find(holds(BEFORE)));
+        window.map(Window::assumptions).transpose()
+    }
+}
+
+/// What the delays of a link's newest window rest on; `None` of a link that the store does not know.
+pub(crate) async fn of_link(
+    readers: &Readers,
+    LinkKey { edge, cloud, network }: &LinkKey,
+) -> Result<Option<DelayAssumptions>, StoreError> {
+    let link: Option<i64> = sqlx::query_scalar(sql::LINK)
+        .bind(edge.to_string())
+        .bind(cloud.to_string())
+        .bind(network.as_str())
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    let Some(link) = link else { return Ok(None) };
+    let newest: Option<Window> = sqlx::query_as(sql::NEWEST_ASSUMED_WINDOW)
+        .bind(link)
+        .fetch_optional(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    newest.as_ref().map(Window::assumptions).transpose()
+}

@@ -1,0 +1,162 @@
+//! Runs with raw stamps judged again: by these alone, whatever happens to wall clocks, and each start of a machine apart.
+
+use peernet_clock::{RelatedClocks, Span, Verdict};
+
+use super::Bed;
+use super::recomputing::{
+    SECONDS, assert_run_is_sound, assert_sound, go_on, recompute, recompute_run, simulate_by, stage, times,
+};
+use super::simulation::Simulation;
+use crate::types::{DelayAssumptions, RecomputedStage};
+
+const PAIRS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
+
+/// Probes crawl until the fifth second, so that there is something to learn for it afterwards.
+fn slow_begin(second: i64, simulation: &mut Simulation) {
+    simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
+}
+
+#[tokio::test]
+async fn raw_stamps_are_stored_and_delays_are_judged_by_them() {
+    for clocks in PAIRS {
+        let mut bed = Bed::new().await;
+        let simulated = simulate_by(&mut bed, clocks, SECONDS, slow_begin).await;
+        let recomputed = recompute(&bed).await;
+        assert_eq!((recomputed.samples, recomputed.clocks.as_slice()), (125, &[clocks][..]));
+        assert_sound(&bed, &simulated).await;
+        let (before, after) = stage(&recomputed, "upload");
+        assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "{before:?} {after:?}");
+        for iteration in simulated.iterations.iter().step_by(100) {
+            let stored = bed.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
+            assert_eq!(stored.tree, iteration.tree);
+        }
+    }
+}
+
+#[tokio::test]
+async fn steps_of_wall_clocks_do_not_reach_delays_by_raw_stamps() {
+    type Step = fn(&mut Simulation);
+    let steps: [Step; 4] = [
+        |simulation| simulation.edge_ahead += Span::from_seconds(-7),
+        |simulation| simulation.edge_ahead += Span::from_seconds(7),
+        |simulation| simulation.edge_ahead += Span::from_seconds(-40),
+        |simulation| simulation.cloud_ahead += Span::from_seconds(3),
+    ];
+    for step in steps {
+        let mut bed = Bed::new().await;
+        let simulated = simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, |second, simulation| {
+            slow_begin(second, simulation);
+            if second == 30 {
+                simulation.halfway = Some(step);
+            }
+        })
+        .await;
+        assert_eq!(bed.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
+        let recomputed = recompute(&bed).await;
+        assert_sound(&bed, &simulated).await;
+        let (_, after) = stage(&recomputed, "upload");
+        assert_eq!(
+            (times(after, Verdict::Stepped), times(after, Verdict::Inconsistent)),
+            (0, 0),
+            "{after:?}"
+        );
+        assert_eq!(after.delay.expect("has values").count, 600);
+    }
+}
+
+/// A world in which both machines were started again: so long after the first one's begin, with raw clocks that show the same times.
+fn started_again(bed: &Bed, after: Span) -> Simulation {
+    let mut again = Simulation::new(bed.hosts(), RelatedClocks::Raw);
+    again.now = after;
+    again.raw_zeros = (again.raw_zeros.0 + after, again.raw_zeros.1 + after + Span::from_seconds(12));
+    again.first_window += 100;
+    again
+}
+
+#[tokio::test]
+async fn runs_of_two_starts_are_judged_by_their_own_windows() {
+    let mut bed = Bed::new().await;
+    let first = simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
+    let again = started_again(&bed, Span::from_seconds(1_000));
+    let second = go_on(&mut bed, again, SECONDS, slow_begin).await;
+    for (run, simulated) in [(1, &first), (2, &second)] {
+        let recomputed = recompute_run(&bed, run).await;
+        assert_eq!(recomputed.samples, 125, "run {run}");
+        assert_run_is_sound(&bed, run, simulated).await;
+        let (before, after) = stage(&recomputed, "upload");
+        assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "run {run}");
+    }
+}
+
+#[tokio::test]
+async fn time_of_two_starts_alike_is_not_judged_again() {
+    let mut bed = Bed::new().await;
+    simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
+    // A machine without a battery: after its second start both of its clocks show the same again.
+    let mut again = started_again(&bed, Span::from_seconds(1_000));
+    again.edge_ahead = Span::from_seconds(-1_000);
+    go_on(&mut bed, again, SECONDS, slow_begin).await;
+    for run in [1, 2] {
+        let recomputed = recompute_run(&bed, run).await;
+        assert_eq!((recomputed.samples, recomputed.clocks.len()), (0, 0), "run {run}");
+        for RecomputedStage { before, after, .. } in recomputed.stages {
+            assert_eq!(before, after);
+        }
+    }
+}
+
+#[tokio::test]
+async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
+    for other in [
+        "UPDATE clock_sample SET clocks = 1",
+        "UPDATE clock_sample SET clocks = NULL",
+        "UPDATE clock_sample SET at_raw_ns = NULL",
+        // The edge's wall clock stood otherwise when its raw clock showed these times.
+        "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
+    ] {
+        let mut bed = Bed::new().await;
+        simulate_by(&mut bed, RelatedClocks::Raw, (5, 20, 0), slow_begin).await;
+        assert!(recompute(&bed).await.samples > 0);
+        sqlx::raw_sql(other).execute(&mut bed.other().await).await.expect("changes");
+        let recomputed = recompute(&bed).await;
+        assert_eq!(recomputed.samples, 0, "{other}");
+        assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after), "{other}");
+    }
+}
+
+#[tokio::test]
+async fn each_delay_says_what_its_bounds_rest_on() {
+    let by_raw = DelayAssumptions {
+        clocks: RelatedClocks::Raw,
+        max_drift_ppm: Some(50.0),
+        max_drift_change_ppm_per_s: Some(1.0),
+        claims_trusted: Some(true),
+        probes_authenticated: Some(true),
+    };
+    let earlier = DelayAssumptions {
+        clocks: RelatedClocks::Wall,
+        max_drift_change_ppm_per_s: None,
+        claims_trusted: None,
+        probes_authenticated: None,
+        ..by_raw
+    };
+    for (clocks, expected) in [(RelatedClocks::Raw, by_raw), (RelatedClocks::Wall, earlier)] {
+        let mut bed = Bed::new().await;
+        simulate_by(&mut bed, clocks, (5, 20, 0), slow_begin).await;
+        let rows = bed.store.slowest(1, 50).await.expect("answers");
+        let delays = || rows.iter().flat_map(|row| &row.delays);
+        assert_eq!(delays().count(), 100);
+        assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
+        let key = bed.store.links().await.expect("answers")[0].key();
+        assert_eq!(bed.store.link_assumptions(&key).await.expect("answers"), Some(expected));
+        // What was not authenticated once counts for its whole window.
+        let unsigned = "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
+        sqlx::raw_sql(unsigned).execute(&mut bed.other().await).await.expect("changes");
+        let known = bed.store.link_assumptions(&key).await.expect("answers").expect("stored");
+        assert_eq!(known.probes_authenticated, expected.probes_authenticated.map(|_| false));
+    }
+    let mut bed = Bed::new().await;
+    bed.run_of(3).await;
+    let rows = bed.store.slowest(1, 3).await.expect("answers");
+    assert!(rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()), "one clock");
+}
