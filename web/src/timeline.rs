@@ -35,6 +35,7 @@ pub(crate) enum Where {
 /// What is known of a one-way delay. Seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delay {
+    /// The receiver's wall clock less the sender's.
     pub raw: f64,
     pub value: Option<f64>,
     pub bounds: Option<(f64, f64)>,
@@ -83,8 +84,13 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let left = up.start.seconds();
     let back = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
-    let answered =
-        back.and_then(|(node, transit)| Some((node.start, transit.received? - edge.wall, transit)));
+    // By the edge's raw clock, which nobody sets, where it was stamped by it; else by its wall clock.
+    let answered = back.and_then(|(node, transit)| {
+        let (there, back) = (sent.raw_stamps, transit.raw_stamps);
+        let waited = there.zip(back).map(|(there, back)| left + (back.received - there.sent).seconds());
+        let by_wall = transit.received? - edge.wall;
+        Some((node.start, waited.unwrap_or_else(|| by_wall.seconds())))
+    });
     // What the agent measured holds when a clock was set on the way; the stamps' difference does not.
     let network = answered.and(together.or(tree.stages().transport().map(Span::seconds)));
 
@@ -100,9 +106,9 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
             (left + half, (-half, half))
         }
     };
-    let answered = answered.map(|(start, received, _)| {
+    let answered = answered.map(|(start, back)| {
         let there = start.seconds();
-        (arrived + there, together.map_or(received.seconds(), |both| left + there + both))
+        (arrived + there, together.map_or(back, |both| left + there + both))
     });
     Some(Visit { left, arrived, answered, shift, network })
 }
@@ -177,7 +183,8 @@ impl Timeline {
             Measure::Container => Some(placed).filter(|_| depth == 0),
             Measure::Transit(transit) => {
                 let delay = transit.delay.map(|delay| Delay {
-                    raw: delay.raw.seconds(),
+                    // Of the wall clocks, whichever clocks it was judged by.
+                    raw: transit.received.map_or(delay.raw, |received| received - transit.sent).seconds(),
                     value: delay.value.map(Span::seconds),
                     bounds: delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds())),
                     source: delay.source,

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, WallTime};
-use peernet_logger::{HostId, Recorder, stage};
+use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, RawTime, WallTime};
+use peernet_logger::{HostId, RawStamps, Recorder, stage};
 
 use super::*;
 use crate::tests::samples;
@@ -133,4 +133,41 @@ fn a_lost_message_leaves_the_rest_of_the_page_alone() {
     let timeline = Timeline::of(&IterationDetail { tree: log.finish(), ..samples::iteration() });
     assert_eq!(timeline.nodes.len(), 1);
     assert_eq!((timeline.nodes[0].length, timeline.visit()), (None, None));
+}
+
+#[test]
+fn stay_lies_by_judged_delays_when_edges_wall_clock_was_set() {
+    let truth_judged = |_, truth: Span| OneWayDelay {
+        // Between raw clocks, of which one was started 5,000 s before the other.
+        raw: truth + Span::from_seconds(5_000),
+        value: Some(truth),
+        bounds: Some(Interval::exactly(truth)),
+        source: DelaySource::InBand,
+        verdict: Verdict::Ok,
+    };
+    let mut detail = offloaded(Span::from_seconds(77), truth_judged);
+    let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
+    // Sent at 2, there at 22, answered at 26, back at 27 ms; meanwhile the edge's wall clock was set back by an hour.
+    let (up, down) = ((raw(1_002), raw(6_001_022)), (raw(6_001_026), raw(1_027)));
+    let ids: Vec<NodeId> = (0..detail.tree.nodes().len() as u32).map(NodeId).collect();
+    let mut stamps = [up, down].into_iter();
+    for id in ids {
+        if let Some(Measure::Transit(transit)) = detail.tree.measure_mut(id)
+            && let Some((sent, received)) = stamps.next()
+        {
+            transit.raw_stamps = Some(RawStamps { sent, received });
+            if sent == down.0 {
+                transit.received = transit.received.map(|at| at - Span::from_seconds(3_600));
+            }
+        }
+    }
+    let timeline = Timeline::of(&detail);
+    let visit = timeline.visit().expect("one other host");
+    assert!(close(visit.arrived, 0.022), "{visit:?}");
+    let (left, back) = visit.answered.expect("it was answered");
+    assert!(close(left, 0.026) && close(back, 0.027), "{visit:?}");
+    assert!(timeline.end < 0.1, "{}", timeline.end);
+    // What is shown beside the delay is of the wall clocks.
+    let upload = timeline.nodes.iter().find_map(|node| node.delay.filter(|_| node.name == stage::UPLOAD));
+    assert!(close(upload.expect("judged").raw, 77.020), "{upload:?}");
 }

@@ -24,6 +24,9 @@ pub(crate) struct Arguments {
 #[derive(Debug, Deserialize)]
 struct Recomputed {
     samples: u64,
+    /// Not told by aggregators of releases before 0.3.0, which judge by wall clocks.
+    #[serde(default = "wall_clocks")]
+    clocks: Vec<String>,
     stages: Vec<Stage>,
 }
 
@@ -104,7 +107,7 @@ fn rehearsal(facts: &[Fact]) -> Option<String> {
 }
 
 fn describe(run: i64, recomputed: &Recomputed) -> String {
-    let Recomputed { samples, stages } = recomputed;
+    let Recomputed { samples, clocks, stages } = recomputed;
     if stages.is_empty() {
         return format!("run {run} has no one-way delays: nothing of it travelled between two hosts");
     }
@@ -119,16 +122,31 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         })
         .collect();
     let table = text(&header, &rows);
-    let clocks = match samples {
+    let learnt = match samples {
         _ if is_exact(stages) => {
             "both hosts read one clock, so that its delays are exact: there was nothing to learn".to_owned()
         }
         0 => "nothing was learnt of the two clocks that could be used".to_owned(),
         samples => format!(
-            "computed again with {samples} seconds of what was learnt of the two clocks, during the run and after it"
+            "computed again {} with {samples} seconds of what was learnt of the two clocks, during the run and after it",
+            by(clocks)
         ),
     };
-    format!("{table}\n\nrun {run}: {clocks}; nothing stored was changed")
+    format!("{table}\n\nrun {run}: {learnt}; nothing stored was changed")
+}
+
+fn wall_clocks() -> Vec<String> {
+    vec!["wall".to_owned()]
+}
+
+/// By which clocks delays were judged again, in words.
+fn by(clocks: &[String]) -> String {
+    let words = clocks.iter().map(|clocks| match clocks.as_str() {
+        "raw" => "by raw clocks",
+        "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
+        _ => "by wall clocks, whose steps and slews reach these delays,",
+    });
+    words.collect::<Vec<_>>().join(" and ")
 }
 
 /// Whether no delay can be off at all.
@@ -171,7 +189,7 @@ mod tests {
     #[test]
     fn before_and_after_stand_side_by_side() {
         let recomputed: Recomputed = serde_json::from_value(serde_json::json!({
-            "run": 7, "samples": 60,
+            "run": 7, "samples": 60, "clocks": ["raw"],
             "stages": [{
                 "stage": "upload",
                 "before": { "delay": null, "half_width": null, "verdicts": [{ "verdict": "unsynchronised", "count": 40 }] },
@@ -188,11 +206,18 @@ delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
          after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
 
-run 7: computed again with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
+run 7: computed again by raw clocks with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
         let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
 
-        let mut stages = recomputed.stages;
+        let earlier = Recomputed { clocks: wall_clocks(), ..recomputed };
+        let text = describe(7, &earlier);
+        assert!(
+            text.contains("again by wall clocks, whose steps and slews reach these delays, with 60 seconds"),
+            "{text}"
+        );
+
+        let mut stages = earlier.stages;
         let after = &mut stages[0].after;
         for figures in [&mut after.delay, &mut after.half_width].into_iter().flatten() {
             *figures = Figures { std: figures.std, mean: 0.0, p50: 0.0, p95: None, max: 0.0 };
@@ -200,11 +225,11 @@ run 7: computed again with 60 seconds of what was learnt of the two clocks, duri
         if let Some(delay) = &mut stages[0].after.delay {
             (delay.mean, delay.std, delay.p50) = (1.2e-3, Some(15.02e-3), 59.5e-6);
         }
-        let one_clock = describe(7, &Recomputed { samples: 0, stages });
+        let one_clock = describe(7, &Recomputed { samples: 0, clocks: Vec::new(), stages });
         assert!(one_clock.contains("1.200 ± 15.020") && one_clock.contains(" 0.060 "), "{one_clock}");
         assert!(one_clock.contains(" exact ") && one_clock.contains("nothing to learn"), "{one_clock}");
         assert!(!one_clock.contains("0 seconds"), "{one_clock}");
-        let empty = Recomputed { samples: 0, stages: Vec::new() };
+        let empty = Recomputed { samples: 0, clocks: Vec::new(), stages: Vec::new() };
         assert!(describe(7, &empty).contains("no one-way delays"));
     }
 

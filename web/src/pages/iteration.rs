@@ -160,7 +160,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
             .and_then(|cloud| Lanes::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
-        delays: delays(&timeline),
+        delays: delays(&timeline, &detail.row.delays),
         bytes: ByteRow::both(detail),
         beside: Beside::all(detail),
         edge,

@@ -19,6 +19,7 @@ use crate::state::{App, AppState};
 use crate::svg::Tracks;
 use crate::view::chip::Chip;
 use crate::view::incidents::IncidentLine;
+use crate::view::link::basis;
 use crate::view::link::chart::{OffsetView, tracks};
 use crate::view::link::connections::{self, DirectionRow, Route};
 use crate::view::link::course::Course;
@@ -109,7 +110,7 @@ impl Range {
 #[derive(Template)]
 #[template(
     path = "pages/link.html",
-    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "probes", "connections", "clocks", "incidents"]
+    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "assumptions", "probes", "connections", "clocks", "incidents"]
 )]
 pub(super) struct Link {
     shell: Shell,
@@ -130,6 +131,9 @@ pub(super) struct Link {
     rows: Vec<Row>,
     meanings: Vec<Meaning>,
     origin: Origin,
+    /// Under which conditions the bounds hold; `None` where both hosts read one clock.
+    promise: Option<String>,
+    assumptions: Pairs,
     probes: Pairs,
     directions: Vec<DirectionRow>,
     connections: Vec<Route>,
@@ -160,7 +164,8 @@ async fn show(
     let mut stored_links = rows.iter().map(Subject::past);
     let subject = stored_links.find(|link| link.name() == wanted).ok_or_else(|| no_link(&wanted))?;
     let course = stored(&app, &subject, query.range).await?;
-    let subject = subject.remembering(&course);
+    let assumptions = app.store().link_assumptions(&subject.key).await?;
+    let subject = subject.remembering(&course).assuming(assumptions);
     page(&link_page(&app, &picture, &subject, &course, None, query, &incidents))
 }
 
@@ -195,6 +200,7 @@ pub(super) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Res
         ("figures", page.as_figures().render()?),
         ("verdicts", page.as_verdicts().render()?),
         ("origin", page.as_origin().render()?),
+        ("assumptions", page.as_assumptions().render()?),
         ("probes", page.as_probes().render()?),
         ("connections", page.as_connections().render()?),
         ("clocks", page.as_clocks().render()?),
@@ -282,6 +288,8 @@ pub(super) fn link_page(
         rows: Row::all(course, app.zone),
         meanings: meanings(subject),
         origin: Origin::of(subject, now),
+        promise: subject.assumptions.as_ref().map(basis::promise),
+        assumptions: basis::pairs(subject, now),
         probes: panels::probes(subject, now),
         directions: connections::rows(subject),
         connections: connections::routes(subject),

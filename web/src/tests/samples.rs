@@ -275,6 +275,9 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
 pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> ClockPoint {
     let sample = clock_sample(at, window, half);
     ClockPoint {
+        clocks: sample.clocks(),
+        proven_skew_ppm: sample.basis.and_then(|basis| basis.proven_skew_ppm),
+        grown_window: sample.basis.and_then(|basis| basis.grown_window),
         at: sample.at,
         window: sample.window,
         offset: sample.offset,

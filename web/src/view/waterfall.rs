@@ -7,6 +7,7 @@ use peernet_statistics::number::{
 use peernet_store::IterationDetail;
 
 use super::chip::Chip;
+use super::link::basis::{brief, source_words};
 use crate::look;
 use crate::svg::{Scale, WaterfallRow};
 use crate::timeline::{Placed, Timeline, Where};
@@ -45,6 +46,8 @@ pub(crate) struct DelayRow {
     pub lo: String,
     pub hi: String,
     pub source: &'static str,
+    /// What the bounds rest on; empty where that is not stored.
+    pub basis: String,
     pub chip: Chip,
 }
 
@@ -203,7 +206,7 @@ fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
 }
 
 /// Where the delays came from.
-pub(crate) fn delays(timeline: &Timeline) -> Vec<DelayRow> {
+pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
     let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let shown = known.map(|(node, delay)| {
         let bounds = delay.bounds.map(|(lo, hi)| (lo.max(0.0), hi));
@@ -221,7 +224,12 @@ pub(crate) fn delays(timeline: &Timeline) -> Vec<DelayRow> {
             value: dash(delay.value.map(|value| digits(value, bounds))),
             lo: dash(end(0)),
             hi: dash(end(1)),
-            source: delay.source.name(),
+            source: source_words(delay.source),
+            basis: judged
+                .iter()
+                .find(|row| row.stage == node.name)
+                .and_then(|row| row.assumptions.as_ref())
+                .map_or_else(String::new, brief),
             chip: Chip::verdict(delay.verdict),
         }
     });
@@ -333,7 +341,24 @@ mod tests {
         let transit =
             Transit { sent: at, received: Some(at + delay.raw), delay: Some(delay), raw_stamps: None };
         detail.tree.add(NodeId::ROOT, stage::UPLOAD, Span::ZERO, Measure::Transit(Box::new(transit)));
-        let row = &delays(&Timeline::of(&detail))[0];
+        detail.row.delays = vec![peernet_store::DelayRow {
+            stage: stage::UPLOAD,
+            value: Some(43e-6),
+            bounds: Some((39e-6, 48e-6)),
+            raw: 1.204_043,
+            source: DelaySource::Chrony,
+            verdict: peernet_clock::Verdict::Ok,
+            assumptions: Some(peernet_store::DelayAssumptions {
+                clocks: peernet_clock::RelatedClocks::Raw,
+                max_drift_ppm: Some(200.0),
+                max_drift_change_ppm_per_s: None,
+                claims_trusted: Some(true),
+                probes_authenticated: Some(false),
+            }),
+        }];
+        let row = &delays(&Timeline::of(&detail), &detail.row.delays)[0];
+        let basis = format!("by raw clocks, ρ 200{SPACE}ppm, probes not authenticated");
+        assert_eq!((row.source, row.basis.as_str()), ("in-band", basis.as_str()));
         let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);
         assert_eq!(texts, ["1,204.043", "\u{2212}1,204.000", "0.043", "0.039", "0.048"]);
     }

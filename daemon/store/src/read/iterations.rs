@@ -254,7 +254,9 @@ impl Delay {
             stage: Name::from(self.text.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            raw: Span::from_nanos(self.raw_ns).seconds(),
+            // Of the wall clocks, whichever clocks it was judged by.
+            raw: Span::from_nanos(self.received_ns.map_or(self.raw_ns, |at| at.saturating_sub(self.sent_ns)))
+                .seconds(),
             source,
             verdict: known(WHAT, Verdict::ALL, self.verdict)?,
             assumptions,

@@ -1,11 +1,12 @@
 //! Iterations of a run.
 
+use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
 use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::api::schema::{NodeFigures, time};
+use crate::api::schema::{Assumptions, NodeFigures, time};
 
 /// Iterations by rising number, or the slowest first.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -64,6 +65,11 @@ pub(crate) struct StageDelay {
     pub source: &'static str,
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
     pub verdict: &'static str,
+    /// Whether the interval rests on what time daemons claim.
+    pub claims_used: bool,
+    /// What the interval rests on beside the source; null where both ends are on one clock, and where no clock sample of its time is
+    /// stored.
+    pub assumptions: Option<Assumptions>,
 }
 
 impl StageDelay {
@@ -79,6 +85,11 @@ impl StageDelay {
             hi_s: end(|(_, hi)| hi),
             source: delay.source.name(),
             verdict: delay.verdict.name(),
+            claims_used: matches!(
+                delay.source,
+                DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection
+            ),
+            assumptions: delay.assumptions.as_ref().map(Assumptions::from),
         })
     }
 }

@@ -107,7 +107,10 @@ async fn all(app: &AppState) -> Result<Vec<Link>, WebError> {
     let stored = app.store().links().await?;
     let picture = app.picture();
     let mut links: Vec<Link> = picture.links.iter().map(|link| Link::from(&**link)).collect();
-    links.extend(stored.iter().filter(|row| !is_live(&picture, row)).map(Link::from));
+    for row in stored.iter().filter(|row| !is_live(&picture, row)) {
+        let assumptions = app.store().link_assumptions(&row.key()).await?;
+        links.push(Link::past(row, assumptions.as_ref()));
+    }
     links.sort_by(|a, b| (&a.edge, &a.cloud, &a.network).cmp(&(&b.edge, &b.cloud, &b.network)));
     Ok(links)
 }

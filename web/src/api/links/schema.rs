@@ -1,16 +1,17 @@
 //! Links: the relation between two hosts' clocks, and what the network does between them.
 
 use peernet_aggregator::LinkPicture;
-use peernet_clock::ExchangeCounts;
-use peernet_store::{ClockPoint, ClockSeries, LinkRow};
+use peernet_clock::{ExchangeCounts, Span};
+use peernet_store::{ClockPoint, ClockSeries, DelayAssumptions, LinkRow};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::clock::{ClockOffset, Delay, Probes, RoundTrip};
 use super::connections::LinkConnection;
-use crate::api::schema::{HostClock, time};
+use crate::api::schema::{Assumptions, HostClock, time};
 use crate::view::link::Subject;
+use crate::view::link::basis::promise;
 
 /// Every link that is stored or reports.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -33,6 +34,10 @@ pub(crate) struct Link {
     pub connected: bool,
     /// Its newest sample, on the edge's wall clock.
     pub last_sample: String,
+    /// Under which conditions the bounds contain the true delays, in one sentence; null where both hosts read one clock.
+    pub promise: Option<String>,
+    /// The same in figures, by the newest sample.
+    pub assumptions: Option<Assumptions>,
     /// Null for a link that is not in the live picture.
     pub now: Option<LinkNow>,
 }
@@ -129,6 +134,26 @@ pub(crate) struct LinkPoint {
     pub up: Option<Delay>,
     /// Cloud to edge.
     pub down: Option<Delay>,
+    /// The clocks that the offset is between: `raw`, `raw-to-wall` or `wall`. A raw clock counts from the start of its machine.
+    pub clocks: &'static str,
+    /// Rates between the two clocks that the exchanges allow; null while they prove nothing.
+    pub proven_skew: Option<ProvenSkew>,
+    /// Age of the oldest exchange that bounds the offset, seconds, where exchanges are so rare that the window has grown beyond
+    /// `[clock] window_s`; else null.
+    pub grown_window_s: Option<f64>,
+}
+
+/// The lowest and the highest rate between two clocks that exchanges allow, parts per million.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct ProvenSkew {
+    pub min_ppm: f64,
+    pub max_ppm: f64,
+}
+
+impl From<(f64, f64)> for ProvenSkew {
+    fn from((min_ppm, max_ppm): (f64, f64)) -> Self {
+        Self { min_ppm, max_ppm }
+    }
 }
 
 /// The clock relation of a link over time.
@@ -165,6 +190,9 @@ impl From<&ClockPoint> for TimedPoint {
                 round_trip: point.round_trip.map(round_trip),
                 up: point.up.as_ref().map(Delay::from),
                 down: point.down.as_ref().map(Delay::from),
+                clocks: point.clocks.name(),
+                proven_skew: point.proven_skew_ppm.map(ProvenSkew::from),
+                grown_window_s: point.grown_window.map(Span::seconds),
             },
         }
     }
@@ -180,7 +208,11 @@ impl From<&LinkPicture> for Link {
     fn from(link: &LinkPicture) -> Self {
         let live = &link.live;
         let subject = Subject::live(link);
+        let basis = live.now.basis;
+        let assumptions = subject.assumptions;
         Self {
+            promise: assumptions.as_ref().map(promise),
+            assumptions: assumptions.as_ref().map(Assumptions::from),
             name: subject.name(),
             network: subject.key.network.to_string(),
             edge_id: link.edge.to_string(),
@@ -205,6 +237,9 @@ impl From<&LinkPicture> for Link {
                     round_trip: live.now.round_trip.map(round_trip),
                     up: live.now.up.as_ref().map(Delay::from),
                     down: live.now.down.as_ref().map(Delay::from),
+                    clocks: live.now.clocks().name(),
+                    proven_skew: basis.and_then(|basis| basis.proven_skew_ppm).map(ProvenSkew::from),
+                    grown_window_s: basis.and_then(|basis| basis.grown_window).map(Span::seconds),
                 },
             }),
             edge: subject.edge,
@@ -213,10 +248,13 @@ impl From<&LinkPicture> for Link {
     }
 }
 
-impl From<&LinkRow> for Link {
-    fn from(row: &LinkRow) -> Self {
+impl Link {
+    /// A link that is stored and not in the live picture.
+    pub(super) fn past(row: &LinkRow, assumptions: Option<&DelayAssumptions>) -> Self {
         let subject = Subject::past(row);
         Self {
+            promise: assumptions.map(promise),
+            assumptions: assumptions.map(Assumptions::from),
             name: subject.name(),
             network: row.network.to_string(),
             edge: subject.edge,

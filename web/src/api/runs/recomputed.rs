@@ -26,6 +26,9 @@ pub(crate) struct Recomputed {
     pub run: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
+    /// The clocks by whose stamps delays were judged again: `raw`, `raw-to-wall`, or `wall` of runs that were recorded before release
+    /// 0.3.0; steps and slews of wall clocks reach those delays. Empty where all stay as they were judged.
+    pub clocks: Vec<&'static str>,
     /// `upload`, `download`.
     pub stages: Vec<RecomputedStage>,
 }
@@ -70,7 +73,8 @@ impl From<&store::Recomputed> for Recomputed {
             before: Judgement::from(&stage.before),
             after: Judgement::from(&stage.after),
         });
-        Self { run: recomputed.number, samples: recomputed.samples, stages: stages.collect() }
+        let clocks = recomputed.clocks.iter().map(|clocks| clocks.name()).collect();
+        Self { run: recomputed.number, samples: recomputed.samples, clocks, stages: stages.collect() }
     }
 }
 

@@ -31,6 +31,9 @@ pub(crate) struct HostClock {
     pub epoch: u32,
     /// How it is made wrong on purpose; null when it is not.
     pub rehearsal: Option<Rehearsal>,
+    /// What the kernel reads the time from, such as `tsc`; null where it does not tell. By any other than `tsc` and `arch_sys_counter`
+    /// the clock is supplied by the hypervisor.
+    pub clocksource: Option<String>,
 }
 
 /// A claim about a wall clock: what it shows minus true time lies within an interval.
@@ -87,6 +90,7 @@ impl From<&stream::HostClock> for HostClock {
             text: clock.text.clone(),
             epoch: clock.epoch,
             rehearsal: clock.rehearsal.as_ref().map(Rehearsal::from),
+            clocksource: clock.clocksource.clone(),
         }
     }
 }

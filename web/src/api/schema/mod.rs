@@ -4,6 +4,7 @@
 //! Values are in SI base units (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
 //! 3339 with nanoseconds, in UTC.
 
+mod assumptions;
 mod clock;
 mod condition;
 mod figures;
@@ -12,6 +13,7 @@ mod pipelines;
 use chrono::{SecondsFormat, TimeZone, Utc};
 use peernet_clock::WallTime;
 
+pub(crate) use assumptions::Assumptions;
 pub(crate) use clock::HostClock;
 pub(crate) use condition::{Condition, word};
 pub(crate) use figures::{Bound, Counts, NodeFigures, Placement, VerdictCount};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{Interval, Offset, Span, WallTime};
+use peernet_clock::{Interval, Offset, RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
 use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
 
@@ -67,9 +67,11 @@ impl Course {
         between.chain(last).filter(|(from, to)| *to - *from > usual).collect()
     }
 
-    /// What the edge's clock showed when the cloud's showed `at`, by the offset known nearest to that moment.
+    /// What the edge's wall clock showed when the cloud's showed `at`, by the offset known nearest to that moment. An offset of raw clocks
+    /// tells nothing of it: then the two are taken to show the same.
     pub(crate) fn on_the_edge(&self, at: WallTime) -> WallTime {
-        let known = self.points.iter().filter_map(|point| point.offset.as_ref());
+        let of_wall_clocks = self.points.iter().filter(|point| point.clocks == RelatedClocks::Wall);
+        let known = of_wall_clocks.filter_map(|point| point.offset.as_ref());
         let nearest = known.min_by_key(|offset| (at - (offset.at + offset.estimate)).abs());
         nearest.map_or(at, |offset| at - offset.estimate)
     }
@@ -145,5 +147,8 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
         round_trip: together(&trips),
         up: delays(points, Way::Up),
         down: delays(points, Way::Down),
+        clocks: last.clocks,
+        proven_skew_ppm: last.proven_skew_ppm,
+        grown_window: points.iter().filter_map(|point| point.grown_window).max(),
     })
 }

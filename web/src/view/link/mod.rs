@@ -1,5 +1,6 @@
 //! One link, an edge and a cloud over one network, as its page shows it.
 
+pub(crate) mod basis;
 pub(crate) mod chart;
 pub(crate) mod connections;
 pub(crate) mod course;
@@ -16,8 +17,8 @@ mod trend;
 use std::sync::Arc;
 
 use peernet_aggregator::{LinkPicture, Picture};
-use peernet_clock::{Offset, Span, Verdict, WallTime};
-use peernet_store::{ClockPoint, LinkKey, LinkRow};
+use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
+use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
 
 use super::speed::Way;
@@ -114,6 +115,8 @@ pub(crate) struct Subject<'a> {
     pub connected: bool,
     /// What was last known of the offset of a link that is only stored.
     told: Option<Offset>,
+    /// What the bounds rest on; `None` where both hosts read one clock, and where it was never told.
+    pub assumptions: Option<DelayAssumptions>,
 }
 
 /// Estimate and half the width of the bounds, seconds; `None` where sources exclude each other, or exchanges do: what
@@ -143,6 +146,7 @@ impl<'a> Subject<'a> {
             end: link.history.last().map_or(link.live.now.at, |point| point.at),
             connected: link.connected,
             told: None,
+            assumptions: (!link.live.same_clock).then(|| DelayAssumptions::from(&link.live.now)),
             live: Some(link),
         }
     }
@@ -157,7 +161,18 @@ impl<'a> Subject<'a> {
             end: row.last,
             connected: false,
             told: None,
+            assumptions: None,
         }
+    }
+
+    /// With what its newest stored window rests on.
+    pub(crate) fn assuming(self, assumptions: Option<DelayAssumptions>) -> Self {
+        Self { assumptions, ..self }
+    }
+
+    /// The clocks that are related.
+    pub(crate) fn clocks(&self) -> RelatedClocks {
+        self.assumptions.map_or(RelatedClocks::Wall, |assumptions| assumptions.clocks)
     }
 
     /// With what its course tells of the offset at last.

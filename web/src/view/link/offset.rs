@@ -1,6 +1,6 @@
 //! The clock offset of a link over time: the band that is certain, the estimate in it, what other sources say.
 
-use peernet_clock::{DelaySource, Interval, Span};
+use peernet_clock::{DelaySource, Interval, RelatedClocks, Span};
 use peernet_store::ClockPoint;
 
 use super::chart::{OffsetView, Plan, beyond, reach};
@@ -67,7 +67,12 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
 
     let what = if view == OffsetView::Removed { ", drift removed" } else { "" };
-    let mut track = Track::new(format!("clock offset of {cloud}{what}, ms"), &ruler);
+    let of = match points.last().map(|point| point.clocks) {
+        Some(RelatedClocks::Raw) => "offset of the raw clock of",
+        Some(RelatedClocks::RawToWall) => "offset, raw clock to wall clock of",
+        Some(RelatedClocks::Wall) | None => "clock offset of",
+    };
+    let mut track = Track::new(format!("{of} {cloud}{what}, ms"), &ruler);
     track.class = "tall";
     let filled = plan.broken(points, |x, point| {
         let (lo, hi) = band(point)?;

@@ -1,6 +1,6 @@
 //! Where the bound of an offset comes from, and what would narrow it.
 
-use peernet_clock::{DelaySource, Discipline, Interval, Offset};
+use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks};
 use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
@@ -107,7 +107,9 @@ fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
     let (from, interval) = Discipline::offset(&edge, &cloud);
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
-    is_unused.then(|| row(format!("{}, not used", source(from, 0)), interval, false))
+    // A claim is one of wall clocks, and so is the offset that follows from two of them.
+    let of = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
+    is_unused.then(|| row(format!("{}{of}, not used", source(from, 0)), interval, false))
 }
 
 /// The key that lets claims of time daemons narrow a bound.

@@ -1,6 +1,6 @@
 //! How a link is probed, what its hosts' time daemons say, what was refused.
 
-use peernet_statistics::number::{NONE, SPACE, bound, count, figure, offset_ms, rate, trip_ms};
+use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
 use super::super::{counted, rehearsal};
@@ -32,12 +32,22 @@ pub(crate) fn claims(clock: &HostClock) -> String {
     format!("{}{SPACE}ms from true time, {}", offset_ms(lo + half, half), bound(half))
 }
 
-/// Who synchronises a clock, in words.
+/// Clocksources that count a processor's own counter. From any other the hypervisor supplies the time: what runs free for the guest may
+/// be moved from outside.
+const FREE_RUNNING: [&str; 2] = ["tsc", "arch_sys_counter"];
+
+/// Who synchronises a clock and who supplies it, in words.
 pub(crate) fn discipline(clock: &HostClock) -> String {
-    match (clock.text.is_empty(), clock.discipline) {
+    let text = match (clock.text.is_empty(), clock.discipline) {
         (false, _) => clock.text.clone(),
         (true, Some(discipline)) => discipline.source.name().to_owned(),
         (true, None) => "nobody says".to_owned(),
+    };
+    match clock.clocksource.as_deref() {
+        Some(source) if !FREE_RUNNING.contains(&source) => {
+            format!("{text}; clock supplied by the hypervisor ({source})")
+        }
+        _ => text,
     }
 }
 
@@ -107,17 +117,5 @@ pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
         ("Outliers", format!("{}, refused: they contradict all others", count(counts.outliers))),
         ("Stepped", format!("{}, refused: a clock was stepped meanwhile", count(counts.stepped))),
         ("Begun anew", format!("{} after a step", counted(counts.restarts as usize, "time", "times"))),
-        (
-            "Window",
-            "the exchanges of the last [clock] window_s bound the offset; where there are fewer than eight, the newest eight do"
-                .to_owned(),
-        ),
-        (
-            "Drift limit",
-            format!(
-                "{}{SPACE}ppm: all bounds hold as long as the clocks stay below it",
-                figure(link.live.now.max_drift_ppm)
-            ),
-        ),
     ]
 }

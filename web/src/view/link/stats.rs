@@ -1,5 +1,6 @@
 //! The figures of a link, now.
 
+use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{
     NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms,
 };
@@ -66,9 +67,20 @@ fn delay(subject: &Subject<'_>, way: Way) -> Stat {
 }
 
 fn offset(subject: &Subject<'_>) -> Stat {
-    let Some((estimate, half)) = subject.offset().and_then(known) else {
-        return Stat::new("Clock offset", None, "ms", no_offset(subject).to_owned());
+    let name = match subject.clocks() {
+        RelatedClocks::Wall => "Clock offset",
+        RelatedClocks::Raw => "Offset of the raw clocks",
+        RelatedClocks::RawToWall => "Offset, raw to wall clock",
     };
+    let Some((estimate, half)) = subject.offset().and_then(known) else {
+        return Stat::new(name, None, "ms", no_offset(subject).to_owned());
+    };
+    let then = if subject.connected { "" } else { ", when last told" };
+    if subject.clocks() != RelatedClocks::Wall {
+        // A raw clock counts from the start of its machine: which one is ahead says nothing of the time of day.
+        let line = format!("raw clocks count from the machine's start, {}{then}", bound(half));
+        return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
+    }
     // Within its bound an offset may be none at all.
     let who = if estimate.abs() <= half {
         "level".to_owned()
@@ -77,9 +89,8 @@ fn offset(subject: &Subject<'_>) -> Stat {
     } else {
         format!("{} is behind", subject.cloud)
     };
-    let then = if subject.connected { "" } else { ", when last told" };
     let line = format!("{who}, {}{then}", bound(half));
-    Stat::new("Clock offset", Some(offset_ms(estimate, half)), "ms", line)
+    Stat::new(name, Some(offset_ms(estimate, half)), "ms", line)
 }
 
 /// Parts per million with a sign: `+12.4`.

@@ -34,6 +34,7 @@ pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
             steps: Vec::new(),
             since,
         }),
+        clocksource: Some(if rehearsed { "kvm-clock" } else { "tsc" }.to_owned()),
     }
 }
 

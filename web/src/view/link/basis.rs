@@ -1,0 +1,197 @@
+//! What the bounds of one-way delays rest on, in words.
+
+use peernet_clock::{DelaySource, RelatedClocks};
+use peernet_statistics::number::{SPACE, figure, fixed, length};
+use peernet_store::{ClockPoint, DelayAssumptions};
+
+use super::Subject;
+use super::course::Course;
+use super::panels::Pairs;
+use super::stats::ppm;
+
+/// The clocks that are related, as the subject of a sentence.
+const fn both(clocks: RelatedClocks) -> &'static str {
+    match clocks {
+        RelatedClocks::Raw => "the raw clocks of both hosts",
+        RelatedClocks::RawToWall => "the raw clock of the edge and the wall clock of the cloud",
+        RelatedClocks::Wall => "the wall clocks of both hosts",
+    }
+}
+
+/// Under which conditions the bounds contain the true delay, in one sentence.
+pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
+    let clocks = both(assumptions.clocks);
+    let drift = assumptions.max_drift_ppm.map_or_else(
+        || "no faster than assumed".to_owned(),
+        |drift| format!("by at most {}{SPACE}ppm", figure(drift)),
+    );
+    let mut conditions = vec![format!("{clocks} drift apart {drift}")];
+    if let Some(change) = assumptions.max_drift_change_ppm_per_s {
+        conditions.push(format!("this rate changes by at most {}{SPACE}ppm per second", figure(change)));
+    }
+    if !assumptions.clocks.are_free_running() {
+        conditions.push("no wall clock of these is stepped or slewed unnoticed".to_owned());
+    }
+    if assumptions.probes_authenticated == Some(false) {
+        conditions.push("nobody on the path forges answers to probes".to_owned());
+    }
+    if assumptions.claims_trusted == Some(true) {
+        conditions.push("what the time daemons of both hosts claim is true".to_owned());
+    }
+    let last = conditions.pop().unwrap_or_default();
+    let conditions =
+        if conditions.is_empty() { last } else { format!("{} and {last}", conditions.join(", ")) };
+    format!("Each bound contains the true delay as long as {conditions}.")
+}
+
+/// What a delay rests on, in words.
+pub(crate) const fn source_words(source: DelaySource) -> &'static str {
+    match source {
+        DelaySource::SameClock => "one clock",
+        DelaySource::InBand => "in-band",
+        DelaySource::Kernel => "as claimed by the kernels",
+        DelaySource::Chrony => "as claimed by chrony",
+        DelaySource::Intersection => "in-band, narrowed as claimed by time daemons",
+        DelaySource::None => "none",
+    }
+}
+
+/// The assumptions in a few words beside a delay: `by raw clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
+pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
+    let by = match assumptions.clocks {
+        RelatedClocks::Raw => "by raw clocks",
+        RelatedClocks::RawToWall => "by the edge's raw and the cloud's wall clock",
+        RelatedClocks::Wall => "by wall clocks",
+    };
+    let drift = assumptions.max_drift_ppm.map(|drift| format!("ρ {}{SPACE}ppm", figure(drift)));
+    let change =
+        assumptions.max_drift_change_ppm_per_s.map(|change| format!("κ {}{SPACE}ppm/s", figure(change)));
+    let probes = match assumptions.probes_authenticated {
+        Some(true) => Some("probes authenticated"),
+        Some(false) => Some("probes not authenticated"),
+        None => None,
+    };
+    let parts = [Some(by.to_owned()), drift, change, probes.map(str::to_owned)];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// The panel about assumptions: what is assumed, what the exchanges prove of it, and what else narrows a bound. Nothing where both hosts
+/// read one clock.
+pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
+    let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
+    let newest = course.points.last();
+    let clocks = match assumptions.clocks {
+        RelatedClocks::Raw => {
+            format!("{} (CLOCK_MONOTONIC_RAW): no time daemon steps or slews them", both(assumptions.clocks))
+        }
+        clocks => format!("{}: what steps or slews a wall clock reaches the delays", both(clocks)),
+    };
+    let mut pairs: Pairs = vec![("Clocks related", clocks)];
+    if let Some(drift) = assumptions.max_drift_ppm {
+        pairs.push(("Assumed drift", format!("at most {}{SPACE}ppm (ρ)", figure(drift))));
+    }
+    let change = assumptions.max_drift_change_ppm_per_s.map_or_else(
+        || "nothing: each exchange is carried to other times by the assumed drift alone".to_owned(),
+        |change| format!("at most {}{SPACE}ppm per second (κ)", figure(change)),
+    );
+    pairs.push(("Of its change", change));
+    pairs.push(("Proven drift", proven(subject, assumptions, newest)));
+    pairs.push(("Window", window(newest)));
+    let claims = match assumptions.claims_trusted {
+        Some(true) => {
+            let used = subject.offset().map_or("not used now", |offset| source_words(offset.source));
+            format!("trusted, they may narrow the bound: {used}")
+        }
+        Some(false) => "shown for comparison only".to_owned(),
+        None => "not told".to_owned(),
+    };
+    pairs.push(("Claims of time daemons", claims));
+    let probes = match assumptions.probes_authenticated {
+        Some(true) => "authenticated",
+        Some(false) => "not authenticated: who is on the path can forge their answers",
+        None => "not told, or none",
+    };
+    pairs.push(("Probes", probes.to_owned()));
+    pairs
+}
+
+fn proven(subject: &Subject<'_>, assumptions: &DelayAssumptions, newest: Option<&ClockPoint>) -> String {
+    let Some((min, max)) = newest.and_then(|point| point.proven_skew_ppm) else {
+        return "not narrower than assumed yet".to_owned();
+    };
+    let between = format!("between {} and {}{SPACE}ppm", ppm(min), ppm(max));
+    let least = if min > 0.0 { min } else { -max };
+    match assumptions.max_drift_ppm {
+        Some(limit) if least > limit => format!(
+            "{between}, beyond what is assumed: raise [clock] max_drift_ppm on {} above {}",
+            subject.edge,
+            fixed(least.ceil(), 0)
+        ),
+        _ => between,
+    }
+}
+
+fn window(newest: Option<&ClockPoint>) -> String {
+    newest.and_then(|point| point.grown_window).map_or_else(
+        || "no exchange older than [clock] window_s bounds a delay".to_owned(),
+        |age| {
+            format!(
+                "grown to {} because exchanges are rare: the newest eight count however old they are, and so long a violated \
+                 assumption lasts",
+                length(age.seconds())
+            )
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RAW: DelayAssumptions = DelayAssumptions {
+        clocks: RelatedClocks::Raw,
+        max_drift_ppm: Some(200.0),
+        max_drift_change_ppm_per_s: Some(1.0),
+        claims_trusted: Some(false),
+        probes_authenticated: Some(true),
+    };
+
+    #[test]
+    fn promise_names_every_condition() {
+        let text = promise(&RAW).replace(SPACE, " ");
+        assert_eq!(
+            text,
+            "Each bound contains the true delay as long as the raw clocks of both hosts drift apart by at most 200 ppm and this \
+             rate changes by at most 1.00 ppm per second."
+        );
+        let weakest = DelayAssumptions {
+            clocks: RelatedClocks::Wall,
+            max_drift_ppm: None,
+            max_drift_change_ppm_per_s: None,
+            claims_trusted: Some(true),
+            probes_authenticated: Some(false),
+        };
+        assert_eq!(
+            promise(&weakest),
+            "Each bound contains the true delay as long as the wall clocks of both hosts drift apart no faster than assumed, no \
+             wall clock of these is stepped or slewed unnoticed, nobody on the path forges answers to probes and what the time \
+             daemons of both hosts claim is true."
+        );
+    }
+
+    #[test]
+    fn few_words_name_clocks_limits_and_authentication() {
+        assert_eq!(
+            brief(&RAW).replace(SPACE, " "),
+            "by raw clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"
+        );
+        let earlier = DelayAssumptions {
+            clocks: RelatedClocks::Wall,
+            max_drift_change_ppm_per_s: None,
+            claims_trusted: None,
+            probes_authenticated: None,
+            ..RAW
+        };
+        assert_eq!(brief(&earlier).replace(SPACE, " "), "by wall clocks, ρ 200 ppm");
+    }
+}
