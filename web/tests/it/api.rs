@@ -348,6 +348,26 @@ async fn links_and_clocks_are_served() {
     assert_eq!(offset["sources"][1]["source"], "chrony");
     assert!(number(&now["up"]["median"]["lo_s"]) <= number(&now["up"]["median"]["value_s"]));
     assert_eq!(bed.get("/api/v1/links/cam-3~rack-a").await.json()["edge_id"], link["edge_id"]);
+    let assumptions = json!({
+        "clocks": "wall", "max_drift_ppm": 50.0, "max_drift_change_ppm_per_s": null, "claims_trusted": true,
+        "probes_authenticated": false,
+    });
+    assert_eq!(link["assumptions"], assumptions);
+    let promise = link["promise"].as_str().expect("a sentence");
+    assert!(
+        promise.contains("as long as the wall clocks of both hosts drift apart by at most 50"),
+        "{promise}"
+    );
+    assert_eq!(now["proven_skew"], json!({ "min_ppm": 10.4, "max_ppm": 14.4 }));
+    assert_eq!((&now["clocks"], &now["grown_window_s"]), (&json!("wall"), &Value::Null));
+    assert_eq!(now["edge_clock"]["clocksource"], "kvm-clock");
+    let slowest = bed.get("/api/v1/runs/2/iterations?order=slowest&limit=1").await.json();
+    let stages = slowest["iterations"][0]["stages"].as_array().expect("stages").clone();
+    let upload = stages.iter().find(|stage| stage["name"] == "upload").expect("it travelled");
+    assert_eq!(
+        (&upload["delay"]["assumptions"], &upload["delay"]["claims_used"]),
+        (&assumptions, &json!(false))
+    );
     let connection = &now["connections"][0];
     assert_eq!(connection["up"]["retransmitted_datagrams"], json!(17));
     assert_eq!(connection["down"]["retransmitted_datagrams"], Value::Null, "only the cloud's kernel knows");
@@ -372,7 +392,10 @@ async fn links_and_clocks_are_served() {
     assert_eq!(again["run"], 2);
     let stages: Vec<&Value> =
         again["stages"].as_array().expect("stages").iter().map(|one| &one["stage"]).collect();
-    assert_eq!(stages, ["upload", "download"]);
+    assert_eq!(
+        (stages.len(), &stages[..1], &again["clocks"]),
+        (2, &[&json!("upload")][..], &json!(["wall"]))
+    );
     assert!(again["stages"][0]["before"]["delay"]["count"].as_u64().expect("a count") > 300, "{again}");
 
     for (address, status, word) in [

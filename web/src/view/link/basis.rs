@@ -1,8 +1,8 @@
 //! What the bounds of one-way delays rest on, in words.
 
-use peernet_clock::{DelaySource, RelatedClocks};
+use peernet_clock::{DelaySource, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, length};
-use peernet_store::{ClockPoint, DelayAssumptions};
+use peernet_store::DelayAssumptions;
 
 use super::Subject;
 use super::course::Course;
@@ -79,7 +79,7 @@ pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
 /// read one clock.
 pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
-    let newest = course.points.last();
+    let newest = Newest::of(subject, course);
     let clocks = match assumptions.clocks {
         RelatedClocks::Raw => {
             format!("{} (CLOCK_MONOTONIC_RAW): no time daemon steps or slews them", both(assumptions.clocks))
@@ -95,8 +95,8 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
         |change| format!("at most {}{SPACE}ppm per second (κ)", figure(change)),
     );
     pairs.push(("Of its change", change));
-    pairs.push(("Proven drift", proven(subject, assumptions, newest)));
-    pairs.push(("Window", window(newest)));
+    pairs.push(("Proven drift", proven(subject, assumptions, newest.proven_skew_ppm)));
+    pairs.push(("Window", window(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
             let used = subject.offset().map_or("not used now", |offset| source_words(offset.source));
@@ -115,8 +115,30 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs
 }
 
-fn proven(subject: &Subject<'_>, assumptions: &DelayAssumptions, newest: Option<&ClockPoint>) -> String {
-    let Some((min, max)) = newest.and_then(|point| point.proven_skew_ppm) else {
+/// What the newest sample of a link says of its exchanges.
+#[derive(Clone, Copy, Default)]
+struct Newest {
+    proven_skew_ppm: Option<(f64, f64)>,
+    grown_window: Option<Span>,
+}
+
+impl Newest {
+    fn of(subject: &Subject<'_>, course: &Course) -> Self {
+        match (subject.live, course.points.last()) {
+            (Some(link), _) => link.live.now.basis.map_or_else(Self::default, |basis| Self {
+                proven_skew_ppm: basis.proven_skew_ppm,
+                grown_window: basis.grown_window,
+            }),
+            (None, Some(point)) => {
+                Self { proven_skew_ppm: point.proven_skew_ppm, grown_window: point.grown_window }
+            }
+            (None, None) => Self::default(),
+        }
+    }
+}
+
+fn proven(subject: &Subject<'_>, assumptions: &DelayAssumptions, skew: Option<(f64, f64)>) -> String {
+    let Some((min, max)) = skew else {
         return "not narrower than assumed yet".to_owned();
     };
     let between = format!("between {} and {}{SPACE}ppm", ppm(min), ppm(max));
@@ -131,8 +153,8 @@ fn proven(subject: &Subject<'_>, assumptions: &DelayAssumptions, newest: Option<
     }
 }
 
-fn window(newest: Option<&ClockPoint>) -> String {
-    newest.and_then(|point| point.grown_window).map_or_else(
+fn window(grown: Option<Span>) -> String {
+    grown.map_or_else(
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
         |age| {
             format!(

@@ -1,5 +1,5 @@
 use peernet_clock::{DelaySource, Discipline, Interval};
-use peernet_stream::{DelayPoint, DelaySecond, HostClock, NetworkName, Probing};
+use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis, HostClock, NetworkName, Probing};
 
 use super::chart::{OffsetView, tracks};
 use super::course::Course;
@@ -433,4 +433,56 @@ fn a_placement_uses_the_link_over_its_network() {
     let page = |network| of_placement(&shown, "cam-1", &placement(network));
     assert_eq!(page(Some("zmq-udp")).as_deref(), Some("/links/cam-1~rack-a~zmq-udp"));
     assert_eq!((page(Some("zmq-tcp")), page(None), page(Some("~"))), (None, None, None));
+}
+
+#[test]
+fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
+    let mut link = link(Some(0.00065), &[]);
+    let basis = EstimateBasis {
+        clocks: RelatedClocks::Raw,
+        max_drift_change_ppm_per_s: Some(1.0),
+        proven_skew_ppm: Some((61.5, 64.0)),
+        grown_window: Some(Span::from_seconds(42)),
+        claims_trusted: false,
+        probes_authenticated: Some(false),
+        ..EstimateBasis::default()
+    };
+    link.live.now.basis = Some(basis);
+    let subject = Subject::live(&link);
+    let pairs = basis::pairs(&subject, &course(&link));
+    let of = |name: &str| {
+        let found = pairs.iter().find(|(known, _)| *known == name);
+        found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
+    };
+    assert!(
+        of("Clocks related").starts_with("the raw clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
+        "{pairs:?}"
+    );
+    assert_eq!(of("Assumed drift"), "at most 50.0 ppm (ρ)");
+    assert_eq!(
+        of("Proven drift"),
+        "between +61.5 and +64.0 ppm, beyond what is assumed: raise [clock] max_drift_ppm on cam-1 above 62"
+    );
+    assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
+    assert_eq!(of("Claims of time daemons"), "shown for comparison only");
+    assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
+    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the raw clocks");
+
+    // What cannot be told of one clock is not told.
+    link.live.same_clock = true;
+    assert!(basis::pairs(&Subject::live(&link), &course(&link)).is_empty());
+}
+
+#[test]
+fn clock_that_a_hypervisor_supplies_is_named() {
+    let clock = |source: Option<&str>| HostClock {
+        text: "chrony, stratum 2".into(),
+        clocksource: source.map(str::to_owned),
+        ..HostClock::default()
+    };
+    for source in [None, Some("tsc"), Some("arch_sys_counter")] {
+        assert_eq!(panels::discipline(&clock(source)), "chrony, stratum 2");
+    }
+    let supplied = panels::discipline(&clock(Some("kvm-clock")));
+    assert_eq!(supplied, "chrony, stratum 2; clock supplied by the hypervisor (kvm-clock)");
 }

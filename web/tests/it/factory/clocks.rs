@@ -1,13 +1,14 @@
 //! What a line's edge knows of the rack's clock: one sample a second.
 
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription, Span,
-    Verdict, WallTime,
+    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription,
+    RelatedClocks, Span, Verdict, WallTime,
 };
 use peernet_logger::{HostId, stage};
 use peernet_stream::{
-    ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics, HostClock,
-    LinkLive, NetworkInterface, NetworkName, ProbeCounts, Probing, RoundTrip, TransportRoundTrip,
+    ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
+    EstimateBasis, HostClock, LinkLive, NetworkInterface, NetworkName, ProbeCounts, Probing, RoundTrip,
+    TransportRoundTrip,
 };
 
 use super::{Clocks, Line, Numbers, slug};
@@ -140,7 +141,13 @@ pub(super) fn sample(
         up: Some(delays(line, "upload", numbers)),
         down: Some(delays(line, "download", numbers)),
         network: NetworkName::default(),
-        basis: None,
+        basis: bound.filter(|bound| *bound > 0.0).map(|_| EstimateBasis {
+            clocks: RelatedClocks::Wall,
+            proven_skew_ppm: Some((SKEW_PPM - 2.0, SKEW_PPM + 2.0)),
+            claims_trusted: true,
+            probes_authenticated: Some(false),
+            ..EstimateBasis::default()
+        }),
     }
 }
 
