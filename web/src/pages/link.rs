@@ -246,6 +246,7 @@ fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
             facts.push(format!("told of {ago} ago"));
         }
     }
+    facts.extend(basis::facts(subject));
     facts.push(format!("times of {}'s clock", subject.edge));
     facts
 }

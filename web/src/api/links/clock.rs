@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::view::link::known;
 
-/// The offset between two wall clocks at one time: cloud minus edge.
+/// The offset between the two clocks that are related at one time: cloud minus edge. See `clocks` beside it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
     /// The best guess, seconds; null with its bounds when the verdict is `inconsistent`: then nothing is known.

@@ -1,6 +1,6 @@
 //! What the bounds of one-way delays rest on, in words.
 
-use peernet_clock::{DelaySource, RelatedClocks, Span};
+use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, length};
 use peernet_store::DelayAssumptions;
 
@@ -54,6 +54,22 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
         DelaySource::Intersection => "in-band, narrowed as claimed by time daemons",
         DelaySource::None => "none",
     }
+}
+
+/// What a reader of the figures must know at once: claims that narrow the bounds, probes that anybody can forge.
+pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
+    let mut facts = Vec::new();
+    let claimed = |offset: &Offset| {
+        matches!(offset.source, DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection)
+    };
+    if let Some(offset) = subject.offset().filter(|offset| claimed(offset)) {
+        let chrony = offset.sources.iter().any(|(source, _)| *source == DelaySource::Chrony);
+        facts.push(format!("bounds as claimed by {}", if chrony { "chrony" } else { "the kernels" }));
+    }
+    if subject.assumptions.is_some_and(|assumptions| assumptions.probes_authenticated == Some(false)) {
+        facts.push("probes not authenticated".to_owned());
+    }
+    facts
 }
 
 /// The assumptions in a few words beside a delay: `by raw clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.

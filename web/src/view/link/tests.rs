@@ -467,6 +467,8 @@ fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
     assert_eq!(of("Claims of time daemons"), "shown for comparison only");
     assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
     assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the raw clocks");
+    // The offset of this link is narrowed by a claim.
+    assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 
     // What cannot be told of one clock is not told.
     link.live.same_clock = true;
