@@ -43,13 +43,14 @@ pub struct Transit {
     pub received: Option<WallTime>,
     /// The delay, once the edge has related the two clocks.
     pub delay: Option<OneWayDelay>,
-    /// The same moments on the free-running clocks, by which the delay is judged; `None` while the message is under way, and
-    /// where an end did not stamp them (releases before 0.3).
+    /// The same moments on the related clocks, by which the delay is judged; `None` while the message is under way, and in what releases
+    /// before 0.3 recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw_stamps: Option<RawStamps>,
 }
 
-/// When a message left one host and arrived at another, by the free-running clock of each.
+/// When a message left one host and arrived at another, by the free-running clock of each. A cloud that has no stamps of it gives those of
+/// its wall clock, [`RawTime::of_wall`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawStamps {
     /// The sender's clock just before the message was handed to the network.

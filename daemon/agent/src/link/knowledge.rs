@@ -9,7 +9,7 @@ use peernet_clock::{
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
 use peernet_probes::ProbeResult;
-use peernet_stream::{ClockSample, HostClock, NetworkName};
+use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 use uuid::Uuid;
 
 use super::second::Second;
@@ -228,14 +228,14 @@ impl Knowledge {
     /// Closes the second if it is over.
     pub(super) fn turn(&mut self, now: Stamp) -> News {
         let mut news = News::default();
-        self.begin_window(now.wall, &mut news);
+        self.begin_window(now, &mut news);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
-            let since = (now.wall - end).max(Span::ZERO).min(MOST_OVERDUE);
-            let offset = self.relation.offset(now.raw - since, end);
-            self.close(end, offset.as_ref(), now.wall, &mut news);
+            let at = edge_time(now, end);
+            let offset = self.relation.offset(at.raw, end);
+            self.close(at, offset.as_ref(), now.wall, &mut news);
         }
         news
     }
@@ -244,7 +244,7 @@ impl Knowledge {
     pub(super) fn finish(&mut self, now: Stamp) -> News {
         let mut news = self.turn(now);
         let offset = self.relation.offset(now.raw, now.wall);
-        self.close(now.wall, offset.as_ref(), now.wall, &mut news);
+        self.close(now, offset.as_ref(), now.wall, &mut news);
         news
     }
 
@@ -256,7 +256,7 @@ impl Knowledge {
         let last = last.filter(|last| current && last.at == previous && last.window == self.window);
         // What holds since a step is not told under the name of the window before it.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.void);
-        last.cloned().unwrap_or_else(|| self.sample(network, now.wall, offset()))
+        last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
     /// What is shown of the clocks of the two hosts: the edge's, the cloud's.
@@ -289,7 +289,7 @@ impl Knowledge {
     }
 
     fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: Stamp, news: &mut News) {
-        self.begin_window(now.wall, news);
+        self.begin_window(now, news);
         match learned {
             Learned::Refused(_) => return,
             Learned::Taken => {}
@@ -303,17 +303,18 @@ impl Knowledge {
     }
 
     /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
-    fn begin_window(&mut self, now: WallTime, news: &mut News) {
+    fn begin_window(&mut self, now: Stamp, news: &mut News) {
         if std::mem::take(&mut self.void) {
-            let at = if now.unix_seconds() == self.second.at { now } else { self.second.end() };
-            self.close(at, None, now, news);
+            let is_current = now.wall.unix_seconds() == self.second.at;
+            let at = if is_current { now } else { edge_time(now, self.second.end()) };
+            self.close(at, None, now.wall, news);
             self.last.clear();
             self.window = random();
         }
     }
 
     /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
-    fn close(&mut self, at: WallTime, offset: Option<&Offset>, now: WallTime, news: &mut News) {
+    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, news: &mut News) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
                 self.networks.keys().chain(self.second.networks()).collect();
@@ -325,13 +326,23 @@ impl Knowledge {
         self.second = Second::new(now.unix_seconds());
     }
 
-    fn sample(&self, network: &NetworkName, at: WallTime, offset: Option<Offset>) -> ClockSample {
+    fn sample(&self, network: &NetworkName, at: Stamp, offset: Option<Offset>) -> ClockSample {
+        let settings = self.relation.settings();
+        let basis = EstimateBasis {
+            clocks: settings.clocks,
+            at_raw: Some(at.raw),
+            max_drift_change_ppm_per_s: None,
+            proven_skew_ppm: None,
+            grown_window: None,
+            claims_trusted: settings.trust_time_daemons,
+            probes_authenticated: None,
+        };
         ClockSample {
             peer: self.peer,
             peer_name: self.name.clone(),
-            at,
+            at: at.wall,
             window: self.window,
-            max_drift_ppm: self.relation.settings().max_drift_ppm,
+            max_drift_ppm: settings.max_drift_ppm,
             upper: self.second.upper,
             lower: self.second.lower,
             offset,
@@ -341,7 +352,7 @@ impl Knowledge {
             up: self.second.delays(network, Direction::Up),
             down: self.second.delays(network, Direction::Down),
             network: network.clone(),
-            basis: None,
+            basis: Some(basis),
         }
     }
 
@@ -350,6 +361,12 @@ impl Knowledge {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
+}
+
+/// The edge's clocks when its wall clock showed `at`, a moment ago.
+fn edge_time(now: Stamp, at: WallTime) -> Stamp {
+    let since = (now.wall - at).max(Span::ZERO).min(MOST_OVERDUE);
+    Stamp { wall: at, raw: now.raw - since, ..now }
 }
 
 /// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.

@@ -1,6 +1,6 @@
 //! One request and its answer, on the edge's tree.
 
-use peernet_clock::{RawTime, Span, Stamp, WallTime, Witnessed};
+use peernet_clock::{RawTime, Span, Stamp, Witnessed};
 use peernet_logger::{
     HostId, HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Tree, TreeError, Unit,
     stage,
@@ -149,11 +149,12 @@ pub(crate) fn absorb(
         return Err(GrowthError::EarlierHost);
     }
     let there = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
-        (false, ..) => None,
-        (true, Some(received), Some(replied)) => Some((received, replied)),
+        // The cloud's wall clock stands in for its free-running one.
+        (false, ..) => (RawTime::of_wall(growth.closed.1), RawTime::of_wall(departure.sent)),
+        (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(GrowthError::NoRawStamps),
     };
-    let raw_stamps = there.map(|(_, sent)| RawStamps { sent, received: arrived.at.raw });
+    let raw_stamps = Some(RawStamps { sent: there.1, received: arrived.at.raw });
     let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
     growth.nodes.push(Node {
         parent: Some(NodeId::ROOT),
@@ -162,11 +163,10 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let witnessed = witnessed(departed, growth.closed.1, there, departure, arrived);
+    let witnessed = witnessed(departed, raw, there, departure, arrived);
     log.tree_mut().absorb(growth)?;
-    if let Some((received, _)) = there {
-        set_raw_stamps(log.tree_mut(), departed.upload, RawStamps { sent: departed.at.raw, received });
-    }
+    let up = RawStamps { sent: departed.at.raw, received: there.0 };
+    set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
     Ok(Some((download, witnessed)))
@@ -178,19 +178,17 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
     }
 }
 
-/// The stamps of an exchange. `there` are those of the cloud's free-running clock, without which its wall clock counts.
+/// The stamps of an exchange. `there` are those of the cloud, `raw` says whether they are of its free-running clock.
 fn witnessed(
     departed: &Departed,
-    received: WallTime,
-    there: Option<(RawTime, RawTime)>,
+    raw: bool,
+    (received, replied): (RawTime, RawTime),
     departure: Departure,
     arrived: &Arrived,
 ) -> Option<Witnessed> {
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
     }
-    let by_wall = || (RawTime::of_wall(received), RawTime::of_wall(departure.sent));
-    let (received, replied) = there.unwrap_or_else(by_wall);
     let exchange = peernet_clock::Exchange {
         sent: departed.at.raw,
         received,
@@ -202,7 +200,7 @@ fn witnessed(
         exchange,
         edge_elapsed: None,
         // A free-running clock is not stepped, and may run otherwise than the monotonic one, which is slewed.
-        cloud_elapsed: there.is_none().then_some(departure.start),
+        cloud_elapsed: (!raw).then_some(departure.start),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),
     })

@@ -281,3 +281,17 @@ fn raw_difference_is_that_of_wall_clocks() {
     let bounds = up.bounds.expect("bounded by itself alone");
     assert!(bounds.contains(Span::from_millis(1)) && bounds.hi < Span::from_millis(10), "{bounds:?}");
 }
+
+#[test]
+fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
+    let mut knowledge = knowledge();
+    let _ = knowledge.judge(&network(), &exchange(300, 0), WAYS, now(304));
+    // The next look comes 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running one.
+    let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
+    let news = knowledge.turn(late);
+    let [sample] = &news.samples[..] else { panic!("one second: {news:?}") };
+    let basis = sample.basis.expect("told");
+    assert_eq!((sample.at, basis.clocks), (at(1_000), RelatedClocks::Raw));
+    assert_eq!(basis.at_raw, Some(now(990).raw), "as long before the look as by the wall clock");
+    assert!(basis.claims_trusted, "as this relation is set");
+}
