@@ -28,6 +28,7 @@ use crate::incidents::{Concerning, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
 use crate::live::{Board, Display};
+use crate::observed::ObservedPipelines;
 use crate::outbox::{LiveSources, Outbox, Sources};
 use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
@@ -159,11 +160,13 @@ async fn start(
     let (figures, metrics) = watch::channel(HostMetrics::default());
     tasks.keep(&beside, "telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
     let pipelines = TaskTracker::new();
+    let observed = ObservedPipelines::of(&config);
     let context = PipelineContext {
         host: host.clone(),
         events: events.clone(),
         bank: Arc::clone(&bank),
         links: links.clone(),
+        observed: observed.clone(),
         fingerprints,
         places: Arc::clone(&places),
     };
@@ -174,7 +177,7 @@ async fn start(
         // Pipelines may compute on this very host: they finish first.
         let (told, ended) = (tasks.stop(), CancellationToken::new());
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
-        let context = ServeContext { host, incidents, bank, own, places };
+        let context = ServeContext { host, incidents, bank, observed, own, places };
         let serving = serve::run(doors, context, count, ended.clone());
         tasks.keep(&beside, "order of stopping", async move {
             told.cancelled().await;

@@ -122,7 +122,10 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     }
     let models = bank.offered();
     if let Some(serve) = &config.serve {
-        check_serve(&mut report, serve, &models);
+        let observes = |pipeline: &PipelineConfig| matches!(pipeline.placement, PlacementConfig::Observe(_));
+        // Peers can ask for the stamps of what is observed.
+        let has_stamps = config.pipelines.iter().any(observes);
+        check_serve(&mut report, serve, models.is_empty() && !has_stamps);
     }
     time::check_clock(&mut report, &config.clock);
     time::check_probes(&mut report, &config.probes, config.serve.as_ref());
@@ -173,9 +176,10 @@ fn check_host(report: &mut Report, host: &HostConfig) {
     report.at_most("agent.stop_timeout_ms", host.stop_timeout_ms, MAX_STOP_TIMEOUT_MS);
 }
 
-fn check_serve(report: &mut Report, serve: &ServeConfig, models: &[Slug]) {
-    if models.is_empty() && !serve.calibration {
-        let text = "there is nothing to serve; add a [[model]] or a folder with models to [bank], allow calibration, or remove [serve]";
+fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
+    if is_empty && !serve.calibration {
+        let text = "there is nothing to serve; add a [[model]], a folder with models to [bank] or a pipeline that observes, allow \
+                    calibration, or remove [serve]";
         report.add("serve", text);
     }
     report.settings("serve.session", &serve.session);
@@ -277,6 +281,12 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
     if observed.input == observed.output {
         let text = "it is the topic of input, too; name the topic that the observed nodes publish";
         report.add(format!("{at}.placement.output"), text);
+    }
+    if let Err(error) = observed.check_peer() {
+        report.add(format!("{at}.placement.{}", error.key()), error);
+    }
+    if let Some(peer) = &observed.peer {
+        report.version_of_ros(format!("{at}.placement.peer"), peer);
     }
     match observed.version(|name| std::env::var(name).ok()) {
         Ok(version) => {

@@ -28,6 +28,7 @@ mod io;
 mod link;
 mod live;
 mod lock;
+mod observed;
 mod outbox;
 mod pauses;
 mod pipeline;

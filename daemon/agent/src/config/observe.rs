@@ -1,5 +1,7 @@
 //! `placement = { kind = "observe", … }`
 
+use peernet_logger::Slug;
+use peernet_networks::Address;
 use peernet_ros::ros2::{self, Ros2Error};
 use peernet_ros::topics::{RosVersion, VersionError};
 use serde::{Deserialize, Serialize};
@@ -19,6 +21,13 @@ pub struct ObserveConfig {
     /// How an output message is assigned to its input message. Default: `stamp`.
     #[serde(default)]
     pub pair_by: PairBy,
+    /// An address of the `[serve] listen` of another agent, on the host where the observed nodes compute, which observes the same
+    /// messages there: `tcp://host:port`. With it `upload`, `inference` and `download` are recorded apart. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peer: Option<Address>,
+    /// Name of the pipeline of that agent. Default: the name of this one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peer_pipeline: Option<Slug>,
 }
 
 /// Why topics cannot be observed as configured.
@@ -36,6 +45,17 @@ pub enum ObserveError {
          the observed nodes do not copy header.stamp"
     )]
     NoSequence,
+    /// Messages have nothing by which two hosts know them.
+    #[error(
+        "two hosts need not receive the same messages in the same order, so that their stamps cannot be paired by it; write \
+         pair_by = \"stamp\", or \"sequence\" in ROS 1, or remove peer"
+    )]
+    PeerByOrder,
+    /// A pipeline of nobody.
+    #[error(
+        "there is no peer whose pipeline this is; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline"
+    )]
+    PipelineWithoutPeer,
 }
 
 impl ObserveError {
@@ -43,7 +63,8 @@ impl ObserveError {
     pub fn key(&self) -> &'static str {
         match self {
             Self::Version(_) | Self::NotBuilt(_) => "ros_version",
-            Self::NoSequence => "pair_by",
+            Self::NoSequence | Self::PeerByOrder => "pair_by",
+            Self::PipelineWithoutPeer => "peer_pipeline",
         }
     }
 }
@@ -64,6 +85,20 @@ impl ObserveConfig {
             }
         }
         Ok(version)
+    }
+
+    /// Checks that stamps can be paired with those of the peer, where there is one.
+    ///
+    /// # Errors
+    /// What is to be changed: [`ObserveError`].
+    pub fn check_peer(&self) -> Result<(), ObserveError> {
+        if self.peer.is_some() && self.pair_by == PairBy::Order {
+            return Err(ObserveError::PeerByOrder);
+        }
+        if self.peer.is_none() && self.peer_pipeline.is_some() {
+            return Err(ObserveError::PipelineWithoutPeer);
+        }
+        Ok(())
     }
 }
 
@@ -97,7 +132,24 @@ mod tests {
 
     fn config(pair_by: PairBy) -> ObserveConfig {
         let (input, output) = ("/in".to_owned(), "/out".to_owned());
-        ObserveConfig { ros_version: Some(RosVersion::Ros2), input, output, pair_by }
+        let (peer, peer_pipeline) = (None, None);
+        ObserveConfig { ros_version: Some(RosVersion::Ros2), input, output, pair_by, peer, peer_pipeline }
+    }
+
+    #[test]
+    fn peer_is_refused_where_messages_have_no_key() {
+        let peer = Some("tcp://rack:5551".parse().expect("an address"));
+        let by_order = ObserveConfig { peer: peer.clone(), ..config(PairBy::Order) };
+        let error = by_order.check_peer().expect_err("it is refused");
+        assert_eq!(error.key(), "pair_by");
+        for part in ["pair_by = \"stamp\"", "\"sequence\""] {
+            assert!(error.to_string().contains(part), "{error}");
+        }
+        let orphan = ObserveConfig { peer_pipeline: Some(Slug::observed()), ..config(PairBy::Stamp) };
+        assert_eq!(orphan.check_peer().map_err(|error| error.key()), Err("peer_pipeline"));
+        for pair_by in [PairBy::Stamp, PairBy::Sequence] {
+            assert!(ObserveConfig { peer: peer.clone(), ..config(pair_by) }.check_peer().is_ok());
+        }
     }
 
     #[test]

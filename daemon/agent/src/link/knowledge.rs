@@ -12,6 +12,7 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 use uuid::Uuid;
 
+use super::judged_stamps::{Crossing, HostStamp};
 use super::second::Second;
 use super::told_clock::ToldClock;
 use crate::host_clock::shown;
@@ -174,6 +175,26 @@ impl Knowledge {
             self.second.judged(network, *direction, delay, way.bits);
         }
         (delays, news)
+    }
+
+    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second learns of them:
+    /// the first stamp is that of another receiver, not of the departure.
+    pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+        let is_current = |stamp: &HostStamp, clock: &HostClock| stamp.epoch == Some(clock.epoch);
+        let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
+        let is_down_current =
+            |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
+        if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
+            return self.relation.delays(up.times(), down.times()).map(Some);
+        }
+        let judge = |crossing: &Crossing, is_current: bool, direction| {
+            let (sent, received) = crossing.times();
+            if is_current { self.relation.delay(direction, sent, received) } else { crossing.stepped() }
+        };
+        [
+            Some(judge(up, is_up_current, Direction::Up)),
+            down.map(|down| judge(down, is_down_current(down), Direction::Down)),
+        ]
     }
 
     /// Something became of a probe.

@@ -8,6 +8,7 @@
 mod answers;
 mod connections;
 mod correction;
+mod judged_stamps;
 mod knowledge;
 mod pair;
 mod probing;
@@ -18,6 +19,7 @@ mod thinned;
 mod told_clock;
 mod words;
 
+pub(crate) use judged_stamps::{Crossing, EpochWatch, HostStamp};
 pub use registry::Cloud;
 pub(crate) use registry::{Attached, Links};
 pub(crate) use shared::{Near, ProbeSettings};

@@ -15,6 +15,7 @@ use tokio::sync::watch;
 
 use super::connections::Connections;
 use super::correction::{bits, correct};
+use super::judged_stamps::Crossing;
 use super::knowledge::{Knowledge, News, Way};
 use super::shared::{Session, Shared, lock};
 use super::words::{restart_in_words, wall_set_in_words};
@@ -108,6 +109,11 @@ impl Link {
             Some(witnessed) => knowledge.judge(network, witnessed, ways, now),
             None => knowledge.stepped(network, ways, now),
         }
+    }
+
+    /// Judges the delays of messages that others sent, one in each direction, by what is known. Nothing is learnt from them.
+    pub(crate) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+        lock(&self.knowledge).judge_stamps(up, down)
     }
 
     /// Something became of a probe.

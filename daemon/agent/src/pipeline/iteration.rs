@@ -29,10 +29,22 @@ pub(super) fn close(
     closed_loop: bool,
     transport: Option<Span>,
 ) -> Tree {
+    let total = ended - ticket.start.intended;
+    let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
+    close_with(log, ticket, ended, closed_loop, stages)
+}
+
+/// As [`close`], where it is known without adding up what the stages are together; `None` where it is not known.
+pub(super) fn close_with(
+    log: Recorder,
+    ticket: &Ticket,
+    ended: MonoTime,
+    closed_loop: bool,
+    stages: Option<Span>,
+) -> Tree {
     let intended = ticket.start.intended;
     let total = ended - intended;
     let mut tree = log.finish();
-    let stages = stages_total(&tree, transport.filter(|transport| *transport <= total));
     if ticket.start.skipped > 0 {
         let skipped = Measure::Value(ticket.start.skipped as f64, Unit::NONE);
         tree.add(NodeId::ROOT, SKIPPED_STARTS, total, skipped);

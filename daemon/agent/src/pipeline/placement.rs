@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_clock::Span;
+use peernet_clock::{OneWayDelay, Span};
 use peernet_inference::{Done, Job, LoadError, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use super::context::PipelineContext;
 use crate::conditions::{Places, look_soon};
 use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
-use crate::link::Attached;
+use crate::link::{Attached, Crossing};
 
 /// An open placement: a loaded model, a session with a peer that has one, or nothing.
 #[derive(Debug)]
@@ -68,28 +68,44 @@ impl Placement {
                 pool.map(Self::Local).map_err(OpenFailure::Model)
             }
             PlacementConfig::Remote(remote) => {
-                let hello = SessionHello {
-                    versions: SESSION_VERSIONS,
-                    host: context.host.id,
-                    name: context.host.name.clone(),
-                    clock: context.host.clock.identity().clone(),
-                    pipeline: config.name.clone(),
-                    model: remote.model.clone(),
-                    device: remote.device.clone(),
-                };
                 // The pipeline bounds what is in flight itself; a tighter bound of the session would hide it.
                 let wanted = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
-                let settings = SessionSettings {
-                    max_in_flight: remote.session.max_in_flight.max(wanted),
-                    ..remote.session.clone()
-                };
-                let clock = Arc::clone(&context.host.clock);
-                let session = Session::open(&remote.peer, hello, settings, clock).await?;
-                let link = context.links.attach(&session, &remote.peer, &config.name);
-                Ok(Self::Remote { session, link, config: remote.clone() })
+                let max_in_flight = remote.session.max_in_flight.max(wanted);
+                let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
+                Self::open_remote(remote, settings, &config.name, context).await
             }
             // An observed system is never asked: its runner goes another way.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
+        }
+    }
+
+    /// Opens a session of a pipeline with the peer.
+    pub(super) async fn open_remote(
+        remote: &RemoteConfig,
+        settings: SessionSettings,
+        pipeline: &Slug,
+        context: &PipelineContext,
+    ) -> Result<Self, OpenFailure> {
+        let hello = SessionHello {
+            versions: SESSION_VERSIONS,
+            host: context.host.id,
+            name: context.host.name.clone(),
+            clock: context.host.clock.identity().clone(),
+            pipeline: pipeline.clone(),
+            model: remote.model.clone(),
+            device: remote.device.clone(),
+        };
+        let clock = Arc::clone(&context.host.clock);
+        let session = Session::open(&remote.peer, hello, settings, clock).await?;
+        let link = context.links.attach(&session, &remote.peer, pipeline);
+        Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
+    }
+
+    /// Judges the delays of messages that were observed here and at the peer; `None` without a peer.
+    pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+        match self {
+            Self::Local(_) | Self::None => [None, None],
+            Self::Remote { link, .. } => link.judge_stamps(up, down),
         }
     }
 

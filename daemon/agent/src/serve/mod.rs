@@ -5,6 +5,7 @@ mod doors;
 mod listeners;
 mod reflector;
 mod served;
+mod service;
 
 pub(crate) use doors::{Doors, calibration};
 pub use served::Served;
@@ -14,7 +15,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use peernet_inference::{Bank, Done, InferenceError, Job, LoadError, Pool};
+use peernet_inference::{Bank, Done, InferenceError};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, PeerClock,
@@ -28,9 +29,11 @@ use tokio_util::sync::CancellationToken;
 
 use self::asked::Asked;
 use self::listeners::Listeners;
+use self::service::{Refusal, Service};
 use crate::conditions::Places;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents};
+use crate::observed::ObservedPipelines;
 use crate::telemetry;
 
 /// What serving needs of the rest of the agent.
@@ -40,6 +43,8 @@ pub(crate) struct ServeContext {
     pub(crate) incidents: Incidents,
     /// The models that are served.
     pub(crate) bank: Arc<Bank>,
+    /// What peers can ask about this host's pipelines that observe.
+    pub(crate) observed: ObservedPipelines,
     /// What is known of this host's own clock.
     pub(crate) own: watch::Receiver<PeerClock>,
     /// Paths in /proc and /sys that show what can disturb a run.
@@ -140,9 +145,8 @@ async fn sessions(
 fn prepare(wish: OpenRequest, listener: usize, context: &ServeContext) -> Loaded {
     // First, because a model that loads is a competing load itself.
     let conditions = conditions(context);
-    let model = wish.hello.model.clone().map_or_else(|| context.bank.only(), Ok);
-    let pool = model.and_then(|model| context.bank.load(&model, wish.hello.device.as_deref()));
-    Loaded { wish, listener, pool, conditions }
+    let service = Service::prepare(&wish.hello, context);
+    Loaded { wish, listener, service, conditions }
 }
 
 /// What a peer is told of this host before a session.
@@ -168,7 +172,7 @@ struct Loaded {
     wish: OpenRequest,
     /// The place of the listener that it came to.
     listener: usize,
-    pool: Result<Arc<Pool>, LoadError>,
+    service: Result<Service, Refusal>,
     conditions: Vec<Condition>,
 }
 
@@ -179,7 +183,7 @@ struct Peer {
     pipeline: Slug,
     /// Where its connection, and so its probes, come from.
     address: Option<IpAddr>,
-    pool: Arc<Pool>,
+    service: Service,
     /// Where its requests and their answers are counted, if they are.
     counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
 }
@@ -198,33 +202,33 @@ struct Server {
 
 impl Server {
     /// Accepts or refuses.
-    fn answer(&mut self, Loaded { wish, listener, pool, conditions }: Loaded) {
+    fn answer(&mut self, Loaded { wish, listener, service, conditions }: Loaded) {
         let hello = &wish.hello;
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
-        match pool {
-            Ok(pool) => {
+        match service {
+            Ok(service) => {
                 let text =
-                    format!("{name} opened a session for its pipeline {pipeline} with {}", pool.name());
-                let (session, accepted) = (wish.session, self.accepted(listener, &pool, conditions));
+                    format!("{name} opened a session for its pipeline {pipeline} with {}", service.name());
+                let (session, accepted) = (wish.session, self.accepted(listener, &service, conditions));
                 let address = wish.address.map(|address| address.ip());
                 // Before the peer knows where to send its probes.
                 self.tell_reflectors(address);
                 if wish.accept(accepted) {
-                    let counts = self.named.built_in.as_ref() != Some(pool.name());
+                    let counts = match &service {
+                        Service::Model(pool) => self.named.built_in.as_ref() != Some(pool.name()),
+                        Service::Stamps(..) => false,
+                    };
                     let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
-                    self.peers.insert(session, Peer { host, name, pipeline, address, pool, counted });
+                    self.peers.insert(session, Peer { host, name, pipeline, address, service, counted });
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 } else {
                     self.tell_reflectors(None);
                 }
             }
-            Err(error) => {
-                let reason = error.to_string();
+            Err(Refusal { reason, to_peer }) => {
                 let text = format!("refused a session to pipeline {pipeline} of {name}: {reason}");
-                let asked =
-                    wish.hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
-                wish.refuse(error.to_peer(&asked));
+                wish.refuse(to_peer);
                 self.report(IncidentKind::Refused, host, text);
             }
         }
@@ -238,15 +242,15 @@ impl Server {
         }
     }
 
-    fn accepted(&self, listener: usize, pool: &Pool, conditions: Vec<Condition>) -> SessionAccepted {
+    fn accepted(&self, listener: usize, service: &Service, conditions: Vec<Condition>) -> SessionAccepted {
         SessionAccepted {
             host: self.context.host.id,
             name: self.context.host.name.clone(),
             clock: self.context.host.clock.identity().clone(),
             version: self.context.host.version.to_owned(),
-            model: pool.name().clone(),
-            device: pool.device(),
-            facts: pool.facts(),
+            model: service.name(),
+            device: service.device(),
+            facts: service.facts(),
             host_clock: self.context.own.borrow().clone(),
             probes: self.named.probes.get(listener).copied().flatten(),
             instance: self.named.instance,
@@ -255,10 +259,10 @@ impl Server {
         }
     }
 
-    /// Hands a request to its model; whoever computes it sends the answer.
+    /// Hands a request to what answers it; whoever computes it sends the answer.
     fn compute(&self, request: IncomingRequest) {
-        let IncomingRequest { session, sample, log, received, reply } = request;
-        let Some(peer) = self.peers.get(&session) else {
+        let Some(peer) = self.peers.get(&request.session) else {
+            let IncomingRequest { log, reply, .. } = request;
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
@@ -266,18 +270,12 @@ impl Server {
             asked.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
-        let reply = Box::new(move |Done { log, result }: Done| {
-            let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
-            let is_error = result.is_err();
-            reply.send(log, result.map_err(|error| failure(&error)));
+        peer.service.answer(request, move |Done { log, result }: &Done| {
             if let Some(served) = served {
-                served.send_modify(|served| served.add(is_error, inference));
+                let inference = result.as_ref().ok().and_then(|_| served::inference(log.tree()));
+                served.send_modify(|served| served.add(result.is_err(), inference));
             }
         });
-        if let Err(refused) = peer.pool.submit(Job { sample, log, received: received.mono, reply }) {
-            let Job { log, reply, .. } = *refused.job;
-            reply(Done { log, result: Err(refused.reason) });
-        }
     }
 
     /// A session is over. That its peer took its leave is no incident: every session ends once.

@@ -14,9 +14,7 @@ impl Relation {
         let exchange = &witnessed.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
         let learned = self.learn(witnessed);
-        // One estimate for both, or they would not add up to the round trip.
-        let down = self.knowledge(exchange.returned, None).combined().map(|known| known.estimate);
-        let up = down.map(|down| down + self.band.growth(exchange.returned, exchange.sent));
+        let [up, down] = self.guesses(exchange.sent, exchange.returned);
         let delay = |direction, sent, received, guess| match learned {
             Learned::Refused(why) => self.refused(why, direction, sent, received),
             _ => self.delay_in_company(direction, sent, received, company, guess),
@@ -39,6 +37,23 @@ impl Relation {
             self.presence.near(at, at, self.settings.fresh),
             None,
         )
+    }
+
+    /// The delays of a message and of a later one in the other direction, stamped (`sent`, `received`) each, by what is known now.
+    /// Nothing is learnt: the stamps need not be those of an exchange, as where both ends only observe what others send.
+    pub fn delays(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
+        let company = self.presence.near(up.0, down.1, self.settings.fresh);
+        let guesses = self.guesses(up.0, down.1);
+        [
+            self.delay_in_company(Direction::Up, up.0, up.1, company, guesses[0]),
+            self.delay_in_company(Direction::Down, down.0, down.1, company, guesses[1]),
+        ]
+    }
+
+    /// One estimate of the offset for both directions, or they would not add up to the round trip: at `sent` and at `returned`.
+    fn guesses(&self, sent: RawTime, returned: RawTime) -> [Option<Span>; 2] {
+        let down = self.knowledge(returned, None).combined().map(|known| known.estimate);
+        [down.map(|down| down + self.band.growth(returned, sent)), down]
     }
 
     /// What each source says at a time; the band's estimate is `guess` where there is one.

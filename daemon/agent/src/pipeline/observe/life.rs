@@ -5,9 +5,10 @@ use std::time::Duration;
 use peernet_logger::RunId;
 use peernet_stream::{IncidentKind, PipelineState, Placement as Description};
 
+use super::peer::{PeerStamps, PeerTold};
 use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
-use super::topic::Topic;
+use super::topic::{PublisherPlace, Topic};
 use crate::config::ObserveConfig;
 use crate::pauses::Pauses;
 use crate::pipeline::placement::Placement;
@@ -23,23 +24,30 @@ const QUIET: Duration = Duration::from_secs(10);
 /// # Errors
 /// The configuration or the types of the topics must be changed first.
 pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
-    let clock = &runner.context.host.clock;
+    config.check_peer().map_err(SourceError::from)?;
     let mut underway: Option<(Run, Observation<'_>)> = None;
     loop {
         let Some(mut source) = connect(runner, config, underway.as_ref().map(|(run, _)| run.id())).await?
         else {
             if let Some((mut run, mut observation)) = underway {
-                observation.give_up("the agent stopped before the output message came", &mut run, runner);
+                let reason = "the agent stopped before the output message came";
+                observation.give_up(reason, &mut run, runner).await;
                 run.end("stopped", &runner.context);
+                observation.close().await;
             }
             return Ok(());
         };
         let (run, observation) = match &mut underway {
             Some(underway) => underway,
             None => {
-                let run = begin(runner, config, &source, false).await;
-                let observation = Observation::new(config, runner.config.timeout(), clock.mono());
-                underway.insert((run, observation))
+                let peer = PeerStamps::open(runner, config).await;
+                if peer.is_none() && config.peer.is_some() {
+                    // The agent stops.
+                    source.close().await;
+                    return Ok(());
+                }
+                let run = begin(runner, config, &source, peer.as_ref(), false).await;
+                underway.insert((run, Observation::new(config, runner, peer)))
             }
         };
         runner.display.set_state(PipelineState::Running);
@@ -47,7 +55,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
             match observation.run(&mut source, run, runner).await {
                 SessionEnded::Midnight => {
                     run.end("finished", &runner.context);
-                    *run = begin(runner, config, &source, true).await;
+                    *run = begin(runner, config, &source, observation.peer(), true).await;
                 }
                 SessionEnded::Limit => break "finished",
                 SessionEnded::Stopped => break "stopped",
@@ -60,31 +68,47 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
         source.close().await;
         if !reason.is_empty() {
             run.end(reason, &runner.context);
+            if let Some((_, observation)) = underway {
+                observation.close().await;
+            }
             return Ok(());
         }
     }
 }
 
-async fn begin(runner: &Runner, config: &ObserveConfig, source: &Source, warm: bool) -> Run {
+async fn begin(
+    runner: &Runner,
+    config: &ObserveConfig,
+    source: &Source,
+    peer: Option<&PeerStamps>,
+    warm: bool,
+) -> Run {
     // Conditions of this host alone, as for a sensor that nobody answers.
-    let conditions = Placement::None.conditions(&runner.context, warm).await;
-    runner.begin_run(facts(config, source), Description::observed(), conditions, warm)
+    let mut conditions = Placement::None.conditions(&runner.context, warm).await;
+    let told = peer.map(PeerStamps::told);
+    let description = told.map_or_else(Description::observed, |told| told.description.clone());
+    runner.display.set_placement(description.clone());
+    conditions.extend(told.iter().flat_map(|told| told.conditions.iter().cloned()));
+    runner.begin_run(facts(config, source, told), description, conditions, warm)
 }
 
 /// What the run's page says of the observed system.
-fn facts(config: &ObserveConfig, source: &Source) -> Vec<(String, String)> {
+fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Vec<(String, String)> {
     let mut facts = vec![("Observed".to_owned(), source.describe())];
     for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
         let kind = topic.kind().map_or_else(String::new, |kind| format!(" ({})", kind.name));
         facts.push((role.to_owned(), format!("{}{kind}", topic.name())));
-        facts.push((format!("{role} publishers"), publishers(topic)));
+        facts.push((format!("{role} publishers"), publishers(topic, peer)));
     }
     facts.push(("Paired by".to_owned(), config.pair_by.describe().to_owned()));
+    facts.extend(peer.iter().flat_map(|peer| peer.facts.iter().cloned()));
     facts
 }
 
-fn publishers(topic: &Topic) -> String {
-    let places: Vec<String> = topic.publishers().iter().map(ToString::to_string).collect();
+fn publishers(topic: &Topic, peer: Option<&PeerTold>) -> String {
+    let places = topic.publishers();
+    let is_peer = |place: &PublisherPlace| peer.is_some_and(|peer| peer.is_at(place.host.as_deref()));
+    let places: Vec<String> = places.iter().map(|place| place.describe(is_peer(place))).collect();
     places.join(", ")
 }
 

@@ -1,10 +1,13 @@
 //! The tree of one iteration of an observed system.
 
+mod peer;
+
 use peernet_clock::{SharedClock, Span, Stamp, WallTime};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::arrivals::Arrival;
 use super::message::TopicMessage;
+use crate::link::HostStamp;
 use crate::pipeline::flight::Ticket;
 use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
@@ -22,6 +25,8 @@ const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 pub(super) struct Received {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
+    /// When it was received, for the judgement of its delay.
+    pub(super) at: HostStamp,
 }
 
 /// An input message with its place in the run.
@@ -69,6 +74,8 @@ const OUTPUT: TopicNames = TopicNames {
     missing: Name::from_static("output-missing"),
 };
 
+pub(super) use peer::{answered_by_peer, answered_without_peer};
+
 /// Returns the tree of an input message with its output message, and when the iteration ended.
 pub(super) fn answered(
     clock: &SharedClock,
@@ -77,18 +84,26 @@ pub(super) fn answered(
     output: &Received,
     uncounted: Uncounted,
 ) -> (Tree, Stamp) {
-    let (begun, seen) = (input.received.message.received, output.message.received);
-    // The observed node may have had the input before the agent: then it took less time than can be seen here.
-    let ended = if seen.mono < begun.mono { begun } else { seen };
+    let (begun, ended) = ends(input, output);
     let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
     log.timed(stage::INFERENCE, begun.mono, ended.mono);
-    let at = ended.mono - begun.mono;
-    add(log.tree_mut(), &INPUT, &input.received, Span::ZERO, uncounted.input_missing);
-    add(log.tree_mut(), &OUTPUT, output, at, uncounted.output_missing);
-    if uncounted.output_unmatched > 0 {
-        count(log.tree_mut(), OUTPUT_UNMATCHED, at, uncounted.output_unmatched);
-    }
+    add_topics(log.tree_mut(), input, output, ended.mono - begun.mono, uncounted);
     (iteration::close(log, &ticket(input.position, begun), ended.mono, true, None), ended)
+}
+
+/// Returns when the iteration of a pair began and ended.
+fn ends(input: &Input, output: &Received) -> (Stamp, Stamp) {
+    let (begun, seen) = (input.received.message.received, output.message.received);
+    // The observed node may have had the input before the agent: then it took less time than can be seen here.
+    (begun, if seen.mono < begun.mono { begun } else { seen })
+}
+
+fn add_topics(tree: &mut Tree, input: &Input, output: &Received, at: Span, uncounted: Uncounted) {
+    add(tree, &INPUT, &input.received, Span::ZERO, uncounted.input_missing);
+    add(tree, &OUTPUT, output, at, uncounted.output_missing);
+    if uncounted.output_unmatched > 0 {
+        count(tree, OUTPUT_UNMATCHED, at, uncounted.output_unmatched);
+    }
 }
 
 /// Returns the tree of an input message that has no output message at `ended`.
@@ -106,7 +121,7 @@ pub(super) fn unanswered(
 }
 
 fn add(tree: &mut Tree, names: &TopicNames, received: &Received, at: Span, missing: u64) {
-    let Received { message, arrival } = received;
+    let Received { message, arrival, .. } = received;
     let mut seconds = |name: &Name, span: Option<Span>| {
         if let Some(span) = span {
             tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
@@ -148,7 +163,7 @@ mod tests {
     fn received(at: Stamp, stamp: Option<i64>) -> Received {
         let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
         let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
-        Received { message, arrival }
+        Received { message, arrival, at: HostStamp { wall: at.wall, epoch: Some(0) } }
     }
 
     fn clock() -> Arc<ManualClock> {

@@ -4,16 +4,20 @@ use std::pin::pin;
 use std::time::Duration;
 
 use futures::FutureExt;
-use peernet_clock::{MonoTime, Span};
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_stream::Outcome;
 
 use super::arrivals::Arrivals;
 use super::message::TopicMessage;
 use super::pairing::{Pairing, Resolution, Unanswered};
-use super::record::{self, Input, Received, Uncounted};
+use super::peer::{Pair, PeerStamps, SettledPair, record_without_peer};
+use super::record::{self as trees, Input, Received, Uncounted};
 use super::source::{Source, SourceError};
+use super::stamps::MessageStamps;
 use super::topic::Topic;
 use crate::config::ObserveConfig;
+use crate::observed::Side;
+use crate::pipeline::context::PipelineContext;
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::Runner;
 
@@ -47,11 +51,18 @@ pub(super) struct Observation<'a> {
     since: MonoTime,
     /// Output messages without a key were reported.
     has_reported_output: bool,
+    stamps: MessageStamps,
+    /// The agent that observes the same messages on its host, if there is one.
+    peer: Option<PeerStamps>,
 }
 
 impl<'a> Observation<'a> {
-    pub(super) fn new(config: &'a ObserveConfig, timeout: Duration, since: MonoTime) -> Self {
-        let timeout = Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
+    /// Begins now.
+    pub(super) fn new(config: &'a ObserveConfig, runner: &Runner, peer: Option<PeerStamps>) -> Self {
+        let PipelineContext { host, observed, .. } = &runner.context;
+        let timeout = Span::from(runner.config.timeout());
+        let kept = observed.find(&runner.config.name);
+        let stamps = MessageStamps::new(SharedClock::clone(&host.clock), kept);
         Self {
             config,
             timeout,
@@ -59,9 +70,15 @@ impl<'a> Observation<'a> {
             input: Arrivals::default(),
             output: Arrivals::default(),
             uncounted: Uncounted::default(),
-            since,
+            since: host.clock.mono(),
             has_reported_output: false,
+            stamps,
+            peer,
         }
+    }
+
+    pub(super) const fn peer(&self) -> Option<&PeerStamps> {
+        self.peer.as_ref()
     }
 
     /// Makes iterations of `run` until one of the ends; all that had begun has been recorded by then, unless the node
@@ -97,6 +114,7 @@ impl<'a> Observation<'a> {
                 }
             }
             if self.pairing.is_settled()
+                && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
                 && let Some(ending) = ending.take()
             {
                 return ending;
@@ -125,19 +143,30 @@ impl<'a> Observation<'a> {
                     }
                     Err(error) => return SessionEnded::SourceLost(error.into()),
                 },
+                settled = next_settled(&mut self.peer) => record(settled, run, runner),
                 () = pause => {}
                 () = &mut given_up, if is_stopping => {
-                    self.give_up("the agent stopped before the output message came", run, runner);
+                    self.give_up("the agent stopped before the output message came", run, runner).await;
                     return SessionEnded::Stopped;
                 }
             }
         }
     }
 
-    /// Records the input messages that wait as lost.
-    pub(super) fn give_up(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
+    /// Records the input messages that wait as lost, and the pairs that wait for the peer with what it told of them.
+    pub(super) async fn give_up(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
         for input in self.pairing.take_waiting() {
             record_lost(&input, reason.to_owned(), run, runner);
+        }
+        if let Some(peer) = &mut self.peer {
+            peer.give_up().await.into_iter().for_each(|settled| record(settled, run, runner));
+        }
+    }
+
+    /// Takes leave of the peer.
+    pub(super) async fn close(self) {
+        if let Some(peer) = self.peer {
+            peer.close().await;
         }
     }
 
@@ -160,7 +189,8 @@ impl<'a> Observation<'a> {
         self.uncounted.input_missing += message.missing;
         let position = run.place(at);
         let key = message.key(self.config.pair_by);
-        let received = Received { message, arrival };
+        let at_host = self.stamps.take(Side::Input, &message, key.ok().flatten());
+        let received = Received { message, arrival, at: at_host };
         match key {
             Ok(key) => {
                 let input = Input { position, received };
@@ -171,7 +201,7 @@ impl<'a> Observation<'a> {
             Err(reason) => {
                 let host = &runner.context.host;
                 let ended = host.clock.stamp();
-                let tree = record::unanswered(&host.clock, host.id, position, &received, ended);
+                let tree = trees::unanswered(&host.clock, host.id, position, &received, ended);
                 let outcome = Outcome::Failed(format!("a message of {}: {reason}", self.config.input));
                 run.record(position, outcome, tree, ended, &runner.context, &runner.display);
             }
@@ -187,7 +217,8 @@ impl<'a> Observation<'a> {
         self.uncounted.output_missing += message.missing;
         match message.key(self.config.pair_by) {
             Ok(key) => {
-                let output = Received { message, arrival };
+                let at_host = self.stamps.take(Side::Output, &message, key);
+                let output = Received { message, arrival, at: at_host };
                 if let Some(resolution) = self.pairing.take_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
@@ -207,7 +238,19 @@ impl<'a> Observation<'a> {
             Resolution::Paired { input, output } => {
                 let uncounted = std::mem::take(&mut self.uncounted);
                 let host = &runner.context.host;
-                let (tree, ended) = record::answered(&host.clock, host.id, &input, &output, uncounted);
+                if let Some(peer) = &mut self.peer {
+                    let key = input.received.message.key(self.config.pair_by).ok().flatten();
+                    let pair = Pair { input, output, uncounted };
+                    let refused = match key {
+                        Some(key) => peer.ask(key, pair).err(),
+                        None => Some(Box::new(pair)),
+                    };
+                    if let Some(pair) = refused {
+                        record(record_without_peer(host, &pair), run, runner);
+                    }
+                    return;
+                }
+                let (tree, ended) = trees::answered(&host.clock, host.id, &input, &output, uncounted);
                 run.record(input.position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
             }
             Resolution::Unanswered { input, cause } => {
@@ -233,10 +276,22 @@ impl<'a> Observation<'a> {
     }
 }
 
+/// Waits for the next pair that the peer told of.
+async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
+    match peer {
+        Some(peer) => peer.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+fn record(SettledPair { position, tree, ended }: SettledPair, run: &Run, runner: &Runner) {
+    run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
+}
+
 fn record_lost(input: &Input, reason: String, run: &Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
-    let tree = record::unanswered(&host.clock, host.id, input.position, &input.received, ended);
+    let tree = trees::unanswered(&host.clock, host.id, input.position, &input.received, ended);
     run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.display);
 }
 

@@ -93,6 +93,7 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
         fingerprints: FingerprintKey::new([0; 32]),
         links: Links::new(near, &config.clock, probes),
+        observed: crate::observed::ObservedPipelines::default(),
         places: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));

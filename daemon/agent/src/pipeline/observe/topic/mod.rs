@@ -4,8 +4,6 @@ mod ros1;
 mod ros2;
 mod sequence_gaps;
 
-use std::fmt;
-
 use peernet_ros::topics::TopicError;
 
 pub(super) use self::ros1::Ros1Topic;
@@ -36,11 +34,14 @@ pub(super) struct PublisherPlace {
     pub(super) host: Option<String>,
 }
 
-impl fmt::Display for PublisherPlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl PublisherPlace {
+    /// Node and host, for people. `has_peer` where the agent that observes the same messages is on that host.
+    pub(super) fn describe(&self, has_peer: bool) -> String {
+        let node = &self.node;
         match &self.host {
-            None => write!(f, "{} on this host", self.node),
-            Some(host) => write!(f, "{} at {host}, where this agent measures nothing", self.node),
+            None => format!("{node} on this host"),
+            Some(host) if has_peer => format!("{node} at {host}, where the peer measures"),
+            Some(host) => format!("{node} at {host}, where this agent measures nothing"),
         }
     }
 }

@@ -1,0 +1,210 @@
+//! What an agent asks of another one about messages that both observe, and the answer: JSON documents.
+
+use bytes::Bytes;
+use peernet_clock::{Span, WallTime};
+use peernet_logger::Slug;
+use peernet_sample::{Description, MediaType, Sample};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::config::PairBy;
+use crate::link::HostStamp;
+
+/// Version of the questions and answers. Fields that are not known are ignored, so that they may grow without a new one.
+pub(super) const VERSION: u32 = 1;
+
+/// Messages that may be asked for at once.
+pub(crate) const MAX_KEYS: usize = 256;
+
+/// Asks when messages were received.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct StampRequest {
+    pub(super) version: u32,
+    /// Name of the pipeline on the host that is asked.
+    pub(super) pipeline: Slug,
+    /// What the asking pipeline pairs messages by.
+    pub(super) pair_by: PairBy,
+    /// What the messages are paired by: `header.stamp` in nanoseconds, or `header.seq`.
+    pub(super) keys: Vec<i64>,
+}
+
+/// The answer: what is known of each key, in the order of the request.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct StampAnswer {
+    pub(super) version: u32,
+    pub(crate) pairs: Vec<ObservedPair>,
+}
+
+/// When a host received an input message and the output message that belongs to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct ObservedPair {
+    /// What both are paired by.
+    pub(crate) key: i64,
+    /// `None` where it was not received.
+    input: Option<WireStamp>,
+    output: Option<WireStamp>,
+    /// Nanoseconds from the input message to the output message, on the monotonic clock.
+    elapsed_ns: Option<i64>,
+}
+
+/// A stamp on its way to another host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct WireStamp {
+    /// Nanoseconds of the wall clock since 1970.
+    wall_ns: i64,
+    /// How often the wall clock was stepped before; absent where it was stepped near the stamp.
+    #[serde(default)]
+    epoch: Option<u32>,
+}
+
+/// A question or an answer that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum StampMessageError {
+    #[error("it has no payload")]
+    Empty,
+    #[error("it is not the JSON document that docs/session-protocol.md describes: {0}")]
+    Json(#[from] serde_json::Error),
+    #[error(
+        "it is of version {0}, and this program speaks version {VERSION}; update the older of the two agents"
+    )]
+    Version(u32),
+}
+
+impl StampRequest {
+    pub(crate) const fn new(pipeline: Slug, pair_by: PairBy, keys: Vec<i64>) -> Self {
+        Self { version: VERSION, pipeline, pair_by, keys }
+    }
+
+    pub(crate) fn to_sample(&self) -> Result<Sample, StampMessageError> {
+        sample(self)
+    }
+
+    pub(super) fn read(sample: &Sample) -> Result<Self, StampMessageError> {
+        read(sample)
+    }
+}
+
+impl StampAnswer {
+    pub(super) const fn new(pairs: Vec<ObservedPair>) -> Self {
+        Self { version: VERSION, pairs }
+    }
+
+    pub(super) fn to_sample(&self) -> Result<Sample, StampMessageError> {
+        sample(self)
+    }
+
+    /// # Errors
+    /// The sample is no answer of this version.
+    pub(crate) fn read(sample: &Sample) -> Result<Self, StampMessageError> {
+        read(sample)
+    }
+}
+
+impl ObservedPair {
+    pub(crate) fn new(
+        key: i64,
+        input: Option<HostStamp>,
+        output: Option<HostStamp>,
+        elapsed: Option<Span>,
+    ) -> Self {
+        let (input, output) = (input.map(WireStamp::from), output.map(WireStamp::from));
+        Self { key, input, output, elapsed_ns: elapsed.map(Span::nanos) }
+    }
+
+    pub(crate) fn input(&self) -> Option<HostStamp> {
+        self.input.map(HostStamp::from)
+    }
+
+    pub(crate) fn output(&self) -> Option<HostStamp> {
+        self.output.map(HostStamp::from)
+    }
+
+    /// From the input message to the output message, by the monotonic clock of the host.
+    pub(crate) fn elapsed(&self) -> Option<Span> {
+        self.elapsed_ns.map(Span::from_nanos)
+    }
+
+    pub(crate) const fn is_complete(&self) -> bool {
+        self.input.is_some() && self.output.is_some() && self.elapsed_ns.is_some()
+    }
+}
+
+impl From<HostStamp> for WireStamp {
+    fn from(HostStamp { wall, epoch }: HostStamp) -> Self {
+        Self { wall_ns: wall.unix_nanos(), epoch }
+    }
+}
+
+impl From<WireStamp> for HostStamp {
+    fn from(WireStamp { wall_ns, epoch }: WireStamp) -> Self {
+        Self { wall: WallTime::from_unix_nanos(wall_ns), epoch }
+    }
+}
+
+fn sample(message: &impl Serialize) -> Result<Sample, StampMessageError> {
+    let document = serde_json::to_vec(message)?;
+    Ok(Sample::of(Description::unshaped(MediaType::Json), Bytes::from(document)))
+}
+
+fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
+    /// The part that every version has.
+    #[derive(Deserialize)]
+    struct Versioned {
+        version: u32,
+    }
+    let part = sample.parts.first().ok_or(StampMessageError::Empty)?;
+    let Versioned { version } = serde_json::from_slice(&part.bytes)?;
+    if version != VERSION {
+        return Err(StampMessageError::Version(version));
+    }
+    Ok(serde_json::from_slice(&part.bytes)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn document(text: &str) -> Sample {
+        Sample::of(Description::unshaped(MediaType::Json), Bytes::copy_from_slice(text.as_bytes()))
+    }
+
+    #[test]
+    fn messages_survive_the_wire_form() {
+        let request = StampRequest::new(Slug::observed(), PairBy::Sequence, vec![i64::MAX, -1]);
+        let sample = request.to_sample().expect("it can be written");
+        assert_eq!(StampRequest::read(&sample).expect("it can be read"), request);
+        let stamp = HostStamp { wall: WallTime::from_unix_nanos(1_700_000_000_000_000_001), epoch: Some(3) };
+        let pair = ObservedPair::new(7, Some(stamp), None, None);
+        let answer = StampAnswer::new(vec![pair]);
+        let sample = answer.to_sample().expect("it can be written");
+        let read = StampAnswer::read(&sample).expect("it can be read");
+        assert_eq!((read.pairs[0].input(), read.pairs[0].output()), (Some(stamp), None));
+        assert!(!pair.is_complete());
+    }
+
+    #[test]
+    fn documented_form_is_read_with_unknown_fields() {
+        let request = document(
+            r#"{"version": 1, "pipeline": "detector", "pair_by": "stamp", "keys": [1700000000000000001], "more": 2}"#,
+        );
+        assert_eq!(StampRequest::read(&request).expect("it can be read").keys, [1_700_000_000_000_000_001]);
+        let answer = document(
+            r#"{"version": 1, "pairs": [{"key": 5, "input": {"wall_ns": 10, "epoch": 0, "more": 1}, "output": {"wall_ns": 30},
+                "elapsed_ns": 20}]}"#,
+        );
+        let pair = StampAnswer::read(&answer).expect("it can be read").pairs[0];
+        assert!(pair.is_complete());
+        assert_eq!(pair.elapsed(), Some(Span::from_nanos(20)));
+        assert_eq!(pair.output().expect("it is there").epoch, None);
+    }
+
+    #[test]
+    fn other_versions_are_named() {
+        let error = StampAnswer::read(&document(r#"{"version": 2, "stamps": {}}"#)).expect_err("not ours");
+        for part in ["version 2", "version 1", "update"] {
+            assert!(error.to_string().contains(part), "{error}");
+        }
+        for nonsense in ["", "[]", "{}", r#"{"version": 1}"#, r#"{"version": -1}"#] {
+            assert!(StampRequest::read(&document(nonsense)).is_err(), "{nonsense}");
+        }
+    }
+}

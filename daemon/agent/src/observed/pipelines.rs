@@ -1,0 +1,164 @@
+//! The pipelines of this host that observe, as peers can ask about them.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::{MonoTime, Span};
+use peernet_logger::Slug;
+use peernet_sample::Sample;
+
+use super::messages::{MAX_KEYS, StampAnswer, StampRequest};
+use super::ring::{Side, StampRing};
+use crate::config::{AgentConfig, PairBy, PipelineConfig, PlacementConfig, StartMode};
+use crate::link::HostStamp;
+
+/// The name that is asked for in the place of a model.
+pub(crate) const MODEL: &str = "observed-stamps";
+
+/// Messages of a pipeline that are kept: those of eight seconds at 1 kHz.
+const CAPACITY: usize = 8192;
+
+/// The pipelines of this host that observe and start with it; clones are the same.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ObservedPipelines(Arc<BTreeMap<Slug, Arc<ObservedPipeline>>>);
+
+/// What peers can ask about one of them.
+#[derive(Debug)]
+pub(crate) struct ObservedPipeline {
+    pair_by: PairBy,
+    ring: Mutex<StampRing>,
+}
+
+impl ObservedPipelines {
+    /// Those of a host that serves; none where it does not, because nobody can ask.
+    pub(crate) fn of(config: &AgentConfig) -> Self {
+        let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
+            PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
+                let kept = ObservedPipeline::new(observed.pair_by, Span::from(pipeline.timeout()));
+                Some((pipeline.name.clone(), Arc::new(kept)))
+            }
+            _ => None,
+        };
+        let served = config.serve.iter().flat_map(|_| config.pipelines.iter().filter_map(pipeline));
+        Self(Arc::new(served.collect()))
+    }
+
+    /// Returns a pipeline, if peers can ask about it.
+    pub(crate) fn find(&self, pipeline: &Slug) -> Option<Arc<ObservedPipeline>> {
+        self.0.get(pipeline).cloned()
+    }
+
+    /// Returns why no peer can ask about any pipeline here; `None` where there is one.
+    pub(crate) fn refusal(&self, host: &Slug) -> Option<String> {
+        self.0.is_empty().then(|| {
+            format!(
+                "host {host} observes no topics; add a [[pipeline]] with placement = {{ kind = \"observe\", … }} to its agent, \
+                 for the same messages"
+            )
+        })
+    }
+
+    /// Answers a request.
+    ///
+    /// # Errors
+    /// The request cannot be read, or there is no such pipeline here: what to change, for people.
+    pub(crate) fn answer(&self, sample: &Sample, host: &Slug) -> Result<Sample, String> {
+        let request =
+            StampRequest::read(sample).map_err(|error| format!("cannot read the request: {error}"))?;
+        let StampRequest { pipeline, pair_by, keys, .. } = request;
+        let Some(kept) = self.0.get(&pipeline) else {
+            let known: Vec<&str> = self.0.keys().map(Slug::as_str).collect();
+            return Err(format!(
+                "no pipeline of host {host} that observes is named {pipeline}; there is {}; set peer_pipeline to it",
+                if known.is_empty() { "none".to_owned() } else { known.join(", ") }
+            ));
+        };
+        if kept.pair_by != pair_by {
+            let (theirs, ours) = (kept.pair_by.describe(), pair_by.describe());
+            return Err(format!(
+                "pipeline {pipeline} of host {host} pairs by {theirs}, and the one that asks by {ours}; set pair_by to the same \
+                 \"stamp\" or \"sequence\" in both"
+            ));
+        }
+        if keys.len() > MAX_KEYS {
+            return Err(format!("{} messages are too many for one request; at most {MAX_KEYS}", keys.len()));
+        }
+        let ring = kept.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        let answer = StampAnswer::new(keys.into_iter().map(|key| ring.find(key)).collect());
+        drop(ring);
+        answer.to_sample().map_err(|error| format!("cannot write the answer: {error}"))
+    }
+}
+
+impl ObservedPipeline {
+    fn new(pair_by: PairBy, lifetime: Span) -> Self {
+        Self { pair_by, ring: Mutex::new(StampRing::new(CAPACITY, lifetime)) }
+    }
+
+    /// Notes a message that was received at `at`.
+    pub(crate) fn note(&self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
+        self.ring.lock().unwrap_or_else(PoisonError::into_inner).note(side, key, stamp, at);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+
+    use super::*;
+
+    const SERVE: &str = "[serve]\nlisten = \"tcp://127.0.0.1:1\"\n";
+    const DETECTOR: &str = "[[pipeline]]\nname = \"detector\"\nplacement = { kind = \"observe\", input = \"/a\", output = \"/b\" }\n";
+
+    fn pipelines(text: &str) -> ObservedPipelines {
+        ObservedPipelines::of(&toml::from_str(text).expect("a configuration"))
+    }
+
+    fn slug(text: &str) -> Slug {
+        text.parse().expect("a name")
+    }
+
+    fn ask(pipelines: &ObservedPipelines, request: &StampRequest) -> Result<StampAnswer, String> {
+        let answer = pipelines.answer(&request.to_sample().expect("it can be written"), &slug("rack"))?;
+        Ok(StampAnswer::read(&answer).expect("it can be read"))
+    }
+
+    #[test]
+    fn received_messages_are_told_by_their_keys() {
+        let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
+        let detector = pipelines.find(&slug("detector")).expect("it is there");
+        let stamp = |nanos| HostStamp { wall: WallTime::from_unix_nanos(nanos), epoch: Some(0) };
+        detector.note(Side::Input, 7, stamp(100), MonoTime::from_nanos(1));
+        detector.note(Side::Output, 7, stamp(130), MonoTime::from_nanos(31));
+        let request = StampRequest::new(slug("detector"), PairBy::Stamp, vec![8, 7]);
+        let answer = ask(&pipelines, &request).expect("it is answered");
+        assert_eq!(answer.pairs.iter().map(|pair| pair.key).collect::<Vec<_>>(), [8, 7]);
+        assert!(!answer.pairs[0].is_complete() && answer.pairs[1].is_complete());
+        assert_eq!(answer.pairs[1].elapsed(), Some(Span::from_nanos(30)));
+    }
+
+    #[test]
+    fn what_cannot_be_answered_names_the_next_step() {
+        let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
+        let refused = |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused");
+        let unknown = refused(&StampRequest::new(slug("planner"), PairBy::Stamp, Vec::new()));
+        for part in ["host rack", "planner", "there is detector", "peer_pipeline"] {
+            assert!(unknown.contains(part), "{unknown}");
+        }
+        let other = refused(&StampRequest::new(slug("detector"), PairBy::Sequence, Vec::new()));
+        for part in ["header.stamp", "sequence number", "pair_by"] {
+            assert!(other.contains(part), "{other}");
+        }
+        let many = refused(&StampRequest::new(slug("detector"), PairBy::Stamp, vec![0; MAX_KEYS + 1]));
+        assert!(many.contains("at most 256"), "{many}");
+    }
+
+    #[test]
+    fn host_without_observing_pipelines_says_so() {
+        for text in [SERVE, DETECTOR] {
+            let refusal = pipelines(text).refusal(&slug("rack")).expect("nobody can ask");
+            assert!(refusal.contains("host rack") && refusal.contains("kind = \"observe\""), "{refusal}");
+        }
+        assert_eq!(pipelines(&format!("{SERVE}{DETECTOR}")).refusal(&slug("rack")), None);
+    }
+}

@@ -1,0 +1,125 @@
+//! The newest messages of an observed pipeline. No I/O.
+
+use std::collections::{HashMap, VecDeque};
+
+use peernet_clock::{MonoTime, Span};
+
+use super::ObservedPair;
+use crate::link::HostStamp;
+
+/// Which of the two topics a message is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Side {
+    Input,
+    Output,
+}
+
+/// When the newest messages were received, by what they are paired by.
+#[derive(Debug)]
+pub(super) struct StampRing {
+    capacity: usize,
+    /// A key that comes again so much later is that of another message, as of a recording that is played in a loop.
+    lifetime: Span,
+    received: HashMap<i64, Entry>,
+    /// The keys, the oldest first; each once.
+    order: VecDeque<i64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    first: MonoTime,
+    input: Option<(HostStamp, MonoTime)>,
+    output: Option<(HostStamp, MonoTime)>,
+}
+
+impl StampRing {
+    pub(super) fn new(capacity: usize, lifetime: Span) -> Self {
+        Self { capacity, lifetime, received: HashMap::new(), order: VecDeque::new() }
+    }
+
+    /// Notes a message that was received at `at`. Of several with one key the first counts, as where they are paired.
+    pub(super) fn note(&mut self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
+        let empty = Entry { first: at, input: None, output: None };
+        match self.received.get(&key) {
+            Some(known) if at - known.first < self.lifetime => {}
+            Some(_) => {
+                self.order.retain(|other| *other != key);
+                self.received.insert(key, empty);
+                self.order.push_back(key);
+            }
+            None => {
+                if self.order.len() >= self.capacity
+                    && let Some(oldest) = self.order.pop_front()
+                {
+                    self.received.remove(&oldest);
+                }
+                self.received.insert(key, empty);
+                self.order.push_back(key);
+            }
+        }
+        if let Some(entry) = self.received.get_mut(&key) {
+            let place = match side {
+                Side::Input => &mut entry.input,
+                Side::Output => &mut entry.output,
+            };
+            place.get_or_insert((stamp, at));
+        }
+    }
+
+    /// Returns what is known of a key.
+    pub(super) fn find(&self, key: i64) -> ObservedPair {
+        let entry = self.received.get(&key);
+        let (input, output) = (entry.and_then(|entry| entry.input), entry.and_then(|entry| entry.output));
+        let elapsed = input.zip(output).map(|((_, input), (_, output))| output - input);
+        ObservedPair::new(key, input.map(|(stamp, _)| stamp), output.map(|(stamp, _)| stamp), elapsed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::WallTime;
+
+    use super::*;
+
+    fn note(ring: &mut StampRing, side: Side, key: i64, millis: i64) {
+        let stamp = HostStamp { wall: WallTime::from_unix_nanos(millis), epoch: Some(0) };
+        ring.note(side, key, stamp, MonoTime::from_nanos(millis * 1_000_000));
+    }
+
+    #[test]
+    fn both_messages_of_a_key_are_found_in_any_order_of_arrival() {
+        let mut ring = StampRing::new(4, Span::from_seconds(5));
+        note(&mut ring, Side::Input, 1, 10);
+        assert!(!ring.find(1).is_complete());
+        note(&mut ring, Side::Output, 1, 40);
+        assert_eq!(ring.find(1).elapsed(), Some(Span::from_millis(30)));
+        note(&mut ring, Side::Output, 2, 50);
+        note(&mut ring, Side::Input, 2, 51);
+        assert_eq!(ring.find(2).elapsed(), Some(Span::from_millis(-1)));
+        assert_eq!(ring.find(3), ObservedPair::new(3, None, None, None));
+    }
+
+    #[test]
+    fn first_message_of_a_key_counts_until_its_time_is_over() {
+        let mut ring = StampRing::new(4, Span::from_millis(1000));
+        note(&mut ring, Side::Input, 1, 10);
+        note(&mut ring, Side::Input, 1, 20);
+        assert_eq!(ring.find(1).input().map(|stamp| stamp.wall.unix_nanos()), Some(10));
+        note(&mut ring, Side::Output, 1, 30);
+        note(&mut ring, Side::Input, 1, 2000);
+        let again = ring.find(1);
+        assert_eq!(again.input().map(|stamp| stamp.wall.unix_nanos()), Some(2000));
+        assert_eq!(again.output(), None, "that of the time before does not belong to it");
+    }
+
+    #[test]
+    fn memory_is_bounded_and_the_newest_stay() {
+        let mut ring = StampRing::new(8, Span::from_seconds(5));
+        for key in 0..10_000 {
+            note(&mut ring, Side::Input, key, key);
+            note(&mut ring, Side::Output, key, key + 1);
+        }
+        assert_eq!((ring.received.len(), ring.order.len()), (8, 8));
+        assert!(ring.find(9_999).is_complete() && !ring.find(9_991).is_complete());
+    }
+}

@@ -1,0 +1,274 @@
+//! The session with the agent that observes the same messages.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{MonoTime, OneWayDelay, SharedClock};
+use peernet_logger::{HostId, Recorder, Slug};
+use peernet_networks::{Address, CloseReason, SessionSettings};
+use peernet_sample::Sample;
+use peernet_stream::{IncidentKind, Outcome, PipelineState};
+
+use super::PeerTold;
+use crate::config::{ObserveConfig, PairBy, RemoteConfig};
+use crate::host::Host;
+use crate::incidents::Concerning;
+use crate::link::Crossing;
+use crate::observed::{MODEL, StampAnswer, StampRequest};
+use crate::pauses::Pauses;
+use crate::pipeline::context::PipelineContext;
+use crate::pipeline::placement::{OpenFailure, Placement};
+use crate::pipeline::runner::Runner;
+
+/// Opens sessions with the peer.
+pub(super) struct PeerConnector {
+    context: PipelineContext,
+    /// The pipeline here.
+    pipeline: Slug,
+    /// The pipeline there.
+    observed: Slug,
+    pair_by: PairBy,
+    remote: RemoteConfig,
+    timeout: Duration,
+}
+
+/// A session with the peer.
+pub(super) struct PeerConnection {
+    placement: Placement,
+    pub(super) host: HostId,
+    pub(super) name: Slug,
+    observed: Slug,
+    pair_by: PairBy,
+    address: Address,
+    clock: SharedClock,
+    own: HostId,
+    timeout: Duration,
+}
+
+/// Why there is no session with the peer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct PeerTrouble {
+    /// It is there and does not want.
+    is_refusal: bool,
+    text: String,
+}
+
+impl PeerTrouble {
+    pub(super) const fn kind(&self) -> IncidentKind {
+        if self.is_refusal { IncidentKind::Refused } else { IncidentKind::Disconnected }
+    }
+
+    /// The trouble and how it goes on, for people.
+    pub(super) fn describe(&self) -> String {
+        let (shortest, longest) = (Pauses::SHORTEST.as_secs_f64(), Pauses::LONGEST.as_secs());
+        let again = match self.is_refusal {
+            true => format!("every {} s", Pauses::REFUSED.as_secs()),
+            false => format!("every {shortest} to {longest} s"),
+        };
+        format!("{} (trying again {again})", self.text)
+    }
+
+    pub(super) const fn is_refusal(&self) -> bool {
+        self.is_refusal
+    }
+
+    /// What is wrong and what to do.
+    pub(super) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// How long to wait before the next try.
+    pub(super) fn pause(&self, pauses: &mut Pauses) -> Duration {
+        if self.is_refusal { pauses.refused() } else { pauses.grow() }
+    }
+}
+
+impl PeerConnector {
+    /// `None` where the pipeline has no peer.
+    pub(super) fn new(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
+        let remote = RemoteConfig {
+            peer: config.peer.clone()?,
+            network: None,
+            model: MODEL.parse().ok(),
+            device: None,
+            session: SessionSettings::default(),
+        };
+        let pipeline = runner.config.name.clone();
+        Some(Self {
+            context: runner.context.clone(),
+            observed: config.peer_pipeline.clone().unwrap_or_else(|| pipeline.clone()),
+            pipeline,
+            pair_by: config.pair_by,
+            remote,
+            timeout: runner.config.timeout(),
+        })
+    }
+
+    /// Opens the session that a run waits for. `None` when the agent stops.
+    pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
+        let mut pauses = Pauses::new(self.context.host.id);
+        let mut said = None;
+        loop {
+            let trouble = match runner.stop.run_until_cancelled(self.open()).await? {
+                Ok(connection) => return Some(connection),
+                Err(trouble) => trouble,
+            };
+            runner.display.set_state(PipelineState::Waiting(trouble.text.clone()));
+            let pause = trouble.pause(&mut pauses);
+            if said.as_ref() != Some(&trouble) {
+                let text = format!("{}; the run begins when the peer answers", trouble.describe());
+                self.report(trouble.kind(), None, text);
+                said = Some(trouble);
+            }
+            runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
+        }
+    }
+
+    /// Opens a session and asks whether the peer has the pipeline.
+    pub(super) async fn open(&self) -> Result<PeerConnection, PeerTrouble> {
+        let settings = self.remote.session.clone();
+        let opened = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
+        let placement = opened.map_err(|failure| self.trouble(failure))?;
+        let Some((host, name)) = placement.peer().map(|(host, name)| (host, name.clone())) else {
+            let text = format!("{} did not say who it is", self.remote.peer);
+            return Err(PeerTrouble { is_refusal: false, text });
+        };
+        let connection = PeerConnection {
+            placement,
+            host,
+            name,
+            observed: self.observed.clone(),
+            pair_by: self.pair_by,
+            address: self.remote.peer.clone(),
+            clock: Arc::clone(&self.context.host.clock),
+            own: self.context.host.id,
+            timeout: self.timeout,
+        };
+        match connection.ask(Vec::new()).await {
+            Ok(_) => {
+                let text = format!(
+                    "connected to {}, which observes the same messages with its pipeline {}",
+                    connection.name, self.observed
+                );
+                self.report(IncidentKind::Connected, Some(connection.host), text);
+                Ok(connection)
+            }
+            Err(trouble) => {
+                connection.close().await;
+                Err(trouble)
+            }
+        }
+    }
+
+    fn trouble(&self, failure: OpenFailure) -> PeerTrouble {
+        match failure {
+            OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
+            OpenFailure::Refused(error) => {
+                let mut text = error.to_string();
+                // An agent of an earlier release knows models alone.
+                if text.contains(&format!("no model named {MODEL}")) {
+                    text += "; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages";
+                }
+                PeerTrouble { is_refusal: true, text }
+            }
+            OpenFailure::Model(_) | OpenFailure::Panicked => {
+                let text = format!("cannot open a session with {}", self.remote.peer);
+                PeerTrouble { is_refusal: false, text }
+            }
+        }
+    }
+
+    /// Reports something of the pipeline, and of its run if there is one.
+    pub(super) fn report(&self, kind: IncidentKind, peer: Option<HostId>, text: String) {
+        let events = &self.context.events;
+        let run = events.runs.current(&self.pipeline);
+        events.incidents.report(kind, Concerning { pipeline: Some(&self.pipeline), run, peer }, text);
+    }
+
+    pub(super) const fn host(&self) -> &Host {
+        &self.context.host
+    }
+
+    /// Name of the pipeline of the peer.
+    pub(super) const fn observed(&self) -> &Slug {
+        &self.observed
+    }
+
+    pub(super) const fn timeout(&self) -> Duration {
+        self.timeout
+    }
+
+    /// Waits until a moment; for ever without one.
+    pub(super) async fn until(&self, at: Option<MonoTime>) {
+        match at {
+            Some(at) => tokio::time::sleep((at - self.context.host.clock.mono()).to_duration()).await,
+            None => std::future::pending().await,
+        }
+    }
+}
+
+impl PeerConnection {
+    /// Asks when the peer received messages.
+    ///
+    /// # Errors
+    /// There was no answer, or one that says what to change.
+    pub(super) async fn ask(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerTrouble> {
+        let away = |reason: String| PeerTrouble {
+            is_refusal: false,
+            text: format!("{} at {} does not tell what it observed: {reason}", self.name, self.address),
+        };
+        let refused = |reason: String| PeerTrouble { is_refusal: true, ..away(reason) };
+        let request = StampRequest::new(self.observed.clone(), self.pair_by, keys);
+        let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
+        // Not a part of any iteration: what came of it counts, and what it taught of the clocks.
+        let log = Recorder::begin(Arc::clone(&self.clock), self.own);
+        match self.placement.compute(log, &sample, self.timeout).await.result {
+            Ok(answer) => {
+                let answer = answer.unwrap_or_else(empty);
+                StampAnswer::read(&answer)
+                    .map_err(|error| refused(format!("the answer cannot be read: {error}")))
+            }
+            Err(Outcome::Failed(reason)) => Err(refused(reason)),
+            Err(Outcome::Lost(reason)) => Err(away(reason)),
+            Err(Outcome::Timeout | Outcome::Ok) => {
+                Err(away(format!("no answer within {} ms", self.timeout.as_millis())))
+            }
+        }
+    }
+
+    /// Judges the delays of messages by what the link knows of the two clocks.
+    pub(super) fn judge(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+        self.placement.judge_stamps(up, down)
+    }
+
+    /// Returns what the run's page says of the peer.
+    pub(super) async fn told(&self, context: &PipelineContext) -> PeerTold {
+        let mut facts =
+            vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
+        facts.extend(self.placement.facts());
+        // A name that cannot be looked up any more only costs the word that the peer measures there.
+        let found = tokio::net::lookup_host((self.address.host(), 0)).await;
+        let addresses: Vec<IpAddr> =
+            found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
+        PeerTold {
+            description: self.placement.describe(),
+            facts,
+            conditions: self.placement.conditions(context, false).await,
+            addresses,
+        }
+    }
+
+    /// Waits until the session is over, and tells why.
+    pub(super) async fn closed(&self) -> CloseReason {
+        self.placement.closed().await
+    }
+
+    pub(super) async fn close(&self) {
+        self.placement.close(None).await;
+    }
+}
+
+fn empty() -> Sample {
+    Sample { parts: Vec::new(), source: String::new(), label: None }
+}

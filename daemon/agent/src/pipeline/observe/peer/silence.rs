@@ -1,0 +1,56 @@
+//! When it is said that the peer observes other messages, or none. No I/O.
+
+use peernet_clock::{MonoTime, Span};
+
+/// So long without a message that both hosts received, and it is reported.
+const SILENCE: Span = Span::from_seconds(10);
+
+/// Whether the peer knows the messages that are received here.
+#[derive(Debug, Default)]
+pub(super) struct SilenceWatch {
+    /// When the first of the unknown ones in a row was given up.
+    since: Option<MonoTime>,
+    is_reported: bool,
+}
+
+/// What is to be reported.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum SilenceReport {
+    /// None of the messages of the last ten seconds were known.
+    Began,
+    /// They are known again.
+    Ended,
+}
+
+impl SilenceWatch {
+    /// Takes in that the peer knew a message, or that it did not.
+    pub(super) fn note(&mut self, is_known: bool, now: MonoTime) -> Option<SilenceReport> {
+        if is_known {
+            self.since = None;
+            return std::mem::take(&mut self.is_reported).then_some(SilenceReport::Ended);
+        }
+        let since = *self.since.get_or_insert(now);
+        if self.is_reported || now - since < SILENCE {
+            return None;
+        }
+        self.is_reported = true;
+        Some(SilenceReport::Began)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_reported_once_until_it_ends() {
+        let mut watch = SilenceWatch::default();
+        let mut note =
+            |is_known, seconds: i64| watch.note(is_known, MonoTime::from_nanos(seconds * 1_000_000_000));
+        assert_eq!(note(false, 0), None);
+        assert_eq!(note(true, 8), None, "one that is known begins anew");
+        assert_eq!((note(false, 9), note(false, 18)), (None, None));
+        assert_eq!((note(false, 19), note(false, 40)), (Some(SilenceReport::Began), None));
+        assert_eq!((note(true, 41), note(true, 42)), (Some(SilenceReport::Ended), None));
+    }
+}

@@ -1,0 +1,259 @@
+//! Asks the peer about the pairs of messages that were observed here, and keeps the session with it.
+
+use std::pin::pin;
+use std::sync::Arc;
+
+use peernet_clock::{LogThrottle, MonoTime, OneWayDelay, Span};
+use peernet_logger::HostId;
+use peernet_stream::IncidentKind;
+use tokio::sync::mpsc;
+
+use super::connection::{PeerConnection, PeerConnector};
+use super::pending::PendingPairs;
+use super::silence::{SilenceReport, SilenceWatch};
+use super::{Pair, SettledPair, record_without_peer};
+use crate::host::Host;
+use crate::link::Crossing;
+use crate::observed::{MAX_KEYS, ObservedPair};
+use crate::pauses::Pauses;
+use crate::pipeline::observe::record;
+
+/// The task of one pipeline. It ends when the observer hands over nothing more.
+pub(super) struct PeerTask {
+    connector: Arc<PeerConnector>,
+    /// The session, while there is one.
+    connection: Option<Arc<PeerConnection>>,
+    asked: mpsc::Receiver<(i64, Pair)>,
+    settle: mpsc::Sender<SettledPair>,
+    pending: PendingPairs<Pair>,
+    silence: SilenceWatch,
+    throttle: LogThrottle,
+}
+
+/// What came first.
+enum Waited<T> {
+    /// What was waited for.
+    Done(T),
+    /// Another pair, or the time at which one is given up.
+    Woken,
+    /// The observer hands over nothing more.
+    Finished,
+}
+
+impl PeerTask {
+    pub(super) fn new(
+        connector: PeerConnector,
+        asked: mpsc::Receiver<(i64, Pair)>,
+        settle: mpsc::Sender<SettledPair>,
+    ) -> Self {
+        let pending = PendingPairs::new(Span::from(connector.timeout()));
+        let (silence, throttle) = (SilenceWatch::default(), LogThrottle::default());
+        Self { connector: Arc::new(connector), connection: None, asked, settle, pending, silence, throttle }
+    }
+
+    /// Asks, over one session after another, until the observer hands over nothing more.
+    pub(super) async fn run(mut self, first: PeerConnection) {
+        let mut next = Some(first);
+        while let Some(connection) = next.map(Arc::new) {
+            self.connection = Some(Arc::clone(&connection));
+            let Some(reason) = self.converse(&connection).await else {
+                self.give_up();
+                // The observer does not wait for the goodbye.
+                drop(self);
+                connection.close().await;
+                return;
+            };
+            self.connection = None;
+            let name = &connection.name;
+            let text = format!(
+                "lost {name}: {reason}; until it is back, iterations are recorded without its stamps (peer-unanswered)"
+            );
+            self.connector.report(IncidentKind::Disconnected, Some(connection.host), text);
+            drop(connection);
+            next = self.reconnect().await;
+        }
+        self.give_up();
+    }
+
+    /// Asks over one session. Returns why it is over, or `None` when the observer hands over nothing more.
+    async fn converse(&mut self, connection: &PeerConnection) -> Option<String> {
+        let connector = Arc::clone(&self.connector);
+        let mut closed = pin!(connection.closed());
+        loop {
+            self.expire();
+            let keys = self.pending.take_due(self.now(), MAX_KEYS);
+            if !keys.is_empty() {
+                match self.attend(connection.ask(keys)).await? {
+                    Ok(answer) => answer.pairs.iter().for_each(|pair| self.take_answer(pair)),
+                    Err(trouble) => self.log(trouble.text()),
+                }
+                continue;
+            }
+            let due = self.pending.next_due();
+            let idle = async {
+                tokio::select! {
+                    reason = &mut closed => Some(reason),
+                    () = connector.until(due) => None,
+                }
+            };
+            match self.wait(idle).await {
+                Waited::Done(Some(reason)) => return Some(reason.to_string()),
+                Waited::Done(None) | Waited::Woken => {}
+                Waited::Finished => return None,
+            }
+        }
+    }
+
+    /// Opens a session again, however long that takes. `None` when the observer hands over nothing more.
+    async fn reconnect(&mut self) -> Option<PeerConnection> {
+        let connector = Arc::clone(&self.connector);
+        let mut pauses = Pauses::new(connector.host().id);
+        let mut said = None;
+        loop {
+            let trouble = match self.attend(connector.open()).await? {
+                Ok(connection) => return Some(connection),
+                Err(trouble) => trouble,
+            };
+            let pause = trouble.pause(&mut pauses);
+            // That it went away has been said.
+            if trouble.is_refusal() && said.as_ref() != Some(&trouble) {
+                connector.report(trouble.kind(), None, trouble.describe());
+                said = Some(trouble);
+            }
+            self.attend(tokio::time::sleep(pause)).await?;
+        }
+    }
+
+    /// Waits for something while pairs come in and are given up. `None` when the observer hands over nothing more.
+    async fn attend<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
+        let mut future = pin!(future);
+        loop {
+            self.expire();
+            match self.wait(future.as_mut()).await {
+                Waited::Done(done) => return Some(done),
+                Waited::Woken => {}
+                Waited::Finished => return None,
+            }
+        }
+    }
+
+    async fn wait<T>(&mut self, future: impl Future<Output = T>) -> Waited<T> {
+        let connector = Arc::clone(&self.connector);
+        let expiry = self.pending.next_expiry();
+        tokio::select! {
+            done = future => Waited::Done(done),
+            asked = self.asked.recv() => match asked {
+                Some((key, pair)) => {
+                    self.pending.add(key, pair, self.now());
+                    Waited::Woken
+                }
+                None => Waited::Finished,
+            },
+            () = connector.until(expiry) => Waited::Woken,
+        }
+    }
+
+    fn take_answer(&mut self, seen: &ObservedPair) {
+        for pair in self.pending.take_answer(seen) {
+            self.note(true);
+            self.settle_with(&pair, seen);
+        }
+    }
+
+    /// Records the pairs that have waited for too long.
+    fn expire(&mut self) {
+        let now = self.now();
+        while let Some((pair, answer)) = self.pending.expire(now) {
+            self.settle_incomplete(&pair, answer.as_ref());
+        }
+    }
+
+    /// Records all pairs.
+    fn give_up(&mut self) {
+        while let Ok((key, pair)) = self.asked.try_recv() {
+            self.pending.add(key, pair, self.now());
+        }
+        while let Some((pair, answer)) = self.pending.give_up() {
+            self.settle_incomplete(&pair, answer.as_ref());
+        }
+    }
+
+    fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&ObservedPair>) {
+        match answer {
+            Some(seen) => {
+                self.note(false);
+                self.settle_with(pair, seen);
+            }
+            None => self.settle(record_without_peer(self.connector.host(), pair)),
+        }
+    }
+
+    fn settle_with(&self, pair: &Pair, seen: &ObservedPair) {
+        let host = self.connector.host();
+        let judge = |up: &Crossing, down: Option<&Crossing>| {
+            self.connection.as_ref().map_or([None, None], |connection| connection.judge(up, down))
+        };
+        let settled = match &self.connection {
+            Some(connection) => record_by_peer(host, connection.host, pair, seen, judge),
+            None => record_without_peer(host, pair),
+        };
+        self.settle(settled);
+    }
+
+    fn settle(&self, settled: SettledPair) {
+        // There is room for all that the observer hands over. It is gone only where its pipeline has ended.
+        if self.settle.try_send(settled).is_err() {
+            tracing::debug!("an observed iteration is not recorded: its pipeline has ended");
+        }
+    }
+
+    /// Notes whether the peer knew a pair, and reports what follows.
+    fn note(&mut self, is_known: bool) {
+        let Some(report) = self.silence.note(is_known, self.now()) else { return };
+        let (name, peer) = match &self.connection {
+            Some(connection) => (connection.name.to_string(), Some(connection.host)),
+            None => ("the peer".to_owned(), None),
+        };
+        let observed = self.connector.observed();
+        let (kind, text) = match report {
+            SilenceReport::Began => (
+                IncidentKind::Disconnected,
+                format!(
+                    "{name} received none of the pairs of messages of the last 10 s; see on its page whether its pipeline \
+                     {observed} runs, whether it observes the same messages, and whether the nodes copy what they are paired by"
+                ),
+            ),
+            SilenceReport::Ended => (
+                IncidentKind::Connected,
+                format!("{name} receives the same messages with its pipeline {observed} again"),
+            ),
+        };
+        self.connector.report(kind, peer, text);
+    }
+
+    /// Logs why a question was not answered: it is asked again.
+    fn log(&mut self, trouble: &str) {
+        let now = self.now();
+        if let Some(times) = self.throttle.count("ask", None, now) {
+            tracing::warn!(
+                times,
+                "{trouble}; iterations of which the peer does not tell in time count as peer-unanswered"
+            );
+        }
+    }
+
+    fn now(&self) -> MonoTime {
+        self.connector.host().clock.mono()
+    }
+}
+
+fn record_by_peer(
+    host: &Host,
+    peer: HostId,
+    pair: &Pair,
+    seen: &ObservedPair,
+    judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
+) -> SettledPair {
+    let (tree, ended) = record::answered_by_peer((&host.clock, host.id), peer, pair, seen, judge);
+    SettledPair { position: pair.input.position, tree, ended }
+}
