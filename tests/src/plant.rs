@@ -44,12 +44,17 @@ impl Plant {
 
     /// Starts a cloud that echoes; `tables` are added to its configuration.
     pub fn cloud(&self, tables: &str) -> Process {
+        self.cloud_with(tables, &[])
+    }
+
+    /// The same with environment variables.
+    pub fn cloud_with(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
         let own = format!(
             "[serve]\nlisten = \"{}://0.0.0.0:{SERVE}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n",
             self.scheme
         );
         self.configure("cloud", self.network.cloud(), &format!("{own}{tables}"));
-        self.peernetd("cloud", self.network.cloud(), &[])
+        self.peernetd("cloud", self.network.cloud(), environment)
     }
 
     /// Starts an edge; each `[[pipeline]]` in `tables` that is given no placement asks the cloud to echo.

@@ -22,6 +22,7 @@ mod listening;
 mod maintenance;
 mod models;
 mod observe;
+mod observe_together;
 mod ownership;
 mod promises;
 mod published;

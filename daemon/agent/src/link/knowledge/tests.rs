@@ -295,3 +295,55 @@ fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
     assert_eq!(basis.at_raw, Some(now(990).raw), "as long before the look as by the wall clock");
     assert!(basis.claims_trusted, "as this relation is set");
 }
+
+/// Messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
+fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
+    let here = |millis| HostStamp { wall: at(sent + millis), epoch: Some(edge) };
+    let there = |millis| HostStamp { wall: at(sent + 5000 + millis), epoch: Some(cloud) };
+    let up = Crossing { sender: here(0), receiver: there(30) };
+    (up, Crossing { sender: there(50), receiver: here(55) })
+}
+
+#[test]
+fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
+    let mut knowledge = knowledge();
+    let (up, down) = observed(0, 0, 0);
+    let [unknown, _] = knowledge.judge_stamps(&up, Some(&down));
+    assert_eq!(unknown.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
+    for sent in [0, 100, 200, 300] {
+        let _ = knowledge.judge(&network(), &exchange(sent, 5000), [None, None], at(sent + 4));
+    }
+    let before = knowledge.relation.counts();
+    let (up, down) = observed(320, 0, 0);
+    let [up_delay, down_delay] = knowledge.judge_stamps(&up, Some(&down));
+    for (delay, truth) in [(up_delay, 30), (down_delay, 5)] {
+        let (delay, truth) = (delay.expect("it is judged"), Span::from_millis(truth));
+        assert!(delay.bounds.is_some_and(|bounds| bounds.contains(truth)), "{delay:?}");
+    }
+    let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
+    let sum = sum.map(|(up, down)| up + down).expect("both have a value");
+    assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
+    let [alone, none] = knowledge.judge_stamps(&up, None);
+    assert_eq!((alone.and_then(|delay| delay.bounds), none), (up_delay.and_then(|delay| delay.bounds), None));
+    assert_eq!(knowledge.relation.counts(), before);
+}
+
+#[test]
+fn observed_stamps_of_another_epoch_are_stepped() {
+    let mut knowledge = knowledge();
+    for sent in [0, 100, 200, 300] {
+        let _ = knowledge.judge(&network(), &exchange(sent, 5000), [None, None], at(sent + 4));
+    }
+    let verdicts = |knowledge: &Knowledge, edge, cloud| {
+        let (up, down) = observed(320, edge, cloud);
+        knowledge.judge_stamps(&up, Some(&down)).map(|delay| delay.map(|delay| delay.verdict))
+    };
+    let stepped = [Some(Verdict::Stepped); 2];
+    assert_ne!(verdicts(&knowledge, 0, 0), stepped);
+    assert_eq!(verdicts(&knowledge, 0, 1), stepped, "the relation does not know of the step yet");
+    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    assert_eq!(verdicts(&knowledge, 0, 0), stepped, "they were made before the step");
+    let (mut up, _) = observed(320, 0, 1);
+    up.sender.epoch = None;
+    assert_eq!(knowledge.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
+}

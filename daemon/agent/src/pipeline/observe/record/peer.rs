@@ -96,3 +96,114 @@ fn close(mut log: Recorder, pair: &Pair, ended: Stamp, stages: Option<Span>) -> 
     add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - begun.mono, pair.uncounted);
     (iteration::close_with(log, &ticket(pair.input.position, begun), ended.mono, true, stages), ended)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{Clock, ClockIdentity, ManualClock, WallTime};
+
+    use super::*;
+    use crate::pipeline::observe::arrivals::Arrival;
+    use crate::pipeline::observe::message::TopicMessage;
+    use crate::pipeline::observe::record::{Input, Received, Uncounted};
+    use crate::pipeline::progress::Position;
+
+    /// The peer's clock is behind by so much.
+    const BEHIND: Span = Span::from_seconds(-8);
+
+    fn clock() -> Arc<ManualClock> {
+        let wall = WallTime::from_unix_nanos(1_000_000_000_000_000_000);
+        Arc::new(ManualClock::new(wall, ClockIdentity::new("boot", "system")))
+    }
+
+    fn received(at: Stamp) -> Received {
+        let message = TopicMessage { received: at, length: 10, stamp: Some(7), sequence: None, missing: 0 };
+        Received { message, arrival: Arrival::default(), at: HostStamp { wall: at.wall, epoch: Some(0) } }
+    }
+
+    /// 30 ms to the peer, 20 ms there, 5 ms back.
+    fn pair(clock: &ManualClock) -> (Pair, ObservedPair) {
+        let there = |clock: &ManualClock| HostStamp { wall: clock.wall() + BEHIND, epoch: Some(0) };
+        let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
+        let input = Input { position, received: received(clock.stamp()) };
+        clock.advance(Span::from_millis(30));
+        let arrived = there(clock);
+        clock.advance(Span::from_millis(20));
+        let departed = there(clock);
+        clock.advance(Span::from_millis(5));
+        let output = received(clock.stamp());
+        let seen = ObservedPair::new(7, Some(arrived), Some(departed), Some(Span::from_millis(20)));
+        (Pair { input, output, uncounted: Uncounted::default() }, seen)
+    }
+
+    /// A relation that knows the peer's clock exactly.
+    fn judge(up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+        let up = up.receiver.wall - up.sender.wall - BEHIND;
+        let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
+        [Some(OneWayDelay::same_clock(up)), down.map(OneWayDelay::same_clock)]
+    }
+
+    fn millis(tree: &Tree, name: &str) -> Option<f64> {
+        Some((tree.find(&[name])?.1.measure.value()? * 1e3).round())
+    }
+
+    #[test]
+    fn stages_of_both_hosts_are_the_total() {
+        let clock = clock();
+        let (pair, seen) = pair(&clock);
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let (host, peer) = (HostId::random(), HostId::random());
+        let (tree, ended) = answered_by_peer((&shared, host), peer, &pair, &seen, judge);
+        for (name, expected) in [
+            ("upload", 30.0),
+            ("inference", 20.0),
+            ("download", 5.0),
+            ("total", 55.0),
+            ("stages-total", 55.0),
+            ("unattributed", 0.0),
+        ] {
+            assert_eq!(millis(&tree, name), Some(expected), "{name}");
+        }
+        assert_eq!(ended, pair.output.message.received);
+        let host_of = |name| tree.find(&[name]).map(|(_, node)| node.host);
+        assert_eq!((host_of("upload"), host_of("inference")), (Some(HostIndex::EDGE), Some(PEER)));
+        assert_eq!(tree.anchors().get(1).map(|anchor| anchor.host), Some(peer));
+        let Some((_, upload)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
+        let Measure::Transit(transit) = &upload.measure else { panic!("{upload:?}") };
+        let raw = transit.received.expect("it arrived") - transit.sent;
+        assert_eq!(raw, Span::from_millis(30) + BEHIND, "what was stamped stays as it was");
+    }
+
+    #[test]
+    fn message_that_the_peer_missed_is_counted() {
+        let clock = clock();
+        let (pair, seen) = pair(&clock);
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let tree = |input, output, elapsed| {
+            let seen = ObservedPair::new(7, input, output, elapsed);
+            answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &seen, judge).0
+        };
+        let without_output = tree(seen.input(), None, None);
+        let names = ["upload", "inference", "download", "stages-total", "peer-input-missing"];
+        let values = names.map(|name| millis(&without_output, name));
+        assert_eq!(values, [Some(30.0), None, None, None, None]);
+        assert_eq!(millis(&without_output, "peer-output-missing"), Some(1000.0), "one");
+        let without_input = tree(None, seen.output(), None);
+        assert_eq!((millis(&without_input, "upload"), millis(&without_input, "total")), (None, Some(55.0)));
+        assert!(without_input.find(&["peer-input-missing"]).is_some());
+        let (unanswered, _) = answered_without_peer((&shared, HostId::random()), &pair);
+        assert!(unanswered.find(&["peer-unanswered"]).is_some());
+        assert_eq!((millis(&unanswered, "total"), millis(&unanswered, "inference")), (Some(55.0), None));
+    }
+
+    #[test]
+    fn peer_that_says_it_took_longer_than_all_gives_no_sum() {
+        let clock = clock();
+        let (pair, seen) = pair(&clock);
+        let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
+        let wrong = ObservedPair::new(7, seen.input(), seen.output(), Some(Span::from_seconds(60)));
+        let (tree, _) = answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &wrong, judge);
+        assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(55.0), None));
+    }
+}

@@ -1,0 +1,222 @@
+//! Two agents observe the same ROS system, each on its host: the network's share is told apart.
+
+use std::path::Path;
+
+use peernet_clock::Span;
+use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::truth::compare;
+use peernet_tests::{Api, Plant, Process, Ros1System, Site, program, root, say, until};
+use serde_json::Value;
+
+/// A pipeline that observes `/camera` and `/result` together with the agent at `peer`.
+fn robot(peer: &str, more: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"detector\"\ntimeout_ms = 1000\nplacement = {{ kind = \"observe\", ros_version = 1, \
+         input = \"/camera\", output = \"/result\", peer = \"{peer}\", peer_pipeline = \"model\" }}\n{more}\n"
+    )
+}
+
+/// The pipeline of the other agent.
+fn model(input: &str, output: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = \"model\"\nplacement = {{ kind = \"observe\", ros_version = 1, input = \"{input}\", \
+         output = \"{output}\" }}\n"
+    )
+}
+
+/// A run of the robot's pipeline that has ended by itself.
+fn finished(api: &Api) -> (i64, Value) {
+    let number = api.until("/api/v1/runs", |runs| {
+        let mut runs = runs["runs"].as_array()?.iter();
+        let run = runs.find(|run| run["pipeline"] == "detector" && run["reason"] == "finished")?;
+        run["number"].as_i64()
+    });
+    (number, api.json(&format!("/api/v1/runs/{number}")))
+}
+
+/// The median of a stage of a run, within 1 %. Seconds.
+fn median(api: &Api, run: i64, name: &str) -> f64 {
+    let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
+    figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
+}
+
+/// How many iterations of a run have a value.
+fn count(api: &Api, run: i64, name: &str) -> u64 {
+    api.figures(run, name).and_then(|figures| figures["count"].as_u64()).unwrap_or_default()
+}
+
+/// The environment variables of ROS on a host.
+fn ros(master: &Host, own: &Host) -> [(&'static str, String); 2] {
+    let uri = format!("http://{}:11311", master.address);
+    [("ROS_MASTER_URI", uri), ("ROS_IP", own.address.to_string())]
+}
+
+fn borrowed<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
+    [(variables[0].0, &variables[0].1), (variables[1].0, &variables[1].1)]
+}
+
+fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
+    let node = host.start(&program("ros1-node"), arguments, root(), &borrowed(variables));
+    node.wait_for("ready");
+    node
+}
+
+#[test]
+fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let plant = Plant::new(|folder| Network::wire(folder, way(30), way(5)));
+    let (edge, cloud) = (plant.network.edge(), plant.network.cloud());
+    let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
+    let home = std::env::temp_dir().display().to_string();
+    let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
+    let _master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
+    let address = edge.address;
+    until("the ROS master", || {
+        edge.inside(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
+    });
+    let _camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
+    let relay = node(cloud, &on_cloud, &["relay", "model", "/camera", "/result", "20", "0"]);
+
+    let wrong = |offset_ms: f64, drift_ppm: f64| {
+        format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
+    };
+    let _cloud =
+        plant.cloud_with(&(wrong(5_000.0, 20.0) + &model("/camera", "/result")), &borrowed(&on_cloud));
+    let keys = "warm_up = { iterations = 20 }\nlimit = { iterations = 200 }";
+    let robot = robot(&plant.peer(), keys);
+    let agent = plant.edge(&(wrong(-3_000.0, -20.0) + &robot), &borrowed(&on_edge));
+    let clocks = (plant.clock_of("edge"), plant.clock_of("cloud"));
+    let (run, detail) = finished(&plant.api);
+
+    let (up, down) = compare(&plant.iterations(), &clocks.0, &clocks.1);
+    for (direction, comparison) in [("upload", &up), ("download", &down)] {
+        say(&format!("observed together, {direction}: {}", comparison.in_words()));
+        assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
+        assert!(comparison.compared >= 200, "{direction}: {}", comparison.in_words());
+        assert!(comparison.error(0.5) < Span::from_millis(1), "{direction}: {}", comparison.in_words());
+    }
+    // What each way really took: the wire's delay, and what programs and a busy machine add.
+    for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
+        let (least, most) = (Span::from_millis(least - 1), Span::from_millis(least + 15));
+        assert!(least < truth && truth < most, "{truth} is not between {least} and {most}");
+    }
+    let taken = relay.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
+    let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
+    let inference = median(&plant.api, run, "inference");
+    assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
+    plant.api.stages_are_the_total(run, &["upload", "inference", "download"]);
+    assert_eq!(plant.api.figures(run, "upload-throughput"), None);
+
+    // The publisher on the other host is not said to be without an agent.
+    let facts = detail["facts"].to_string();
+    let place = format!("/model at {}, where the peer measures", plant.network.cloud().address);
+    for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model", "ahead"] {
+        assert!(facts.contains(part) || part == "ahead", "{part} is missing in {facts}");
+    }
+    assert_eq!(detail["placement"]["peer"], "cloud", "{detail}");
+    assert_eq!(agent.stop().code(), 0);
+}
+
+/// A robot and a rack on this machine. The rack's agent has another topic for its input, which lacks each fourth message.
+#[test]
+fn messages_that_the_peer_missed_are_counted() {
+    let (site, ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let _nodes = [
+        ros.node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
+        ros.node(&["relay", "model", "/camera", "/result", "10", "0"]),
+    ];
+    let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
+    let _rack = ros.agent(&site, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
+    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+        pipeline.to_string().contains("no node publishes /camera").then_some(())
+    });
+    let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
+    let (run, detail) = finished(&api);
+    let ok = detail["counts"]["ok"].as_u64().expect("a count");
+    let (missing, known) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
+    // The rack's run may begin some messages after the robot's.
+    assert!((15..=25).contains(&missing), "{missing} of {ok}");
+    assert_eq!((ok, missing + known), (60, 60), "{detail}");
+    assert_eq!(count(&api, run, "peer-unanswered"), 0);
+    assert_eq!(agent.stop().code(), 0);
+}
+
+#[test]
+fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
+    let (site, ros) = (Site::new(), Ros1System::new());
+    let (_aggregator, api) = site.aggregator();
+    let _nodes = [
+        ros.node(&["camera", "camera", "/camera", "20"]),
+        ros.node(&["relay", "model", "/camera", "/result", "5", "0"]),
+    ];
+    let state = |parts: &[&str]| {
+        api.until("/api/v1/pipelines/robot/detector", |pipeline| {
+            let text = pipeline.to_string();
+            parts.iter().all(|part| text.contains(part)).then_some(())
+        });
+    };
+    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
+    let address = format!("tcp://127.0.0.1:{}", site.data);
+    state(&["cannot reach a cloud at", &address]);
+
+    let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
+    let rack = |pipeline: &str| ros.agent(&site, "rack", &format!("{serve}{pipeline}"));
+    let blind = rack("");
+    state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
+    assert_eq!(blind.stop().code(), 0);
+
+    let other = rack(&model("/camera", "/result").replace("\"model\"", "\"planner\""));
+    state(&[
+        "no pipeline of host rack that observes is named model; there is planner; set peer_pipeline to it",
+    ]);
+    assert_eq!(other.stop().code(), 0);
+
+    let right = model("/camera", "/result");
+    let here = rack(&right);
+    state(&["running"]);
+    let run = api.until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
+    until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
+
+    // The run goes on without it, and with it again.
+    here.kill();
+    until("iterations without the peer's stamps", || {
+        (count(&api, run, "peer-unanswered") > 10).then_some(())
+    });
+    let before = count(&api, run, "inference");
+    let _again = rack(&right);
+    until("iterations with the peer's stamps again", || {
+        (count(&api, run, "inference") > before + 10).then_some(())
+    });
+    let incidents = api.json("/api/v1/incidents").to_string();
+    for part in [
+        "lost rack",
+        "peer-unanswered",
+        "connected to rack, which observes the same messages with its pipeline model",
+    ] {
+        assert!(incidents.contains(part), "{part} is missing in {incidents}");
+    }
+    assert_eq!(agent.stop().code(), 0);
+}
+
+#[test]
+fn check_refuses_a_peer_without_a_key_of_messages() {
+    let site = Site::new();
+    let check = |pipeline: &str| {
+        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        (ended.code(), ended.log)
+    };
+    let with_peer = robot("tcp://rack:5551", "");
+    assert_eq!(check(&with_peer).0, 0);
+    let (code, log) = check(&with_peer.replace("peer =", "pair_by = \"order\", peer ="));
+    assert_eq!(code, 78, "{log}");
+    for part in ["pipeline[0].placement.pair_by", "pair_by = \"stamp\"", "\"sequence\" in ROS 1"] {
+        assert!(log.contains(part), "{part} is missing in:\n{log}");
+    }
+    let (code, log) = check(&with_peer.replace("peer = \"tcp://rack:5551\", ", ""));
+    assert_eq!(code, 78, "{log}");
+    assert!(log.contains("pipeline[0].placement.peer_pipeline: there is no peer"), "{log}");
+}
