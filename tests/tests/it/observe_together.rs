@@ -93,7 +93,8 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
         say(&format!("observed together, {direction}: {}", comparison.in_words()));
         assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
         assert!(comparison.compared >= 200, "{direction}: {}", comparison.in_words());
-        assert!(comparison.error(0.5) < Span::from_millis(1), "{direction}: {}", comparison.in_words());
+        // Nothing tells a network that is slower in one direction from an offset: the estimate lies half of the difference beside.
+        assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
     }
     // What each way really took: the wire's delay, and what programs and a busy machine add.
     for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
@@ -110,8 +111,8 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     // The publisher on the other host is not said to be without an agent.
     let facts = detail["facts"].to_string();
     let place = format!("/model at {}, where the peer measures", plant.network.cloud().address);
-    for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model", "ahead"] {
-        assert!(facts.contains(part) || part == "ahead", "{part} is missing in {facts}");
+    for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model"] {
+        assert!(facts.contains(part), "{part} is missing in {facts}");
     }
     assert_eq!(detail["placement"]["peer"], "cloud", "{detail}");
     assert_eq!(agent.stop().code(), 0);

@@ -31,17 +31,15 @@ pub(super) fn close(
 ) -> Tree {
     let total = ended - ticket.start.intended;
     let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
-    close_with(log, ticket, ended, closed_loop, stages)
+    finish(log, ticket, ended, closed_loop, stages)
 }
 
-/// As [`close`], where it is known without adding up what the stages are together; `None` where it is not known.
-pub(super) fn close_with(
-    log: Recorder,
-    ticket: &Ticket,
-    ended: MonoTime,
-    closed_loop: bool,
-    stages: Option<Span>,
-) -> Tree {
+/// As [`close`] for an iteration of a closed loop that had stages of which too little is known.
+pub(super) fn close_without_stages(log: Recorder, ticket: &Ticket, ended: MonoTime) -> Tree {
+    finish(log, ticket, ended, true, None)
+}
+
+fn finish(log: Recorder, ticket: &Ticket, ended: MonoTime, closed_loop: bool, stages: Option<Span>) -> Tree {
     let intended = ticket.start.intended;
     let total = ended - intended;
     let mut tree = log.finish();

@@ -32,7 +32,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let (begun, ended) = ends(input, output);
     let total = ended.mono - begun.mono;
     let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
-    let mut stages = None;
+    let mut transport = None;
     if let Some(arrived) = seen.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
         let down = |departed| Crossing { sender: departed, receiver: output.at };
@@ -41,7 +41,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         let upload = log.depart(stage::UPLOAD, begun);
         let nodes = way_back.map(|(down, elapsed)| at_peer(&down, elapsed, down_delay));
         // Both ways together are known by the monotonic clocks alone: what this host waited, less what the peer took.
-        stages = way_back.filter(|(_, elapsed)| *elapsed <= total).map(|_| total);
+        transport = way_back.map(|(_, elapsed)| total - elapsed).filter(|transport| !transport.is_negative());
         let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
         let growth = Growth {
             base,
@@ -57,7 +57,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
                 }
             }
             Err(error) => {
-                stages = None;
+                transport = None;
                 tracing::error!(%error, "stamps of a peer make no tree; the iteration is recorded without them");
             }
         }
@@ -66,7 +66,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
         count(log.tree_mut(), name, total, 1);
     }
-    close(log, pair, ended, stages)
+    close(log, pair, ended, transport)
 }
 
 /// Returns the tree of a pair of messages of which nothing is known from the peer, and when the iteration ended.
@@ -91,10 +91,16 @@ fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node;
     ]
 }
 
-fn close(mut log: Recorder, pair: &Pair, ended: Stamp, stages: Option<Span>) -> (Tree, Stamp) {
+/// Closes the tree; `transport` is the time of both ways together, without which it is not known what the stages are together.
+fn close(mut log: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
     let begun = pair.input.received.message.received;
     add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - begun.mono, pair.uncounted);
-    (iteration::close_with(log, &ticket(pair.input.position, begun), ended.mono, true, stages), ended)
+    let ticket = ticket(pair.input.position, begun);
+    let tree = match transport {
+        Some(_) => iteration::close(log, &ticket, ended.mono, true, transport),
+        None => iteration::close_without_stages(log, &ticket, ended.mono),
+    };
+    (tree, ended)
 }
 
 #[cfg(test)]
