@@ -114,7 +114,8 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model"] {
         assert!(facts.contains(part), "{part} is missing in {facts}");
     }
-    assert_eq!(detail["placement"]["peer"], "cloud", "{detail}");
+    let placement = ["kind", "peer", "model"].map(|key| detail["placement"][key].as_str());
+    assert_eq!(placement, [Some("remote"), Some("cloud"), Some("observed")], "{detail}");
     assert_eq!(agent.stop().code(), 0);
 }
 

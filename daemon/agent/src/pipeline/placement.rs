@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 
 use super::context::PipelineContext;
 use crate::conditions::{Places, look_soon};
-use crate::config::{PipelineConfig, PlacementConfig, RemoteConfig};
+use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::link::{Attached, Crossing};
 
 /// An open placement: a loaded model, a session with a peer that has one, or nothing.
@@ -173,15 +173,20 @@ impl Placement {
     /// What is found of this host now, and what the peer told of itself when the session opened. `warm` while a pipeline
     /// measures: then nothing is waited for.
     pub(super) async fn conditions(&self, context: &PipelineContext, warm: bool) -> Vec<Condition> {
-        let (network, told) = match self {
-            Self::Remote { session, .. } => (true, session.accepted().conditions.as_slice()),
-            Self::Local(_) | Self::None => (false, [].as_slice()),
-        };
-        let looks = if warm { 1 } else { context.places.looks };
-        let places = Places { network, looks, ..Places::clone(&context.places) };
-        let mut found = look_soon(places, context.host.name.to_string()).await;
-        found.extend_from_slice(told);
-        found
+        match self {
+            Self::Remote { session, .. } => {
+                conditions(Some(&session.accepted().conditions), context, warm).await
+            }
+            Self::Local(_) | Self::None => conditions(None, context, warm).await,
+        }
+    }
+
+    /// What the peer told of its host when the session opened.
+    pub(super) fn peer_conditions(&self) -> &[Condition] {
+        match self {
+            Self::Remote { session, .. } => &session.accepted().conditions,
+            Self::Local(_) | Self::None => &[],
+        }
     }
 
     /// For the store and the pages.
@@ -206,6 +211,19 @@ impl Placement {
     }
 }
 
+/// What is found of this host now, with its network where a peer told of itself, and what the peer told.
+pub(super) async fn conditions(
+    peer: Option<&[Condition]>,
+    context: &PipelineContext,
+    warm: bool,
+) -> Vec<Condition> {
+    let looks = if warm { 1 } else { context.places.looks };
+    let places = Places { network: peer.is_some(), looks, ..Places::clone(&context.places) };
+    let mut found = look_soon(places, context.host.name.to_string()).await;
+    found.extend_from_slice(peer.unwrap_or_default());
+    found
+}
+
 /// For the store and the pages, as far as the configuration tells.
 pub(crate) fn intended(config: &PlacementConfig) -> Description {
     match config {
@@ -219,7 +237,19 @@ pub(crate) fn intended(config: &PlacementConfig) -> Description {
         },
         PlacementConfig::Remote(config) => remote(config),
         PlacementConfig::None {} => Description::sensor_alone(),
-        PlacementConfig::Observe(_) => Description::observed(),
+        PlacementConfig::Observe(config) => observed(config, None),
+    }
+}
+
+/// An observed system; `peer` is the name of the host whose agent observes it, too, once it is known.
+pub(super) fn observed(config: &ObserveConfig, peer: Option<Slug>) -> Description {
+    let Some(address) = &config.peer else { return Description::observed() };
+    Description {
+        kind: PlacementKind::Remote,
+        peer,
+        network: Some(address.network().name().to_owned()),
+        address: Some(address.to_string()),
+        ..Description::observed()
     }
 }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_logger::RunId;
-use peernet_stream::{IncidentKind, PipelineState, Placement as Description};
+use peernet_stream::{IncidentKind, PipelineState};
 
 use super::peer::{PeerStamps, PeerTold};
 use super::session::{Observation, SessionEnded};
@@ -11,7 +11,7 @@ use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherPlace, Topic};
 use crate::config::ObserveConfig;
 use crate::pauses::Pauses;
-use crate::pipeline::placement::Placement;
+use crate::pipeline::placement::{conditions, observed};
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 
@@ -83,12 +83,10 @@ async fn begin(
     peer: Option<&PeerStamps>,
     warm: bool,
 ) -> Run {
-    // Conditions of this host alone, as for a sensor that nobody answers.
-    let mut conditions = Placement::None.conditions(&runner.context, warm).await;
     let told = peer.map(PeerStamps::told);
-    let description = told.map_or_else(Description::observed, |told| told.description.clone());
+    let conditions = conditions(told.map(|told| &*told.conditions), &runner.context, warm).await;
+    let description = observed(config, told.map(|told| told.name.clone()));
     runner.display.set_placement(description.clone());
-    conditions.extend(told.iter().flat_map(|told| told.conditions.iter().cloned()));
     runner.begin_run(facts(config, source, told), description, conditions, warm)
 }
 

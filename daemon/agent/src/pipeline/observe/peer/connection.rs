@@ -243,7 +243,7 @@ impl PeerConnection {
     }
 
     /// Returns what the run's page says of the peer.
-    pub(super) async fn told(&self, context: &PipelineContext) -> PeerTold {
+    pub(super) async fn told(&self) -> PeerTold {
         let mut facts =
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());
@@ -252,9 +252,9 @@ impl PeerConnection {
         let addresses: Vec<IpAddr> =
             found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
         PeerTold {
-            description: self.placement.describe(),
+            name: self.name.clone(),
             facts,
-            conditions: self.placement.conditions(context, false).await,
+            conditions: self.placement.peer_conditions().to_vec(),
             addresses,
         }
     }

@@ -11,8 +11,8 @@ mod task;
 use std::net::IpAddr;
 
 use peernet_clock::Stamp;
-use peernet_logger::Tree;
-use peernet_stream::{Condition, Placement as Description};
+use peernet_logger::{Slug, Tree};
+use peernet_stream::Condition;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -57,7 +57,7 @@ pub(super) struct PeerStamps {
 /// What the peer told of itself when the session was opened, for the run's page.
 #[derive(Clone, Debug)]
 pub(super) struct PeerTold {
-    pub(super) description: Description,
+    pub(super) name: Slug,
     pub(super) facts: Vec<(String, String)>,
     pub(super) conditions: Vec<Condition>,
     /// Addresses of the peer's host.
@@ -77,7 +77,7 @@ impl PeerStamps {
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
-        let told = connection.told(&runner.context).await;
+        let told = connection.told().await;
         let (ask, asked) = mpsc::channel(MAX_PENDING);
         let (settle, settled) = mpsc::channel(MAX_PENDING);
         let task = tokio::spawn(PeerTask::new(connector, asked, settle).run(connection));
