@@ -16,25 +16,26 @@ WINDOW = 20
 PATIENCE = 120
 
 
-def pipeline(name, ros_version, source, target, keys=""):
-    """Returns the configuration of a pipeline that observes what is between two topics."""
+def pipeline(name, ros_version, source, target, keys="", peer=""):
+    """Returns the configuration of a pipeline that observes what is between two topics, together with the agent at an address."""
+    together = f', peer = "{peer}"' if peer else ""
     return (
         f'[[pipeline]]\nname = "{name}"\n{keys}\n'
-        f'placement = {{ kind = "observe", ros_version = {ros_version}, input = "{source}", output = "{target}" }}\n'
+        f'placement = {{ kind = "observe", ros_version = {ros_version}, input = "{source}", output = "{target}"{together} }}\n'
     )
 
 
 class Observer(Process):
     """An agent and its aggregator in one process."""
 
-    def __init__(self, peernetd, folder, pipelines, environment=None):
+    def __init__(self, peernetd, folder, pipelines, environment=None, name="robot"):
         events, self.http = free_port(), free_port()
-        file = f"{folder}/robot.toml"
+        file = f"{folder}/{name}.toml"
         with open(file, "w") as text:
             text.write(
                 f'[aggregator]\nname = "aggregator"\nlisten = "tcp://127.0.0.1:{events}"\n'
-                f'database = "{folder}/database.sqlite"\n[web]\nlisten = "127.0.0.1:{self.http}"\n'
-                f'[agent]\nname = "robot"\nstate_dir = "{folder}/robot"\naggregator = "tcp://127.0.0.1:{events}"\n'
+                f'database = "{folder}/{name}.sqlite"\n[web]\nlisten = "127.0.0.1:{self.http}"\n'
+                f'[agent]\nname = "{name}"\nstate_dir = "{folder}/{name}"\naggregator = "tcp://127.0.0.1:{events}"\n'
                 + pipelines
             )
         super().__init__(peernetd, "run", file, environment=environment)
@@ -81,3 +82,37 @@ def check_latencies(observer, relays):
         reported, taken = found[-1]
         print(f"ok      hop {index}: {reported * 1e3:.2f} ms reported, {taken * 1e3:.2f} ms taken", flush=True)
         assert taken >= seconds
+
+
+def check_two_agents(peernetd, folder, ros_version, relays):
+    """Observes the chain as if its second node were on another host: the first one is the way there, the third one the way back.
+
+    The clock of that host's agent is 5 s ahead. Waits until the medians of all three stages are those that the nodes say.
+    """
+    data, topics = free_port(), [source for source, _, _ in HOPS] + [HOPS[-1][1]]
+    serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n[rehearsal]\noffset_ms = 5000.0\n'
+    rack = serve + pipeline("chain", ros_version, topics[1], topics[2])
+    robot = pipeline("chain", ros_version, topics[0], topics[3], peer=f"tcp://127.0.0.1:{data}")
+    with Observer(peernetd, folder, rack, name="rack"), Observer(peernetd, folder, robot) as observer:
+        found = {}
+
+        def agrees():
+            run = observer.run_of("chain")
+            stages = run and observer.get(f"runs/{run['number']}/stages")
+            if not stages:
+                return False
+            for name, relay in zip(("upload", "inference", "download"), relays):
+                said = relay.newest("median")
+                stage = next((one for one in stages["stages"] if one["name"] == name), None)
+                if said and stage and stage["count"] >= WINDOW:
+                    # Medians of the API are within 1 % of the true ones.
+                    reported, taken = stage["p50"], float(said.split()[1])
+                    found[name] = (reported, taken, abs(reported - taken) < TOLERANCE + taken / 100)
+            return len(found) == len(HOPS) and all(close for _, _, close in found.values())
+
+        wait_until(agrees, f"stages of both hosts: {found}", PATIENCE)
+        detail = observer.get(f"runs/{observer.run_of('chain')['number']}")
+        assert detail["placement"]["peer"] == "rack", detail
+        observer.stop()
+    for name, (reported, taken, _) in found.items():
+        print(f"ok      {name}: {reported * 1e3:.2f} ms reported, {taken * 1e3:.2f} ms taken, clocks 5 s apart", flush=True)

@@ -1,7 +1,7 @@
 """Profiles a chain of Cyclone DDS nodes without a change of theirs. Usage: observe.py PEERNETD
 
 Each of three nodes takes a known time; what an agent reports must be within a millisecond of what the node says it took, by
-medians of 20 messages. Another node drops some messages and publishes others that belong to none.
+medians of 20 messages, by one agent and by two. Another node drops some messages and publishes others that belong to none.
 """
 import contextlib
 import os
@@ -9,7 +9,7 @@ import pathlib
 import sys
 import tempfile
 
-from observing import HOPS, Observer, check_latencies, pipeline
+from observing import HOPS, Observer, check_latencies, check_two_agents, pipeline
 from processes import Process, wait_until
 
 HERE = pathlib.Path(__file__).resolve().parent
@@ -34,6 +34,7 @@ def check_chain(started, peernetd, folder):
             assert part in facts, f"{part} is missing in {facts}"
         assert "measures nothing" not in facts, facts
         observer.stop()
+    check_two_agents(peernetd, folder, 2, relays)
     print("ok      the chain of Cyclone DDS nodes was observed", flush=True)
 
 

@@ -108,6 +108,14 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     plant.api.stages_are_the_total(run, &["upload", "inference", "download"]);
     assert_eq!(plant.api.figures(run, "upload-throughput"), None);
 
+    // What was learnt later narrows these delays, too.
+    let recomputed = plant.api.json(&format!("/api/v1/runs/{run}/recomputed"));
+    assert!(recomputed["samples"].as_u64() > Some(0), "{recomputed}");
+    let stages = recomputed["stages"].as_array().expect("a list");
+    let width = |stage: &Value, when: &str| stage[when]["half_width"]["mean"].as_f64().expect("a width");
+    assert_eq!(stages.len(), 2, "{recomputed}");
+    assert!(stages.iter().all(|stage| width(stage, "after") <= width(stage, "before")), "{recomputed}");
+
     // The publisher on the other host is not said to be without an agent.
     let facts = detail["facts"].to_string();
     let place = format!("/model at {}, where the peer measures", plant.network.cloud().address);

@@ -15,6 +15,9 @@ pub(super) const VERSION: u32 = 1;
 /// Messages that may be asked for at once.
 pub(crate) const MAX_KEYS: usize = 256;
 
+/// Longest question or answer: several times what so many keys take, and too little to keep the reader from its other peers.
+const MAX_BYTES: usize = 256 << 10;
+
 /// Asks when messages were received.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct StampRequest {
@@ -61,6 +64,8 @@ struct WireStamp {
 pub(crate) enum StampMessageError {
     #[error("it has no payload")]
     Empty,
+    #[error("it has {0} bytes, more than {MAX_BYTES}")]
+    TooLong(usize),
     #[error("it is not the JSON document that docs/session-protocol.md describes: {0}")]
     Json(#[from] serde_json::Error),
     #[error(
@@ -152,6 +157,9 @@ fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
         version: u32,
     }
     let part = sample.parts.first().ok_or(StampMessageError::Empty)?;
+    if part.bytes.len() > MAX_BYTES {
+        return Err(StampMessageError::TooLong(part.bytes.len()));
+    }
     let Versioned { version } = serde_json::from_slice(&part.bytes)?;
     if version != VERSION {
         return Err(StampMessageError::Version(version));
@@ -162,6 +170,8 @@ fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+
+    use proptest::prelude::*;
 
     use super::*;
 
@@ -194,6 +204,19 @@ mod tests {
         assert_eq!(written(answer.to_sample()), fixture("answer.json"));
     }
 
+    proptest! {
+        #[test]
+        fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200), at in 0..200_usize) {
+            let mut mutated = fixture("answer.json");
+            let end = (at + bytes.len()).min(mutated.len());
+            mutated.splice(at..end.max(at), bytes.iter().copied());
+            for bytes in [bytes, mutated] {
+                let sample = Sample::of(Description::bytes(), bytes.into());
+                let _ = (StampRequest::read(&sample), StampAnswer::read(&sample));
+            }
+        }
+    }
+
     #[test]
     fn documented_form_is_read_with_unknown_fields() {
         let request = document(
@@ -216,6 +239,10 @@ mod tests {
         for part in ["version 2", "version 1", "update"] {
             assert!(error.to_string().contains(part), "{error}");
         }
+        assert!(matches!(
+            StampRequest::read(&document(&" ".repeat(MAX_BYTES + 1))),
+            Err(StampMessageError::TooLong(_))
+        ));
         for nonsense in ["", "[]", "{}", r#"{"version": 1}"#, r#"{"version": -1}"#] {
             assert!(StampRequest::read(&document(nonsense)).is_err(), "{nonsense}");
         }

@@ -164,14 +164,7 @@ impl PeerConnector {
     fn trouble(&self, failure: OpenFailure) -> PeerTrouble {
         match failure {
             OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
-            OpenFailure::Refused(error) => {
-                let mut text = error.to_string();
-                // An agent of an earlier release knows models alone.
-                if text.contains(&format!("no model named {MODEL}")) {
-                    text += "; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages";
-                }
-                PeerTrouble { is_refusal: true, text }
-            }
+            OpenFailure::Refused(error) => PeerTrouble { is_refusal: true, text: advised(error.to_string()) },
             OpenFailure::Model(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
                 PeerTrouble { is_refusal: false, text }
@@ -269,6 +262,40 @@ impl PeerConnection {
     }
 }
 
+/// Returns the words of a refusal with what to do, where the peer itself does not say it.
+fn advised(refusal: String) -> String {
+    // An agent of an earlier release knows models alone.
+    if refusal.contains(&format!("no model named {MODEL}")) {
+        return format!(
+            "{refusal}; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
+        );
+    }
+    refusal
+}
+
 fn empty() -> Sample {
     Sample { parts: Vec::new(), source: String::new(), label: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_inference::LoadError;
+    use peernet_networks::OpenError;
+
+    use super::*;
+
+    #[test]
+    fn agent_of_an_earlier_release_is_to_be_updated() {
+        let refused = |reason: String| {
+            let address = "tcp://rack:5551".parse().expect("an address");
+            advised(OpenError::Refused { address, reason }.to_string())
+        };
+        let unknown = LoadError::UnknownModel { name: MODEL.to_owned(), known: vec!["echo".to_owned()] };
+        let text = refused(unknown.to_peer(MODEL));
+        for part in ["tcp://rack:5551", "PEERNet 0.3 or later", "[[pipeline]]"] {
+            assert!(text.contains(part), "{text}");
+        }
+        let own = refused("host rack observes no topics".to_owned());
+        assert!(own.ends_with("observes no topics"), "{own}");
+    }
 }

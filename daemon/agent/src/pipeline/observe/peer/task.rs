@@ -84,7 +84,8 @@ impl PeerTask {
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
                 match self.attend(connection.ask(keys)).await? {
-                    Ok(answer) => answer.pairs.iter().for_each(|pair| self.take_answer(pair)),
+                    // A peer tells of no more than it was asked for.
+                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| self.take_answer(pair)),
                     Err(trouble) => self.log(trouble.text()),
                 }
                 continue;
