@@ -80,9 +80,10 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     let wrong = |offset_ms: f64, drift_ppm: f64| {
         format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
-    let _cloud =
-        plant.cloud_with(&(wrong(5_000.0, 20.0) + &model("/camera", "/result")), &borrowed(&on_cloud));
-    let keys = "warm_up = { iterations = 20 }\nlimit = { iterations = 200 }";
+    // In the middle of the run the cloud's clock is stepped, too.
+    let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
+    let _cloud = plant.cloud_with(&(stepped + &model("/camera", "/result")), &borrowed(&on_cloud));
+    let keys = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
     let robot = robot(&plant.peer(), keys);
     let agent = plant.edge(&(wrong(-3_000.0, -20.0) + &robot), &borrowed(&on_edge));
     let clocks = (plant.clock_of("edge"), plant.clock_of("cloud"));
@@ -92,7 +93,7 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     for (direction, comparison) in [("upload", &up), ("download", &down)] {
         say(&format!("observed together, {direction}: {}", comparison.in_words()));
         assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
-        assert!(comparison.compared >= 200, "{direction}: {}", comparison.in_words());
+        assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
         // Nothing tells a network that is slower in one direction from an offset: the estimate lies half of the difference beside.
         assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
     }
@@ -105,7 +106,8 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
     let inference = median(&plant.api, run, "inference");
     assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
-    plant.api.stages_are_the_total(run, &["upload", "inference", "download"]);
+    // The stages are all that there is.
+    assert!(plant.api.mean(run, "unattributed").abs() < 1e-4);
     assert_eq!(plant.api.figures(run, "upload-throughput"), None);
 
     // What was learnt later narrows these delays, too.
