@@ -128,13 +128,15 @@ names!(Verdict {
     Inconsistent = "inconsistent",
 });
 
-/// The delay of one message from one host to another.
+/// The delay of one message from one host to another, or how much later one of two receivers had a message that others sent
+/// ([`Relation::differences`](crate::Relation::differences)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OneWayDelay {
     /// Receive stamp minus send stamp, each from its own host's wall clock; kept for ever, so that the
     /// correction can be redone. May be negative: it is not a delay yet.
     pub raw: Span,
-    /// The estimate, never negative; `None` when nothing is known about the two clocks.
+    /// The estimate; `None` when nothing is known about the two clocks. A delay is never negative, a difference of two receivers
+    /// may be.
     pub value: Option<Span>,
     /// Contains the true delay as long as the clocks' drift stays under the stated limit.
     pub bounds: Option<Interval>,

@@ -185,11 +185,11 @@ impl Knowledge {
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
-            return self.relation.delays(up.times(), down.times()).map(Some);
+            return self.relation.differences(up.times(), down.times()).map(Some);
         }
         let judge = |crossing: &Crossing, is_current: bool, direction| {
             let (sent, received) = crossing.times();
-            if is_current { self.relation.delay(direction, sent, received) } else { crossing.stepped() }
+            if is_current { self.relation.difference(direction, sent, received) } else { crossing.stepped() }
         };
         [
             Some(judge(up, is_up_current, Direction::Up)),

@@ -39,15 +39,46 @@ impl Relation {
         )
     }
 
-    /// The delays of a message and of a later one in the other direction, stamped (`sent`, `received`) each, by what is known now.
-    /// Nothing is learnt: the stamps need not be those of an exchange, as where both ends only observe what others send.
-    pub fn delays(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
+    /// How much later one receiver had a message than another one on the other host, by what is known now: for a message in each
+    /// direction, with the stamps of the two receivers, the one on the sender's host first.
+    ///
+    /// Nothing is learnt: no stamp is that of a departure. A difference may be negative, because each receiver is late by an amount
+    /// of its own, and so may be its interval.
+    pub fn differences(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
         let company = self.presence.near(up.0, down.1, self.settings.fresh);
-        let guesses = self.guesses(up.0, down.1);
+        let [up_guess, down_guess] = self.guesses(up.0, down.1);
         [
-            self.delay_in_company(Direction::Up, up.0, up.1, company, guesses[0]),
-            self.delay_in_company(Direction::Down, down.0, down.1, company, guesses[1]),
+            self.difference_in_company(Direction::Up, up.0, up.1, company, up_guess),
+            self.difference_in_company(Direction::Down, down.0, down.1, company, down_guess),
         ]
+    }
+
+    /// The same for one message.
+    pub fn difference(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
+        let at = edge_time(direction, sent, received);
+        let company = self.presence.near(at, at, self.settings.fresh);
+        self.difference_in_company(direction, sent, received, company, None)
+    }
+
+    fn difference_in_company(
+        &self,
+        direction: Direction,
+        sent: RawTime,
+        received: RawTime,
+        company: bool,
+        guess: Option<Span>,
+    ) -> OneWayDelay {
+        let raw = received - sent;
+        let Some(known) = self.knowledge(edge_time(direction, sent, received), guess).combined() else {
+            return OneWayDelay::unsynchronised(raw);
+        };
+        let (lo, hi, value) = without_offset(direction, raw, &known);
+        // By which of the two clocks the difference is meant makes no more than this.
+        let rate = Span::from_nanos(self.drift.over(lo.abs().max(hi.abs()).nanos()));
+        let is_exact = known.source == DelaySource::SameClock && known.agree;
+        let bounds =
+            if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
+        self.judged(raw, value, bounds, &known, company)
     }
 
     /// One estimate of the offset for both directions, or they would not add up to the round trip: at `sent` and at `returned`.
@@ -115,18 +146,27 @@ impl Relation {
         if known.source == DelaySource::SameClock && known.agree {
             return OneWayDelay::same_clock(raw);
         }
-        let (lo, hi, value) = match direction {
-            Direction::Up => (raw - known.bounds.hi, raw - known.bounds.lo, raw - known.estimate),
-            Direction::Down => (raw + known.bounds.lo, raw + known.bounds.hi, raw + known.estimate),
-        };
+        let (lo, hi, value) = without_offset(direction, raw, &known);
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, known.source);
         }
         let rate = Span::from_nanos(self.drift.over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
         let value = value.clamp(lo.max(Span::ZERO), hi);
-        let verdict = match self.verdict_of(&known, company) {
-            Verdict::Ok if bounds.width() > Span::from_nanos(value.nanos() / 2) => Verdict::Limited,
+        self.judged(raw, value, bounds, &known, company)
+    }
+
+    /// Adds source and verdict.
+    fn judged(
+        &self,
+        raw: Span,
+        value: Span,
+        bounds: Interval,
+        known: &Combined,
+        company: bool,
+    ) -> OneWayDelay {
+        let verdict = match self.verdict_of(known, company) {
+            Verdict::Ok if bounds.width() > Span::from_nanos(value.abs().nanos() / 2) => Verdict::Limited,
             verdict => verdict,
         };
         let is_known = verdict != Verdict::Inconsistent;
@@ -145,5 +185,13 @@ fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime 
     match direction {
         Direction::Up => sent,
         Direction::Down => received,
+    }
+}
+
+/// Lower bound, upper bound and estimate of a raw difference without the offset of the clocks.
+fn without_offset(direction: Direction, raw: Span, known: &Combined) -> (Span, Span, Span) {
+    match direction {
+        Direction::Up => (raw - known.bounds.hi, raw - known.bounds.lo, raw - known.estimate),
+        Direction::Down => (raw + known.bounds.lo, raw + known.bounds.hi, raw + known.estimate),
     }
 }

@@ -252,7 +252,7 @@ statements! {
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// The edge of a run and its network, when its first and last iterations began, and its first and last minutes with successful
     /// ones: where the edge's clock was set back, the first is not the earliest: ?1 run.
-    RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, \
+    RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, run.model, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
                   (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \

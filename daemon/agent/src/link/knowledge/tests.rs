@@ -323,6 +323,12 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
     let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
     let sum = sum.map(|(up, down)| up + down).expect("both have a value");
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
+    // A receiver here that was 40 ms late: the cloud's had the message before.
+    let mut late = up;
+    late.sender.wall = late.sender.wall + Span::from_millis(40);
+    let [negative, _] = knowledge.judge_stamps(&late, None);
+    let bounds = negative.and_then(|difference| difference.bounds).expect("it is judged");
+    assert!(bounds.contains(Span::from_millis(-10)) && bounds.hi.is_negative(), "{negative:?}");
     let [alone, none] = knowledge.judge_stamps(&up, None);
     assert_eq!((alone.and_then(|delay| delay.bounds), none), (up_delay.and_then(|delay| delay.bounds), None));
     assert_eq!(knowledge.relation.counts(), before);

@@ -61,6 +61,30 @@ proptest! {
             }
         }
     }
+
+    #[test]
+    fn difference_of_two_receivers_contains_the_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
+        let mut dice = Dice(seed);
+        let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(9), ppm) };
+        let mut relation = relation();
+        // The receiver at the edge has the message going up this late, so that the cloud's has it before, and the one going down.
+        let late = Span::from_nanos(late);
+        for (count, trip) in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut dice).iter().enumerate() {
+            let exchange = &trip.exchange;
+            let up = (exchange.sent + late, exchange.received);
+            let down = (exchange.replied, exchange.returned + late);
+            let both = relation.differences(up, down);
+            let counts = relation.counts();
+            for (difference, truth) in both.iter().zip([trip.up - late, trip.down + late]) {
+                prop_assert_eq!(difference.verdict == Verdict::Unsynchronised, count == 0);
+                prop_assert!(count == 0 || contains(difference, truth), "{difference:?} {truth}");
+            }
+            let alone = relation.difference(Direction::Up, up.0, up.1);
+            prop_assert_eq!(alone.bounds, both[0].bounds);
+            prop_assert_eq!(relation.counts(), counts, "nothing is learnt");
+            relation.learn(&trip.witnessed());
+        }
+    }
 }
 
 /// What is promised: clocks a second apart and drifting at the very limit, two namespaces on one machine.

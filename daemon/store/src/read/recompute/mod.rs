@@ -10,7 +10,7 @@ mod tally;
 mod windows;
 
 use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Span, Verdict, WallTime};
-use peernet_logger::{RawStamps, stage};
+use peernet_logger::{RawStamps, Slug, stage};
 use sqlx::FromRow;
 
 use self::clouds::{Clouds, EdgeTime};
@@ -51,6 +51,7 @@ const MINUTE_S: i64 = 60;
 struct Extent {
     host: i64,
     network: String,
+    model: String,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
     first_s: Option<i64>,
@@ -130,6 +131,7 @@ pub(crate) async fn judge_again(
         .map_err(readers.failed(WHAT))?;
     let Some(extent) = extent else { return Ok(None) };
     let mut clouds = Clouds::new(readers, (extent.host, &extent.network), extent.times());
+    let is_observed = extent.model == Slug::observed().as_str();
     let mut page_ends = (i64::MIN, i64::MIN);
     loop {
         let rows: Vec<Row> = sqlx::query_as(sql::RUN_DELAYS)
@@ -145,16 +147,16 @@ pub(crate) async fn judge_again(
         for row in &rows {
             let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
             let before = row.judged()?;
-            each(again(&mut clouds, row, direction, before).await?);
+            each(again(&mut clouds, row, (direction, is_observed), before).await?);
         }
     }
 }
 
-/// A delay as it is judged now.
+/// A delay as it is judged now. Stamps of an observed system are those of two receivers, whose difference may be negative.
 async fn again(
     clouds: &mut Clouds<'_>,
     row: &Row,
-    direction: Direction,
+    (direction, is_observed): (Direction, bool),
     before: Option<OneWayDelay>,
 ) -> Result<Rejudged, StoreError> {
     let as_it_was = Rejudged { direction, before, after: before, clocks: None };
@@ -172,8 +174,11 @@ async fn again(
         Direction::Down => EdgeTime { clocks, at: stamps.received, wall: received },
     };
     let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(as_it_was) };
-    let after = joined(before, relation.delay(direction, stamps.sent, stamps.received));
-    Ok(Rejudged { after: Some(after), clocks: Some(clocks), ..as_it_was })
+    let now = match is_observed {
+        true => relation.difference(direction, stamps.sent, stamps.received),
+        false => relation.delay(direction, stamps.sent, stamps.received),
+    };
+    Ok(Rejudged { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
 }
 
 /// What was known then and what is known now.
@@ -189,7 +194,7 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
         return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..now };
     };
     let value = now.value.or(before.value).map(|value| value.clamp(bounds.lo, bounds.hi));
-    let wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.nanos() / 2));
+    let wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.abs().nanos() / 2));
     let verdict = match (before.verdict, now.verdict) {
         (Verdict::Stale, Verdict::Stale) => Verdict::Stale,
         _ if wide => Verdict::Limited,

@@ -41,7 +41,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         let upload = log.depart(stage::UPLOAD, begun);
         let nodes = way_back.map(|(down, elapsed)| at_peer(&down, elapsed, down_delay));
         // Both ways together are known by the monotonic clocks alone: what this host waited, less what the peer took.
-        transport = way_back.map(|(_, elapsed)| total - elapsed).filter(|transport| !transport.is_negative());
+        transport = way_back.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
         let growth = Growth {
             base,
@@ -204,12 +204,26 @@ mod tests {
     }
 
     #[test]
-    fn peer_that_says_it_took_longer_than_all_gives_no_sum() {
+    fn receivers_that_were_late_give_negative_differences() {
         let clock = clock();
-        let (pair, seen) = pair(&clock);
+        let (mut pair, seen) = pair(&clock);
+        // This host had the input message 31 ms later than the peer, and as much later than it was there.
+        let late = pair.input.received.message.received;
+        let late = Stamp { wall: late.wall + Span::from_millis(61), mono: late.mono + Span::from_millis(61) };
+        pair.input.received = received(late);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let wrong = ObservedPair::new(7, seen.input(), seen.output(), Some(Span::from_seconds(60)));
-        let (tree, _) = answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &wrong, judge);
-        assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(55.0), None));
+        let judge = |up: &Crossing, down: Option<&Crossing>| {
+            let exact = |difference| OneWayDelay {
+                value: Some(difference),
+                ..OneWayDelay::unsynchronised(difference)
+            };
+            let up = up.receiver.wall - up.sender.wall - BEHIND;
+            let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
+            [Some(exact(up)), down.map(exact)]
+        };
+        let (tree, _) = answered_by_peer((&shared, HostId::random()), HostId::random(), &pair, &seen, judge);
+        let names = ["upload", "inference", "download", "total"];
+        let values = names.map(|name| millis(&tree, name));
+        assert_eq!(values, [Some(-31.0), Some(20.0), Some(5.0), Some(0.0)]);
     }
 }
