@@ -1,14 +1,16 @@
 //! Stamps of messages that others sent, made at both ends of a link by programs that only observe.
 
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
-use peernet_logger::Transit;
+use peernet_logger::{RawStamps, Transit};
 
 /// When a message was at a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct HostStamp {
     /// The host's wall clock.
     pub(crate) wall: WallTime,
-    /// [`Clock::epoch`] of the stamp; `None` where the clock was stepped near it.
+    /// The host's free-running clock, by which delays are judged.
+    pub(crate) raw: RawTime,
+    /// [`Clock::epoch`] of the stamp; `None` where the free-running clock was interrupted near it.
     pub(crate) epoch: Option<u32>,
 }
 
@@ -19,26 +21,25 @@ pub(crate) struct Crossing {
     pub(crate) receiver: HostStamp,
 }
 
-impl HostStamp {
-    /// The clock that delays are judged by.
-    pub(super) const fn time(&self) -> RawTime {
-        RawTime::of_wall(self.wall)
-    }
-}
-
 impl Crossing {
     pub(super) fn times(&self) -> (RawTime, RawTime) {
-        (self.sender.time(), self.receiver.time())
+        (self.sender.raw, self.receiver.raw)
     }
 
-    /// The receiver's stamp less the sender's, of which nothing else is known than that a clock was stepped.
+    /// The receiver's stamp less the sender's, of which nothing else is known than that a clock was interrupted.
     pub(super) fn stepped(&self) -> OneWayDelay {
         OneWayDelay::stepped(self.receiver.wall - self.sender.wall, peernet_clock::DelaySource::None)
     }
 
+    /// The same delay with what is kept for ever: the difference of the wall clocks, whichever clocks are related.
+    pub(super) fn with_raw_difference(&self, delay: OneWayDelay) -> OneWayDelay {
+        OneWayDelay { raw: self.receiver.wall - self.sender.wall, ..delay }
+    }
+
     /// The content of a node for it.
     pub(crate) const fn transit(&self, delay: Option<OneWayDelay>) -> Transit {
-        Transit { sent: self.sender.wall, received: Some(self.receiver.wall), delay, raw_stamps: None }
+        let raw_stamps = Some(RawStamps { sent: self.sender.raw, received: self.receiver.raw });
+        Transit { sent: self.sender.wall, received: Some(self.receiver.wall), delay, raw_stamps }
     }
 }
 
@@ -46,7 +47,7 @@ impl Crossing {
 #[derive(Debug)]
 pub(crate) struct EpochWatch {
     epoch: u32,
-    /// When the epoch was seen first. Stamps from before may be older than the step.
+    /// When the epoch was seen first. Stamps from before may be older than the interruption.
     since: MonoTime,
 }
 
@@ -61,7 +62,7 @@ impl EpochWatch {
         if epoch != self.epoch {
             *self = Self { epoch, since: clock.mono() };
         }
-        HostStamp { wall: stamp.wall, epoch: (stamp.mono >= self.since).then_some(epoch) }
+        HostStamp { wall: stamp.wall, raw: stamp.raw, epoch: (stamp.mono >= self.since).then_some(epoch) }
     }
 }
 
@@ -72,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stamps_from_before_a_step_have_no_epoch() {
+    fn stamps_from_before_an_interruption_have_no_epoch() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut watch = EpochWatch::new(&clock);
         clock.advance(Span::from_millis(1));

@@ -180,16 +180,21 @@ impl Knowledge {
     /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second learns of them:
     /// the first stamp is that of another receiver, not of the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
-        let is_current = |stamp: &HostStamp, clock: &HostClock| stamp.epoch == Some(clock.epoch);
+        let is_current = |stamp: &HostStamp, clock: &ToldClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
-            return self.relation.differences(up.times(), down.times()).map(Some);
+            let [there, back] = self.relation.differences(up.times(), down.times());
+            return [Some(up.with_raw_difference(there)), Some(down.with_raw_difference(back))];
         }
         let judge = |crossing: &Crossing, is_current: bool, direction| {
             let (sent, received) = crossing.times();
-            if is_current { self.relation.difference(direction, sent, received) } else { crossing.stepped() }
+            if is_current {
+                crossing.with_raw_difference(self.relation.difference(direction, sent, received))
+            } else {
+                crossing.stepped()
+            }
         };
         [
             Some(judge(up, is_up_current, Direction::Up)),

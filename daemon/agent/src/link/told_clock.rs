@@ -50,6 +50,11 @@ impl ToldClock {
         &self.clock
     }
 
+    /// Epoch of the related clock, as far as known.
+    pub(super) const fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
     /// Epoch of its wall clock.
     pub(super) const fn wall_epoch(&self) -> u32 {
         self.clock.epoch

@@ -1,7 +1,7 @@
 //! What an agent asks of another one about messages that both observe, and the answer: JSON documents.
 
 use bytes::Bytes;
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{RawTime, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_sample::{Description, MediaType, Sample};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -54,7 +54,9 @@ pub(crate) struct ObservedPair {
 struct WireStamp {
     /// Nanoseconds of the wall clock since 1970.
     wall_ns: i64,
-    /// How often the wall clock was stepped before; absent where it was stepped near the stamp.
+    /// Nanoseconds of the free-running clock.
+    raw_ns: i64,
+    /// How often the free-running clock was interrupted before; absent where it was interrupted near the stamp.
     #[serde(default)]
     epoch: Option<u32>,
 }
@@ -134,14 +136,14 @@ impl ObservedPair {
 }
 
 impl From<HostStamp> for WireStamp {
-    fn from(HostStamp { wall, epoch }: HostStamp) -> Self {
-        Self { wall_ns: wall.unix_nanos(), epoch }
+    fn from(HostStamp { wall, raw, epoch }: HostStamp) -> Self {
+        Self { wall_ns: wall.unix_nanos(), raw_ns: raw.nanos(), epoch }
     }
 }
 
 impl From<WireStamp> for HostStamp {
-    fn from(WireStamp { wall_ns, epoch }: WireStamp) -> Self {
-        Self { wall: WallTime::from_unix_nanos(wall_ns), epoch }
+    fn from(WireStamp { wall_ns, raw_ns, epoch }: WireStamp) -> Self {
+        Self { wall: WallTime::from_unix_nanos(wall_ns), raw: RawTime::from_nanos(raw_ns), epoch }
     }
 }
 
@@ -189,7 +191,11 @@ mod tests {
     fn messages_have_the_bytes_of_the_fixtures() {
         let keys = vec![1_700_000_000_000_000_001, -1];
         let request = StampRequest::new("detector".parse().expect("a name"), PairBy::Stamp, keys.clone());
-        let stamp = |wall_ns, epoch| HostStamp { wall: WallTime::from_unix_nanos(wall_ns), epoch };
+        let stamp = |wall_ns, epoch| HostStamp {
+            wall: WallTime::from_unix_nanos(wall_ns),
+            raw: RawTime::from_nanos(wall_ns + 7),
+            epoch,
+        };
         let (input, output) =
             (stamp(1_700_000_000_030_000_000, Some(3)), stamp(1_700_000_000_050_000_000, None));
         let pair = ObservedPair::new(keys[0], Some(input), Some(output), Some(Span::from_millis(20)));
@@ -224,7 +230,7 @@ mod tests {
         );
         assert_eq!(StampRequest::read(&request).expect("it can be read").keys, [1_700_000_000_000_000_001]);
         let answer = document(
-            r#"{"version": 1, "pairs": [{"key": 5, "input": {"wall_ns": 10, "epoch": 0, "more": 1}, "output": {"wall_ns": 30},
+            r#"{"version": 1, "pairs": [{"key": 5, "input": {"wall_ns": 10, "raw_ns": 11, "epoch": 0, "more": 1}, "output": {"wall_ns": 30, "raw_ns": 31},
                 "elapsed_ns": 20}]}"#,
         );
         let pair = StampAnswer::read(&answer).expect("it can be read").pairs[0];

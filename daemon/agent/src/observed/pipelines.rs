@@ -103,7 +103,7 @@ impl ObservedPipeline {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::WallTime;
+    use peernet_clock::{RawTime, WallTime};
 
     use super::*;
 
@@ -127,7 +127,11 @@ mod tests {
     fn received_messages_are_told_by_their_keys() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let detector = pipelines.find(&slug("detector")).expect("it is there");
-        let stamp = |nanos| HostStamp { wall: WallTime::from_unix_nanos(nanos), epoch: Some(0) };
+        let stamp = |nanos| HostStamp {
+            wall: WallTime::from_unix_nanos(nanos),
+            raw: RawTime::from_nanos(nanos),
+            epoch: Some(0),
+        };
         detector.note(Side::Input, 7, stamp(100), MonoTime::from_nanos(1));
         detector.note(Side::Output, 7, stamp(130), MonoTime::from_nanos(31));
         let request = StampRequest::new(slug("detector"), PairBy::Stamp, vec![8, 7]);

@@ -77,12 +77,16 @@ impl StampRing {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::WallTime;
+    use peernet_clock::{RawTime, WallTime};
 
     use super::*;
 
     fn note(ring: &mut StampRing, side: Side, key: i64, millis: i64) {
-        let stamp = HostStamp { wall: WallTime::from_unix_nanos(millis), epoch: Some(0) };
+        let stamp = HostStamp {
+            wall: WallTime::from_unix_nanos(millis),
+            raw: RawTime::from_nanos(millis),
+            epoch: Some(0),
+        };
         ring.note(side, key, stamp, MonoTime::from_nanos(millis * 1_000_000));
     }
 

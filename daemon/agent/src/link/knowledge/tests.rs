@@ -298,8 +298,16 @@ fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
 
 /// Messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
 fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
-    let here = |millis| HostStamp { wall: at(sent + millis), epoch: Some(edge) };
-    let there = |millis| HostStamp { wall: at(sent + 5000 + millis), epoch: Some(cloud) };
+    let here = |millis| HostStamp {
+        wall: at(sent + millis),
+        raw: RawTime::of_wall(at(sent + millis)),
+        epoch: Some(edge),
+    };
+    let there = |millis| HostStamp {
+        wall: at(sent + 5000 + millis),
+        raw: RawTime::of_wall(at(sent + 5000 + millis)),
+        epoch: Some(cloud),
+    };
     let up = Crossing { sender: here(0), receiver: there(30) };
     (up, Crossing { sender: there(50), receiver: here(55) })
 }
@@ -311,7 +319,7 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
     let [unknown, _] = knowledge.judge_stamps(&up, Some(&down));
     assert_eq!(unknown.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
     for sent in [0, 100, 200, 300] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 5000), [None, None], at(sent + 4));
+        let _ = knowledge.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
     }
     let before = knowledge.relation.counts();
     let (up, down) = observed(320, 0, 0);
@@ -325,7 +333,7 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
     // A receiver here that was 40 ms late: the cloud's had the message before.
     let mut late = up;
-    late.sender.wall = late.sender.wall + Span::from_millis(40);
+    late.sender.raw = late.sender.raw + Span::from_millis(40);
     let [negative, _] = knowledge.judge_stamps(&late, None);
     let bounds = negative.and_then(|difference| difference.bounds).expect("it is judged");
     assert!(bounds.contains(Span::from_millis(-10)) && bounds.hi.is_negative(), "{negative:?}");
@@ -338,7 +346,7 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
 fn observed_stamps_of_another_epoch_are_stepped() {
     let mut knowledge = knowledge();
     for sent in [0, 100, 200, 300] {
-        let _ = knowledge.judge(&network(), &exchange(sent, 5000), [None, None], at(sent + 4));
+        let _ = knowledge.judge(&network(), &exchange(sent, 5000), WAYS, now(sent + 4));
     }
     let verdicts = |knowledge: &Knowledge, edge, cloud| {
         let (up, down) = observed(320, edge, cloud);
@@ -347,7 +355,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     let stepped = [Some(Verdict::Stepped); 2];
     assert_ne!(verdicts(&knowledge, 0, 0), stepped);
     assert_eq!(verdicts(&knowledge, 0, 1), stepped, "the relation does not know of the step yet");
-    knowledge.cloud_says(HostClock { epoch: 1, ..HostClock::default() });
+    let _ = knowledge.cloud_says(told(1, None), now(400).raw);
     assert_eq!(verdicts(&knowledge, 0, 0), stepped, "they were made before the step");
     let (mut up, _) = observed(320, 0, 1);
     up.sender.epoch = None;

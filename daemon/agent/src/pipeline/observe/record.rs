@@ -163,7 +163,7 @@ mod tests {
     fn received(at: Stamp, stamp: Option<i64>) -> Received {
         let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
         let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
-        Received { message, arrival, at: HostStamp { wall: at.wall, epoch: Some(0) } }
+        Received { message, arrival, at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) } }
     }
 
     fn clock() -> Arc<ManualClock> {

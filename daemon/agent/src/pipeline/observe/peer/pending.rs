@@ -91,7 +91,7 @@ impl<P> PendingPairs<P> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::WallTime;
+    use peernet_clock::{RawTime, WallTime};
 
     use super::*;
     use crate::link::HostStamp;
@@ -101,7 +101,8 @@ mod tests {
     }
 
     fn answer(key: i64, has_output: bool) -> ObservedPair {
-        let stamp = HostStamp { wall: WallTime::from_unix_nanos(5), epoch: Some(0) };
+        let stamp =
+            HostStamp { wall: WallTime::from_unix_nanos(5), raw: RawTime::from_nanos(5), epoch: Some(0) };
         ObservedPair::new(key, Some(stamp), has_output.then_some(stamp), has_output.then_some(Span::ZERO))
     }
 

@@ -125,12 +125,20 @@ mod tests {
 
     fn received(at: Stamp) -> Received {
         let message = TopicMessage { received: at, length: 10, stamp: Some(7), sequence: None, missing: 0 };
-        Received { message, arrival: Arrival::default(), at: HostStamp { wall: at.wall, epoch: Some(0) } }
+        Received {
+            message,
+            arrival: Arrival::default(),
+            at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) },
+        }
     }
 
     /// 30 ms to the peer, 20 ms there, 5 ms back.
     fn pair(clock: &ManualClock) -> (Pair, ObservedPair) {
-        let there = |clock: &ManualClock| HostStamp { wall: clock.wall() + BEHIND, epoch: Some(0) };
+        let there = |clock: &ManualClock| HostStamp {
+            wall: clock.wall() + BEHIND,
+            raw: clock.raw() + BEHIND,
+            epoch: Some(0),
+        };
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let input = Input { position, received: received(clock.stamp()) };
         clock.advance(Span::from_millis(30));
@@ -209,7 +217,7 @@ mod tests {
         let (mut pair, seen) = pair(&clock);
         // This host had the input message 31 ms later than the peer, and as much later than it was there.
         let late = pair.input.received.message.received;
-        let late = Stamp { wall: late.wall + Span::from_millis(61), mono: late.mono + Span::from_millis(61) };
+        let late = late + Span::from_millis(61);
         pair.input.received = received(late);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
