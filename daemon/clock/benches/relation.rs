@@ -5,8 +5,8 @@
 use std::hint::black_box;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Direction, Exchange, RawTime, Relation, RelationSettings, Span, SystemClock,
-    WallTime, Witnessed,
+    Clock, ClockIdentity, Direction, Exchange, RawTime, RelatedClocks, Relation, RelationSettings, Span,
+    SystemClock, WallTime, Witnessed,
 };
 
 /// Exchanges and questions are timed so many at once.
@@ -33,11 +33,12 @@ fn main() {
     let clock = SystemClock::new(ClockIdentity::new("bench", "system"));
     reads(&clock);
     println!(
-        "{:<44}{:>10}{:>10}{:>10}{:>10}{:>12}",
+        "{:<58}{:>10}{:>10}{:>10}{:>10}{:>12}",
         "nanoseconds per", "learn", "judge", "delay", "offset", "bytes"
     );
-    for traffic in &TRAFFIC {
-        let mut relation = relation();
+    let free = [RelatedClocks::Raw, RelatedClocks::Wall];
+    for (clocks, traffic) in free.into_iter().flat_map(|clocks| TRAFFIC.iter().map(move |it| (clocks, it))) {
+        let mut relation = relation(clocks);
         let exchanges: Vec<Witnessed> = (0..SECONDS * traffic.hz).map(|n| traffic.exchange(n)).collect();
         let (learnt, judged) = exchanges.split_at(exchanges.len() / 2);
         let learn = timed(&clock, learnt, |witnessed| {
@@ -54,8 +55,11 @@ fn main() {
             drop(black_box(relation.offset(witnessed.exchange.sent, WallTime::default())));
         });
         println!(
-            "{:<44}{learn:>10.0}{judge:>10.0}{delay:>10.0}{offset:>10.0}{:>12}",
-            traffic.name,
+            "{:<58}{learn:>10.0}{judge:>10.0}{delay:>10.0}{offset:>10.0}{:>12}",
+            match clocks {
+                RelatedClocks::Raw => traffic.name.to_owned(),
+                RelatedClocks::RawToWall | RelatedClocks::Wall => format!("wall clocks: {}", traffic.name),
+            },
             relation.memory_bytes()
         );
     }
@@ -64,13 +68,13 @@ fn main() {
 
 /// The worst order: all exchanges of a window backwards, so that each is put in at the front.
 fn late_arrivals(clock: &SystemClock) {
-    let mut relation = relation();
+    let mut relation = relation(RelatedClocks::Raw);
     let worst = &TRAFFIC[3];
     let exchanges: Vec<Witnessed> = (0..600 * worst.hz).rev().map(|n| worst.exchange(n)).collect();
     let learn = timed(clock, &exchanges, |witnessed| {
         black_box(relation.learn(witnessed));
     });
-    println!("{:<44}{learn:>10.0}{:>42}", "worst, 50 a second, backwards", relation.memory_bytes());
+    println!("{:<58}{learn:>10.0}{:>42}", "worst, 50 a second, backwards", relation.memory_bytes());
 }
 
 fn reads(clock: &SystemClock) {
@@ -89,9 +93,10 @@ fn reads(clock: &SystemClock) {
     }
 }
 
-fn relation() -> Relation {
+fn relation(clocks: RelatedClocks) -> Relation {
+    let settings = RelationSettings { clocks, ..RelationSettings::default() };
     let (edge, cloud) = (ClockIdentity::new("bench", "edge"), ClockIdentity::new("bench", "cloud"));
-    Relation::new(&edge, &cloud, RelationSettings::default())
+    Relation::new(&edge, &cloud, settings)
 }
 
 impl Traffic {

@@ -36,6 +36,7 @@ mod steps;
 mod system;
 mod time;
 
+pub use band::ProvenSkew;
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
 pub use discipline::Discipline;
 pub use exchange::{Exchange, Witnessed};
@@ -45,7 +46,9 @@ pub use manual::ManualClock;
 pub use rehearsal::{RehearsalDescription, RehearsedStep, SteppedClock};
 pub use rehearsed::RehearsedClock;
 pub use related_clocks::RelatedClocks;
-pub use relation::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings};
+pub use relation::{
+    Direction, Doubt, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings,
+};
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
 pub use steps::{Disturbance, Readings, Watch};
 pub use time::{MonoTime, RawTime, Span, WallTime};

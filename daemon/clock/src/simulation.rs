@@ -33,17 +33,72 @@ impl Dice {
     }
 }
 
-/// A wall clock: how far it is ahead of true time, as straight pieces. All in nanoseconds of true time since a start.
+/// A clock: how far it is ahead of true time, in pieces. All in nanoseconds of true time since a start.
 #[derive(Clone, Debug)]
 pub(crate) struct Wall {
-    /// When the piece begins, the error then, and its drift; by time.
-    pieces: Vec<(f64, f64, f64)>,
+    /// By time.
+    pieces: Vec<Piece>,
+}
+
+/// From a time on: the error then, its drift, and how fast the drift changes.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    begin: f64,
+    error: f64,
+    drift: f64,
+    /// Per nanosecond.
+    change: f64,
+}
+
+impl Piece {
+    fn error(&self, t: f64) -> f64 {
+        let away = t - self.begin;
+        self.error + away * (self.drift + away * self.change / 2.0)
+    }
 }
 
 impl Wall {
     /// Ahead by so much at the start, running fast by so many parts per million.
     pub(crate) fn drifting(offset: Span, ppm: f64) -> Self {
-        Self { pieces: vec![(0.0, offset.nanos() as f64, ppm * 1e-6)] }
+        let piece = Piece { begin: 0.0, error: offset.nanos() as f64, drift: ppm * 1e-6, change: 0.0 };
+        Self { pieces: vec![piece] }
+    }
+
+    /// A drift within ± `ppm` that changes by at most ± `ppm_per_s`, as temperature makes it, for so long.
+    pub(crate) fn warming(offset: Span, ppm: f64, ppm_per_s: f64, length: Span, dice: &mut Dice) -> Self {
+        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+        let mut wall = Self::drifting(offset, drift);
+        while t < length.nanos() as f64 {
+            let change = match dice.bits() % 4 {
+                0 => 0.0,
+                1 => ppm_per_s,
+                2 => -ppm_per_s,
+                _ => dice.between(-ppm_per_s, ppm_per_s),
+            };
+            let limit = (ppm.copysign(change) - drift) / change;
+            let lasts = (dice.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
+            if lasts > 1e-3 {
+                let error = wall.error(t);
+                wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: change * 1e-15 });
+                t += lasts * 1e9;
+                drift += change * lasts;
+            }
+        }
+        wall
+    }
+
+    /// Runs faster from a time on.
+    pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
+        let begin = at.nanos() as f64;
+        let piece = Piece {
+            begin,
+            error: self.error(begin),
+            drift: self.piece(begin).drift + ppm * 1e-6,
+            change: 0.0,
+        };
+        self.pieces.retain(|piece| piece.begin < begin);
+        self.pieces.push(piece);
+        self
     }
 
     /// A drift that wanders within ± `ppm`, changing every few seconds, for so long.
@@ -51,7 +106,8 @@ impl Wall {
         let mut wall = Self::drifting(offset, 0.0);
         let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
         while t < length.nanos() as f64 {
-            wall.pieces.push((t, wall.error(t), drift * 1e-6));
+            let error = wall.error(t);
+            wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: 0.0 });
             t += dice.exponential(4e9) + 1.0;
             drift = (drift + dice.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
         }
@@ -60,21 +116,21 @@ impl Wall {
 
     /// Set forward or back from a time on.
     pub(crate) fn stepped(mut self, at: Span, by: Span) -> Self {
-        let t = at.nanos() as f64;
-        let (error, drift) = (self.error(t), self.piece(t).2);
-        let later = self.pieces.partition_point(|piece| piece.0 < t);
-        self.pieces.insert(later, (t, error, drift));
-        self.pieces[later..].iter_mut().for_each(|piece| piece.1 += by.nanos() as f64);
+        let begin = at.nanos() as f64;
+        let (error, known) = (self.error(begin), self.piece(begin));
+        let drift = known.drift + (begin - known.begin) * known.change;
+        let later = self.pieces.partition_point(|piece| piece.begin < begin);
+        self.pieces.insert(later, Piece { begin, error, drift, change: known.change });
+        self.pieces[later..].iter_mut().for_each(|piece| piece.error += by.nanos() as f64);
         self
     }
 
-    fn piece(&self, t: f64) -> (f64, f64, f64) {
-        self.pieces[self.pieces.partition_point(|piece| piece.0 <= t).max(1) - 1]
+    fn piece(&self, t: f64) -> Piece {
+        self.pieces[self.pieces.partition_point(|piece| piece.begin <= t).max(1) - 1]
     }
 
     pub(crate) fn error(&self, t: f64) -> f64 {
-        let (begin, error, drift) = self.piece(t);
-        error + (t - begin) * drift
+        self.piece(t).error(t)
     }
 
     /// What it shows, cut to whole nanoseconds as clocks do.

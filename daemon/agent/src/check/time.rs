@@ -23,6 +23,8 @@ const MAX_PER_SOURCE_HZ: u64 = 10_000;
 const MAX_PADDING_BYTES: u64 = 1300;
 /// Furthest that a rehearsed clock may be off or be stepped: some four months, in milliseconds.
 const MAX_REHEARSED_MS: f64 = 1e10;
+/// Fastest change of the drift that may be allowed, parts per million per second: no oscillator changes so fast.
+const MAX_DRIFT_CHANGE_PPM_PER_S: f64 = 1_000.0;
 /// Fastest rehearsed drift: a tenth, parts per million.
 const MAX_REHEARSED_PPM: f64 = 100_000.0;
 /// Last moment of a rehearsed step: a year.
@@ -47,6 +49,8 @@ impl Report {
 
 pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
     report.above_zero("clock.max_drift_ppm", clock.max_drift_ppm, MAX_DRIFT_PPM);
+    let change = clock.max_drift_change_ppm_per_s;
+    report.above_zero("clock.max_drift_change_ppm_per_s", change, MAX_DRIFT_CHANGE_PPM_PER_S);
     report.within("clock.window_s", clock.window_s, 10.0, MAX_WINDOW_S);
     report.within("clock.fresh_s", clock.fresh_s, 0.1, MAX_SECONDS);
     if clock.fresh_s > clock.window_s {
@@ -182,6 +186,9 @@ mod tests {
     fn impossible_limits_are_named() {
         assert_eq!(clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
         assert_eq!(clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
+        let change = "clock.max_drift_change_ppm_per_s";
+        assert_eq!(clock("max_drift_change_ppm_per_s = 0"), [change]);
+        assert_eq!(clock("max_drift_change_ppm_per_s = 1001"), [change]);
         assert_eq!(clock("window_s = 20\nfresh_s = 30"), ["clock.fresh_s"]);
         assert_eq!(
             clock("discipline_interval_s = 0\nchronyc = \"\""),

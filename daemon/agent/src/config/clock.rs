@@ -9,9 +9,12 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockConfig {
-    /// The fastest that this host's wall clock and a peer's may drift apart, parts per million, above 0 and at
-    /// most 1000. All bounds of delays hold as long as this does. Default: 50.
+    /// The fastest that this host's clock and a peer's may drift apart, parts per million, above 0 and at most 1000. All
+    /// bounds of delays hold as long as this does. Default: 200.
     pub max_drift_ppm: f64,
+    /// The fastest that this drift may change, parts per million per second, above 0 and at most 1000. Where both clocks run
+    /// freely, all bounds of delays hold as long as this does, too. Default: 1.
+    pub max_drift_change_ppm_per_s: f64,
     /// No exchange with a peer bounds delays for longer, but for the newest eight; seconds, 10 to 86400. Default: 10.
     pub window_s: f64,
     /// A delay with no other exchange so near in time is `stale`; seconds, 0.1 to 3600, at most `window_s`.
@@ -34,7 +37,8 @@ pub struct ClockConfig {
 impl Default for ClockConfig {
     fn default() -> Self {
         Self {
-            max_drift_ppm: 50.0,
+            max_drift_ppm: 200.0,
+            max_drift_change_ppm_per_s: 1.0,
             window_s: 10.0,
             fresh_s: 10.0,
             trust_time_daemons: false,
@@ -52,6 +56,7 @@ impl ClockConfig {
     pub fn relation(&self) -> RelationSettings {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
+            max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
             window: Span::from_seconds_f64(self.window_s),
             retention: Span::from_seconds_f64(self.window_s),
             fresh: Span::from_seconds_f64(self.fresh_s),

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::{
-    Direction, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks, Relation, Span, Stamp, Verdict,
-    WallTime, Witnessed,
+    Direction, Doubt, Judged, Learned, Offset, OneWayDelay, ProvenSkew, RawTime, RelatedClocks, Relation,
+    Span, Stamp, Verdict, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -40,13 +40,21 @@ pub(super) struct Knowledge {
     restarts: RestartReports,
 }
 
-/// Decides what is reported of a restart of the relation.
+/// Suspected jumps are reported at most once in such a time: a route that flaps makes one after the other.
+const JUMP_REPORT_INTERVAL: Span = Span::from_seconds(60);
+
+/// Decides what is reported of a restart of the relation, and of doubts about its assumptions.
 #[derive(Debug, Default)]
 struct RestartReports {
     /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
     stepped: (bool, bool),
-    /// The last restart was reported as a drift beyond the limit.
-    is_beyond_limit: bool,
+    /// The last restart was reported as a doubt.
+    is_in_doubt: bool,
+    /// It was reported that the exchanges prove a skew beyond the limit.
+    is_skew_told: bool,
+    /// When a suspected jump was reported last, and how many were not since.
+    jump_told: Option<RawTime>,
+    jumps_untold: u32,
 }
 
 impl RestartReports {
@@ -57,13 +65,29 @@ impl RestartReports {
         self.stepped.1 |= counts && cloud;
     }
 
-    /// Returns the report of a restart that moved the offset by `moved`; `beyond_ppm` is the limit of drift where the clocks
-    /// seem not to keep it.
-    fn restarted(&mut self, moved: Option<Span>, beyond_ppm: Option<f64>) -> Option<Restart> {
+    /// Returns the report of a restart that moved the offset by `moved`; `doubt` is the assumption that the clocks seem not to
+    /// keep, with its limit.
+    fn restarted(&mut self, moved: Option<Span>, doubt: Option<(Doubt, f64)>) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped);
         // Clocks beyond the limit begin anew several times a second: that is reported once, until they keep it again.
-        let was_beyond_limit = std::mem::replace(&mut self.is_beyond_limit, beyond_ppm.is_some());
-        (beyond_ppm.is_none() || !was_beyond_limit).then_some(Restart { moved, edge, cloud, beyond_ppm })
+        let was_in_doubt = std::mem::replace(&mut self.is_in_doubt, doubt.is_some());
+        (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
+    }
+
+    /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
+    fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
+        if self.jump_told.is_some_and(|told| (at - told).abs() < JUMP_REPORT_INTERVAL) {
+            self.jumps_untold = self.jumps_untold.saturating_add(1);
+            return None;
+        }
+        self.jump_told = Some(at);
+        Some(SuspectedJump { moved, untold: std::mem::take(&mut self.jumps_untold) })
+    }
+
+    /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
+    fn proven(&mut self, excess: Option<ExcessSkew>) -> Option<ExcessSkew> {
+        let was_told = std::mem::replace(&mut self.is_skew_told, excess.is_some());
+        excess.filter(|_| !was_told)
     }
 }
 
@@ -76,6 +100,26 @@ pub(super) struct News {
     pub(super) restart: Option<Restart>,
     /// The cloud's wall clock was set or ran off, on which no delay depends.
     pub(super) is_cloud_wall_set: bool,
+    pub(super) jump: Option<SuspectedJump>,
+    pub(super) excess: Option<ExcessSkew>,
+}
+
+/// The offset jumped, and no host noticed a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct SuspectedJump {
+    /// By how much.
+    pub(super) moved: Span,
+    /// How many were suspected since the last report, without one of their own.
+    pub(super) untold: u32,
+}
+
+/// The exchanges prove a skew beyond the limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ExcessSkew {
+    /// The skew that is proven.
+    pub(super) proven: ProvenSkew,
+    /// The limit, parts per million.
+    pub(super) limit_ppm: f64,
 }
 
 /// A clock was stepped: the relation began anew.
@@ -87,8 +131,9 @@ pub(super) struct Restart {
     pub(super) edge: bool,
     /// Whether it was the cloud's.
     pub(super) cloud: bool,
-    /// The limit of drift, parts per million, where it is more likely that the clocks do not keep it.
-    pub(super) beyond_ppm: Option<f64>,
+    /// The assumption, with its limit in parts per million or parts per million per second, where it is more likely that the clocks do not
+    /// keep it.
+    pub(super) doubt: Option<(Doubt, f64)>,
 }
 
 /// A message that has arrived, and how many bits it had.
@@ -316,16 +361,27 @@ impl Knowledge {
 
     fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: Stamp, news: &mut News) {
         self.begin_window(now, news);
+        let settings = *self.relation.settings();
         match learned {
             Learned::Refused(_) => return,
             Learned::Taken => {}
             Learned::Restarted(moved) => {
-                let limit = self.relation.settings().max_drift_ppm;
-                let beyond_ppm = self.relation.in_doubt().then_some(limit);
-                news.restart = self.restarts.restarted(moved, beyond_ppm).or(news.restart.take());
+                let limit = |doubt| match doubt {
+                    Doubt::Drift => settings.max_drift_ppm,
+                    Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
+                };
+                let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
+                news.restart = self.restarts.restarted(moved, doubt).or(news.restart.take());
+            }
+            Learned::Jumped(moved) => {
+                let jump = self.restarts.jumped(moved, witnessed.exchange.returned);
+                news.jump = jump.or(news.jump.take());
             }
         }
-        self.second.exchanged(&witnessed.exchange, self.relation.settings().max_drift_ppm);
+        let proven = self.relation.excess_skew();
+        let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
+        news.excess = self.restarts.proven(excess).or(news.excess.take());
+        self.second.exchanged(&witnessed.exchange, settings.max_drift_ppm);
     }
 
     /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
@@ -357,9 +413,15 @@ impl Knowledge {
         let basis = EstimateBasis {
             clocks: settings.clocks,
             at_raw: Some(at.raw),
-            max_drift_change_ppm_per_s: None,
-            proven_skew_ppm: None,
-            grown_window: None,
+            max_drift_change_ppm_per_s: settings
+                .clocks
+                .are_free_running()
+                .then_some(settings.max_drift_change_ppm_per_s),
+            proven_skew_ppm: self
+                .relation
+                .proven_skew()
+                .map(|skew| (skew.least_ppm.min(skew.most_ppm), skew.most_ppm.max(skew.least_ppm))),
+            grown_window: self.relation.window_reach(at.raw).filter(|reach| *reach > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: None,
         };

@@ -18,7 +18,7 @@ use super::correction::{bits, correct};
 use super::judged_stamps::Crossing;
 use super::knowledge::{Knowledge, News, Way};
 use super::shared::{Session, Shared, lock};
-use super::words::{restart_in_words, wall_set_in_words};
+use super::words::{excess_in_words, jump_in_words, restart_in_words, wall_set_in_words};
 use crate::incidents::Concerning;
 
 /// Data this long ago does not keep the probes at their full rate.
@@ -230,9 +230,14 @@ impl Link {
         for sample in news.samples {
             host.feed.event(None, Event::Clock(Box::new(sample)));
         }
-        let restart = news.restart.map(|restart| restart_in_words(restart, &host.name, &self.name));
-        let wall_set = news.is_cloud_wall_set.then(|| wall_set_in_words(&self.name));
-        for text in restart.into_iter().chain(wall_set) {
+        let (edge, cloud) = (&host.name, &self.name);
+        let texts = [
+            news.restart.map(|restart| restart_in_words(restart, edge, cloud)),
+            news.jump.map(|jump| jump_in_words(jump, edge, cloud)),
+            news.is_cloud_wall_set.then(|| wall_set_in_words(cloud)),
+            news.excess.map(|excess| excess_in_words(excess, edge, cloud)),
+        ];
+        for text in texts.into_iter().flatten() {
             let what = Concerning { peer: Some(self.peer), ..Concerning::default() };
             host.incidents.report(IncidentKind::ClockStep, what, text);
         }

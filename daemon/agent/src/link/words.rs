@@ -1,8 +1,9 @@
-//! Steps in words for people.
+//! Steps, jumps and doubts about the clocks in words for people.
 
+use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
-use super::knowledge::Restart;
+use super::knowledge::{ExcessSkew, Restart, SuspectedJump};
 use crate::incidents::far_in_words;
 
 /// That a clock was stepped, by how much, and whose.
@@ -21,12 +22,18 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         let far = far_in_words(moved);
         format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
-    let outlook = match restart.beyond_ppm {
+    let outlook = match restart.doubt {
         None => "their relation is learnt anew".to_owned(),
-        Some(limit) => format!(
-            "not for the first time within a minute: they seem to drift apart faster than [clock] max_drift_ppm = {limit}; \
-             nothing is believed until that has ceased"
-        ),
+        Some((doubt, limit)) => {
+            let seem = match doubt {
+                Doubt::Drift => "drift apart faster than [clock] max_drift_ppm",
+                Doubt::DriftChange => "change their drift faster than [clock] max_drift_change_ppm_per_s",
+            };
+            format!(
+                "not for the first time within a minute: they seem to {seem} = {limit}; nothing is believed until that has \
+                 ceased"
+            )
+        }
     };
     format!("{whose}{moved}; {outlook}")
 }
@@ -38,21 +45,43 @@ pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
     )
 }
 
+/// That a jump is suspected, with both explanations.
+pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
+    let way = if jump.moved.is_negative() { "back" } else { "forward" };
+    let far = far_in_words(jump.moved);
+    let others = match jump.untold {
+        0 => String::new(),
+        1 => ", and once more since the last report".to_owned(),
+        times => format!(", and {times} times more since the last report"),
+    };
+    format!(
+        "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
+         them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
+         are allowed for, and delays are limited until the window is full again"
+    )
+}
+
+/// That the exchanges prove a skew beyond the limit.
+pub(super) fn excess_in_words(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
+    let ExcessSkew { proven, limit_ppm } = excess;
+    let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
+    format!(
+        "the exchanges prove that the clock of {cloud} gains {least:.1} to {most:.1} ppm on that of {edge}, more than [clock] \
+         max_drift_ppm = {limit_ppm} allows: no delay is believed; raise max_drift_ppm on {edge}"
+    )
+}
+
 #[cfg(test)]
 mod tests {
-    use peernet_clock::Span;
+    use peernet_clock::{ProvenSkew, Span};
 
     use super::*;
 
     #[test]
     fn a_restart_names_the_host_and_the_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let by = |nanos, edge, cloud| Restart {
-            moved: Some(Span::from_nanos(nanos)),
-            edge,
-            cloud,
-            beyond_ppm: None,
-        };
+        let by =
+            |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
         for (restart, begin, told) in [
             (
                 by(-3_000_007_000, true, false),
@@ -69,11 +98,25 @@ mod tests {
             let text = restart_in_words(restart, &edge, &cloud);
             assert!(text.starts_with(begin) && text.contains(told), "{text}");
         }
-        let unknown = restart_in_words(
-            Restart { moved: None, edge: false, cloud: false, beyond_ppm: Some(50.0) },
-            &edge,
-            &cloud,
-        );
-        assert!(unknown.contains("robot or desk") && unknown.contains("max_drift_ppm = 50"), "{unknown}");
+        for (doubt, key) in [
+            ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),
+            ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
+        ] {
+            let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
+            let text = restart_in_words(restart, &edge, &cloud);
+            assert!(text.contains("robot or desk") && text.contains(key), "{text}");
+        }
+    }
+
+    #[test]
+    fn jump_names_both_explanations_and_how_many_were_not_told() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
+        let text = jump_in_words(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
+        for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
+            assert!(text.contains(part), "{text}");
+        }
+        let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
+        let text = excess_in_words(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
+        assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
     }
 }

@@ -1,4 +1,13 @@
-//! The limit of drift as an integer, rounded so that it never promises too much.
+//! What is assumed of the drift between two clocks, as integers, rounded so that they never promise too much.
+
+/// The two assumptions about the rate at which two clocks run apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct DriftModel {
+    /// The rate is at most this.
+    pub(crate) limit: DriftLimit,
+    /// It changes by at most this; `None` where a clock may be slewed, so that its rate changes at once.
+    pub(crate) change: Option<DriftChangeLimit>,
+}
 
 /// How far apart two clocks can run within a distance of the edge's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,5 +51,63 @@ impl DriftLimit {
     /// Slopes beyond this are no drift.
     pub(crate) fn slope(self) -> f64 {
         self.rate as f64 / (1u64 << Self::BITS) as f64
+    }
+}
+
+/// How fast the rate at which two clocks run apart can change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct DriftChangeLimit {
+    /// Half of it, parts per 2⁸⁰ per nanosecond.
+    half: u64,
+}
+
+impl DriftChangeLimit {
+    const BITS: u32 = 80;
+    /// A thousandth per second: no oscillator does.
+    const WORST_PPM_PER_S: f64 = 1_000.0;
+
+    /// From parts per million per second, by whichever of the two clocks they are counted: clocks that run apart by ρ see
+    /// each other's second derivatives by up to (1 − ρ)⁻³ larger. What is not a number is the largest limit.
+    pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
+        let worst = Self::WORST_PPM_PER_S;
+        let ppm_per_s = if ppm_per_s.is_nan() { worst } else { ppm_per_s.clamp(0.0, worst) };
+        // 1 / (1 − ρ) is 1 + slope.
+        let half = ppm_per_s * 1e-15 / 2.0 * (1.0 + rate.slope()).powi(3);
+        Self { half: (half * (1.0 + 1e-12) * (1u128 << Self::BITS) as f64).ceil() as u64 }
+    }
+
+    /// κ·a·b / 2 for two lengths of time, nanoseconds, rounded up: by so much the offset can leave the straight line through
+    /// two of its values, at distances of a and b from them.
+    #[inline]
+    pub(crate) fn bend(self, a: u64, b: u64) -> i64 {
+        let area = u128::from(a) * u128::from(b);
+        let Some(product) = area.checked_mul(u128::from(self.half)) else { return i64::MAX };
+        let rounded = (product >> Self::BITS) + 1;
+        i64::try_from(rounded).unwrap_or(i64::MAX)
+    }
+
+    /// κ / 2 per nanosecond, to choose by, not to promise by.
+    #[inline]
+    pub(crate) fn half_per_nano(self) -> f64 {
+        self.half as f64 / (1u128 << Self::BITS) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bend_is_rounded_up_and_saturates() {
+        let limit = DriftChangeLimit::new(1.0, DriftLimit::new(0.0));
+        let second = 1_000_000_000;
+        // 1 ppm/s over 10 s and 10 s: 50 µs.
+        assert!((50_000..50_010).contains(&limit.bend(10 * second, 10 * second)));
+        assert_eq!(limit.bend(1, 1), 1);
+        assert_eq!(limit.bend(u64::MAX, u64::MAX), i64::MAX);
+        let fast = DriftChangeLimit::new(1.0, DriftLimit::new(1_000.0));
+        assert!(fast.bend(100 * second, 100 * second) >= 5_015_000);
+        let without = DriftLimit::new(0.0);
+        assert_eq!(DriftChangeLimit::new(f64::NAN, without), DriftChangeLimit::new(f64::INFINITY, without));
     }
 }

@@ -1,6 +1,28 @@
-//! The skew that fits one side best.
+//! Convex hulls of the points of one side: those that can bound best, and the skew that fits them best.
 
 use super::slots::Point;
+
+/// Adds a point that is not before the last one to the lower convex hull of points to which `half` × x² was added. Where the
+/// origin of x lies makes no difference: another one adds a straight line.
+#[inline]
+pub(super) fn push(hull: &mut Vec<Point>, next: Point, half: f64) {
+    // How far a later point is above an earlier one, where the origin of x is the earlier one.
+    let rise =
+        |from: Point, to: Point, away: f64| to.bound.saturating_sub(from.bound) as f64 + half * away * away;
+    while let [.., a, b] = hull[..] {
+        let (near, far) = ((b.x - a.x) as f64, (next.x - a.x) as f64);
+        if rise(a, b, near) * far < rise(a, next, far) * near {
+            break;
+        }
+        hull.pop();
+    }
+    match hull.last() {
+        Some(last) if last.x == next.x && last.bound <= next.bound => return,
+        Some(last) if last.x == next.x => _ = hull.pop(),
+        _ => {}
+    }
+    hull.push(next);
+}
 
 /// The slope of the line under all the points that minimises the sum of its distances to them: the problem of Moon, Skelly and Towsley
 /// ("Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). Its solution is the edge of

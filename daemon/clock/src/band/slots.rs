@@ -54,6 +54,17 @@ pub(super) fn lowest(
     })
 }
 
+/// What became of a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Insertion {
+    /// Its slot has a better one.
+    Unchanged,
+    /// It is the best of the newest slot, instead of another one.
+    Newest,
+    /// It is the first of its slot, or the best of an older one.
+    Other,
+}
+
 /// The best point of each slot, by time.
 #[derive(Clone, Debug)]
 pub(super) struct Slots {
@@ -75,6 +86,23 @@ impl Slots {
         lowest(self.points.iter().filter(near).copied(), self.drift, q)
     }
 
+    /// The newest point.
+    pub(super) fn newest(&self) -> Option<Point> {
+        self.points.back().copied()
+    }
+
+    /// Points no further from `q` than `reach`, at most `most` of each side of it; in the order of time.
+    pub(super) fn around(&self, q: i64, reach: i64, most: usize) -> impl Iterator<Item = Point> + Clone + '_ {
+        let split = self.points.partition_point(|point| point.x <= q);
+        let range = split.saturating_sub(most)..split.saturating_add(most).min(self.points.len());
+        self.points.range(range).copied().filter(move |point| point.x.abs_diff(q) <= reach.unsigned_abs())
+    }
+
+    /// Drops every point after `end`.
+    pub(super) fn truncate(&mut self, end: i64) {
+        self.points.truncate(self.points.partition_point(|point| point.x <= end));
+    }
+
     /// Whether a cone at `q` is lower than a bound.
     #[inline]
     pub(super) fn is_below(&self, bound: i64, q: i64) -> bool {
@@ -82,7 +110,7 @@ impl Slots {
     }
 
     /// Takes a point if it is the best of its slot.
-    pub(super) fn insert(&mut self, point: Point) {
+    pub(super) fn insert(&mut self, point: Point) -> Insertion {
         let slot = |point: &Point| point.x.div_euclid(self.length);
         let at = match self.points.back() {
             // Mostly it is of the newest slot.
@@ -93,11 +121,16 @@ impl Slots {
         match self.points.get_mut(at) {
             Some(known) if known.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
                 let later = known.x.max(point.x);
-                if point.carried(self.drift, later) < known.carried(self.drift, later) {
-                    *known = point;
+                if point.carried(self.drift, later) >= known.carried(self.drift, later) {
+                    return Insertion::Unchanged;
                 }
+                *known = point;
+                if at + 1 == self.points.len() { Insertion::Newest } else { Insertion::Other }
             }
-            _ => self.points.insert(at, point),
+            _ => {
+                self.points.insert(at, point);
+                Insertion::Other
+            }
         }
     }
 
@@ -129,7 +162,7 @@ mod tests {
         ) {
             let points: Vec<Point> = points.into_iter().map(|(x, bound)| Point { x, bound }).collect();
             let mut slots = Slots::new(limit(), 10_000_000_000);
-            points.iter().for_each(|point| slots.insert(*point));
+            points.iter().for_each(|point| _ = slots.insert(*point));
             let best = points.iter().map(|point| point.carried(limit(), after)).min().expect("points");
             let known = slots.bound(after, i64::MAX).expect("points");
             prop_assert!(best <= known && known <= best + 2, "{best} {known}");

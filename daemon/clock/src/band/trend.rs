@@ -7,9 +7,9 @@
 //! is much narrower; the offset is taken to be in its middle. That takes the shortest delays of both directions to be
 //! alike, which nobody can know and the bounds do not rely on.
 
-use std::collections::VecDeque;
-
+use super::best_points::BestPoints;
 use super::hull;
+use super::skew::SkewProof;
 use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
@@ -28,15 +28,30 @@ const LEAST_EXCHANGES: u64 = 8;
 const LEAST_TIME: i64 = 5 * SECOND;
 
 /// The best points of each second.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Trend {
-    upper: Seconds,
+    upper: BestPoints,
     /// With the sign turned.
-    lower: Seconds,
+    lower: BestPoints,
     /// Of the offset, as of the last new second: a later point is better when it is lower than the drift explains.
     slope: f64,
     span: Option<(i64, i64)>,
     exchanges: u64,
+    proof: SkewProof,
+}
+
+impl Default for Trend {
+    fn default() -> Self {
+        let best = || BestPoints::new(SECOND, SECONDS);
+        Self {
+            upper: best(),
+            lower: best(),
+            slope: 0.0,
+            span: None,
+            exchanges: 0,
+            proof: SkewProof::default(),
+        }
+    }
 }
 
 impl Trend {
@@ -45,6 +60,7 @@ impl Trend {
         let (first, last) = self.span.unwrap_or((upper.x, lower.x));
         self.span = Some((first.min(upper.x), last.max(lower.x)));
         self.exchanges += 1;
+        self.proof.insert(upper, lower, self.slope);
         let begun = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
         if begun.contains(&true) {
             self.slope = self.slope(lower.x, FOR_ESTIMATE, limit).unwrap_or(0.0);
@@ -58,8 +74,8 @@ impl Trend {
     pub(super) fn at(&self, x: i64, limit: f64) -> Option<i64> {
         [FOR_ESTIMATE, FOR_ESTIMATE / 2, FOR_ESTIMATE / 4].into_iter().find_map(|seconds| {
             let slope = self.slope(x, seconds, limit)?;
-            let above = self.upper.lowest(x, seconds, slope)?;
-            let below = self.lower.lowest(x, seconds, -slope)?;
+            let above = lowest(&self.upper, x, seconds, slope)?;
+            let below = lowest(&self.lower, x, seconds, -slope)?;
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
     }
@@ -69,13 +85,19 @@ impl Trend {
         self.slope(x, FOR_ESTIMATE, limit)
     }
 
-    /// How fast the offset grows, seconds per second, over the latest exchanges.
-    pub(super) fn skew(&self, limit: f64) -> Option<f64> {
-        self.slope(self.span?.1, FOR_SKEW, limit)
+    /// How fast the offset grows, seconds per second, over the latest exchanges; no limit is put on it, so that clocks which do not
+    /// keep theirs are seen.
+    pub(super) fn skew(&self) -> Option<f64> {
+        self.slope(self.span?.1, FOR_SKEW, f64::INFINITY)
+    }
+
+    /// What the exchanges prove of the skew.
+    pub(super) fn proof(&self) -> &SkewProof {
+        &self.proof
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        (self.upper.points.capacity() + self.lower.points.capacity()) * size_of::<Point>()
+        self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
     }
 
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
@@ -83,88 +105,22 @@ impl Trend {
         if self.exchanges < LEAST_EXCHANGES || last.saturating_sub(first) < LEAST_TIME {
             return None;
         }
-        let above = hull::slope_under(self.upper.around(x, seconds))?;
-        let below = hull::slope_under(self.lower.around(x, seconds))?;
+        let above = hull::slope_under(around(&self.upper, x, seconds))?;
+        let below = hull::slope_under(around(&self.lower, x, seconds))?;
         Some(((above - below) / 2.0).clamp(-limit, limit))
     }
 }
 
-/// The lowest point of each second, by time.
-#[derive(Clone, Debug, Default)]
-struct Seconds {
-    points: VecDeque<Point>,
+/// The bound at a time by the points around it, for a known skew and a wander around it.
+fn lowest(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
+    let carried = |point: Point| {
+        let away = x.saturating_sub(point.x) as f64;
+        point.bound.saturating_add((slope * away + WANDER * away.abs()).round() as i64)
+    };
+    around(points, x, seconds).map(carried).min()
 }
 
-impl Seconds {
-    /// Whether it is the first of its second.
-    fn insert(&mut self, point: Point, slope: f64) -> bool {
-        let second = |point: &Point| point.x.div_euclid(SECOND);
-        let at = match self.points.back() {
-            Some(last) if second(last) >= second(&point) => {
-                self.points.partition_point(|other| second(other) < second(&point))
-            }
-            _ => self.points.len(),
-        };
-        if let Some(known) = self.points.get_mut(at).filter(|known| second(known) == second(&point)) {
-            let drifted = known.bound.saturating_add((slope * (point.x - known.x) as f64) as i64);
-            if point.bound < drifted {
-                *known = point;
-            }
-            return false;
-        }
-        if self.points.len() >= SECONDS {
-            if at == 0 {
-                return false;
-            }
-            self.points.pop_front();
-            self.points.insert(at - 1, point);
-        } else {
-            self.points.insert(at, point);
-        }
-        true
-    }
-
-    /// The bound at a time by the points around it, for a known skew and a wander around it.
-    fn lowest(&self, x: i64, seconds: usize, slope: f64) -> Option<i64> {
-        let carried = |point: Point| {
-            let away = x.saturating_sub(point.x) as f64;
-            point.bound.saturating_add((slope * away + WANDER * away.abs()).round() as i64)
-        };
-        self.around(x, seconds).map(carried).min()
-    }
-
-    /// The points of the nearest seconds, half of them before and half after where there are so many.
-    fn around(&self, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
-        let after = self.points.partition_point(|point| point.x < x);
-        let end = after.saturating_add(seconds / 2).max(seconds).min(self.points.len());
-        let near = move |point: &Point| point.x.abs_diff(x) <= REACH as u64;
-        self.points.range(end.saturating_sub(seconds)..end).copied().filter(near)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn seconds_stay_in_order_and_few_in_whatever_order_they_come() {
-        let mut seconds = Seconds::default();
-        for n in 0..3_000i64 {
-            let x = (n * 7919 % 3_000) * SECOND + n;
-            seconds.insert(Point { x, bound: 0 }, 0.0);
-            assert!(seconds.points.len() <= SECONDS);
-            assert!(n % 100 != 0 || seconds.points.iter().is_sorted_by_key(|point| point.x));
-        }
-        assert!(seconds.points.iter().is_sorted_by_key(|point| point.x));
-    }
-
-    #[test]
-    fn the_best_of_a_second_is_the_lowest_with_the_skew_taken_out() {
-        let mut seconds = Seconds::default();
-        assert!(seconds.insert(Point { x: 0, bound: 100 }, 50e-6));
-        assert!(!seconds.insert(Point { x: 10_000_000, bound: 400 }, 50e-6));
-        assert_eq!(seconds.points[0].bound, 400);
-        assert!(!seconds.insert(Point { x: 20_000_000, bound: 901 }, 50e-6));
-        assert_eq!(seconds.points[0].bound, 400);
-    }
+/// The points of the nearest seconds, half of them before and half after where there are so many.
+fn around(points: &BestPoints, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
+    points.around(x, seconds).filter(move |point| point.x.abs_diff(x) <= REACH as u64)
 }

@@ -2,7 +2,7 @@
 
 use super::sources::{Combined, Knowledge};
 use super::{Direction, Judged, Learned, Refusal, Relation};
-use crate::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict, Witnessed};
+use crate::{DelaySource, Exchange, Interval, OneWayDelay, RawTime, Span, Verdict, Witnessed};
 
 /// Fewer exchanges than these are too few, however fresh.
 const LEAST_EXCHANGES: u64 = 3;
@@ -14,15 +14,19 @@ impl Relation {
         let exchange = &witnessed.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
         let learned = self.learn(witnessed);
-        let [up, down] = self.guesses(exchange.sent, exchange.returned);
-        let delay = |direction, sent, received, guess| match learned {
-            Learned::Refused(why) => self.refused(why, direction, sent, received),
-            _ => self.delay_in_company(direction, sent, received, company, guess),
-        };
+        let Exchange { sent, received, replied, returned, .. } = *exchange;
+        if let Learned::Refused(why) = learned {
+            return Judged {
+                learned,
+                up: self.refused(why, Direction::Up, sent, received),
+                down: self.refused(why, Direction::Down, replied, returned),
+            };
+        }
+        let [up, down] = self.guesses(sent, returned);
         Judged {
             learned,
-            up: delay(Direction::Up, exchange.sent, exchange.received, up),
-            down: delay(Direction::Down, exchange.replied, exchange.returned, down),
+            up: self.delay_in_company(Direction::Up, sent, received, company, up),
+            down: self.delay_in_company(Direction::Down, replied, returned, company, down),
         }
     }
 
@@ -30,13 +34,8 @@ impl Relation {
     /// known now.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
-        self.delay_in_company(
-            direction,
-            sent,
-            received,
-            self.presence.near(at, at, self.settings.fresh),
-            None,
-        )
+        let company = self.presence.near(at, at, self.settings.fresh);
+        self.delay_in_company(direction, sent, received, company, self.knowledge(at, None).combined())
     }
 
     /// How much later one receiver had a message than another one on the other host, by what is known now: for a message in each
@@ -46,10 +45,10 @@ impl Relation {
     /// of its own, and so may be its interval.
     pub fn differences(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
         let company = self.presence.near(up.0, down.1, self.settings.fresh);
-        let [up_guess, down_guess] = self.guesses(up.0, down.1);
+        let [of_up, of_down] = self.guesses(up.0, down.1);
         [
-            self.difference_in_company(Direction::Up, up.0, up.1, company, up_guess),
-            self.difference_in_company(Direction::Down, down.0, down.1, company, down_guess),
+            self.difference_in_company(Direction::Up, up.0, up.1, company, of_up),
+            self.difference_in_company(Direction::Down, down.0, down.1, company, of_down),
         ]
     }
 
@@ -57,7 +56,7 @@ impl Relation {
     pub fn difference(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
         let company = self.presence.near(at, at, self.settings.fresh);
-        self.difference_in_company(direction, sent, received, company, None)
+        self.difference_in_company(direction, sent, received, company, self.knowledge(at, None).combined())
     }
 
     fn difference_in_company(
@@ -66,39 +65,45 @@ impl Relation {
         sent: RawTime,
         received: RawTime,
         company: bool,
-        guess: Option<Span>,
+        known: Option<Combined>,
     ) -> OneWayDelay {
         let raw = received - sent;
-        let Some(known) = self.knowledge(edge_time(direction, sent, received), guess).combined() else {
+        let Some(known) = known else {
             return OneWayDelay::unsynchronised(raw);
         };
         let (lo, hi, value) = without_offset(direction, raw, &known);
         // By which of the two clocks the difference is meant makes no more than this.
-        let rate = Span::from_nanos(self.drift.over(lo.abs().max(hi.abs()).nanos()));
+        let rate = Span::from_nanos(self.windows.limit().over(lo.abs().max(hi.abs()).nanos()));
         let is_exact = known.source == DelaySource::SameClock && known.agree;
         let bounds =
             if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
-        self.judged(raw, value, bounds, &known, company)
+        self.judged(edge_time(direction, sent, received), raw, (value, bounds), &known, company)
     }
 
-    /// One estimate of the offset for both directions, or they would not add up to the round trip: at `sent` and at `returned`.
-    fn guesses(&self, sent: RawTime, returned: RawTime) -> [Option<Span>; 2] {
-        let down = self.knowledge(returned, None).combined().map(|known| known.estimate);
-        [down.map(|down| down + self.band.growth(returned, sent)), down]
+    /// What is known at `sent` and at `returned`, with one estimate for both directions, or they would not add up to the round trip.
+    fn guesses(&self, sent: RawTime, returned: RawTime) -> [Option<Combined>; 2] {
+        let down = self.knowledge(returned, None).combined();
+        let guess = down.map(|down| down.estimate + self.windows.growth(returned, sent));
+        [self.knowledge(sent, guess).combined(), down]
     }
 
     /// What each source says at a time; the band's estimate is `guess` where there is one.
     pub(super) fn knowledge(&self, at: RawTime, guess: Option<Span>) -> Knowledge {
-        let in_band = self.band.interval(at).map(|interval| {
+        let known = self.windows.interval(at);
+        let in_band = known.map(|known| {
             let estimate = match guess {
-                Some(guess) => guess.clamp(interval.lo, interval.hi),
-                None => self.band.estimate(at, interval),
+                Some(guess) => guess.clamp(known.interval.lo, known.interval.hi),
+                None => self.windows.estimate(at, known),
             };
-            (interval, estimate)
+            (known.interval, estimate)
         });
         let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
         let claimed = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
-        Knowledge { in_band, other: same.or_else(claimed) }
+        Knowledge {
+            in_band,
+            is_consistent: known.is_none_or(|known| known.is_consistent),
+            other: same.or_else(claimed),
+        }
     }
 
     /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
@@ -109,7 +114,7 @@ impl Relation {
             return Verdict::Inconsistent;
         }
         if in_band
-            && (!fresh || self.band.exchanges() < LEAST_EXCHANGES || self.contradictions.suspects.any())
+            && (!fresh || self.windows.exchanges() < LEAST_EXCHANGES || self.contradictions.suspects.any())
         {
             return Verdict::Stale;
         }
@@ -137,10 +142,11 @@ impl Relation {
         sent: RawTime,
         received: RawTime,
         company: bool,
-        guess: Option<Span>,
+        known: Option<Combined>,
     ) -> OneWayDelay {
         let raw = received - sent;
-        let Some(known) = self.knowledge(edge_time(direction, sent, received), guess).combined() else {
+        let at = edge_time(direction, sent, received);
+        let Some(known) = known else {
             return OneWayDelay::unsynchronised(raw);
         };
         if known.source == DelaySource::SameClock && known.agree {
@@ -150,23 +156,24 @@ impl Relation {
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, known.source);
         }
-        let rate = Span::from_nanos(self.drift.over(hi.nanos()));
+        let rate = Span::from_nanos(self.windows.limit().over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
         let value = value.clamp(lo.max(Span::ZERO), hi);
-        self.judged(raw, value, bounds, &known, company)
+        self.judged(at, raw, (value, bounds), &known, company)
     }
 
     /// Adds source and verdict.
     fn judged(
         &self,
+        at: RawTime,
         raw: Span,
-        value: Span,
-        bounds: Interval,
+        (value, bounds): (Span, Interval),
         known: &Combined,
         company: bool,
     ) -> OneWayDelay {
+        let is_wide = bounds.width() > Span::from_nanos(value.abs().nanos() / 2);
         let verdict = match self.verdict_of(known, company) {
-            Verdict::Ok if bounds.width() > Span::from_nanos(value.abs().nanos() / 2) => Verdict::Limited,
+            Verdict::Ok if is_wide || self.windows.is_unsettled(at) => Verdict::Limited,
             verdict => verdict,
         };
         let is_known = verdict != Verdict::Inconsistent;

@@ -2,6 +2,7 @@
 //! daemons claim, and from their identities.
 
 mod judging;
+mod jumps;
 mod presence;
 mod sources;
 mod steps;
@@ -9,14 +10,16 @@ mod suspects;
 #[cfg(test)]
 mod tests;
 mod types;
+mod windows;
 
-use crate::band::{Band, Bounds, DriftLimit};
+use crate::band::{Bounds, Contradiction, ProvenSkew};
 use crate::{ClockIdentity, Discipline, Exchange, RawTime, RelatedClocks, Span, WallTime, Witnessed};
 use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
 use suspects::Contradictions;
-pub use types::{Direction, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
+pub use types::{Direction, Doubt, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
+use windows::Windows;
 
 /// Offsets and stamps beyond are no clock's (±73 years; a host without a battery starts in 1970).
 const ABSURD: Span = Span::from_nanos(1 << 61);
@@ -32,12 +35,11 @@ const STEADY_PPM: i64 = 500;
 pub struct Relation {
     same_clock: bool,
     settings: RelationSettings,
-    drift: DriftLimit,
-    band: Band,
+    windows: Windows,
     presence: Presence,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// The band was begun by a step and took nothing yet; with the last estimate before.
+    /// The window was begun by a step and took nothing yet; with the last estimate before.
     restarted: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
@@ -46,13 +48,11 @@ pub struct Relation {
 impl Relation {
     /// What two identities alone tell, ready to learn more.
     pub fn new(edge: &ClockIdentity, cloud: &ClockIdentity, settings: RelationSettings) -> Self {
-        let drift = DriftLimit::new(settings.max_drift_ppm);
         Self {
             // The wall clock of a host is not its free-running clock.
             same_clock: edge == cloud && settings.clocks != RelatedClocks::RawToWall,
             settings,
-            drift,
-            band: Band::new(drift, settings.window, settings.retention),
+            windows: Windows::new(&settings),
             presence: Presence::new(settings.fresh, settings.window.max(settings.retention)),
             contradictions: Contradictions::default(),
             steps: StepTracker::default(),
@@ -83,6 +83,7 @@ impl Relation {
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let known = self.knowledge(at, None);
         let combined = known.combined()?;
+        let band = self.windows.current();
         let fresh = self.presence.near(at, at, self.settings.fresh);
         Some(Offset {
             at: wall,
@@ -91,9 +92,9 @@ impl Relation {
             source: combined.source,
             sources: known.sources(),
             verdict: self.verdict_of(&combined, fresh),
-            skew_ppm: self.band.skew_ppm(),
-            exchanges: self.band.exchanges(),
-            age: self.band.newest().map(|newest| (at - newest).max(Span::ZERO)),
+            skew_ppm: band.skew_ppm(),
+            exchanges: band.exchanges(),
+            age: band.newest().map(|newest| (at - newest).max(Span::ZERO)),
         })
     }
 
@@ -102,20 +103,46 @@ impl Relation {
         self.counts
     }
 
-    /// Which window this is: grows whenever a step makes void what was learnt before.
+    /// Which window this is: grows whenever a step makes void what was learnt before, or a jump is suspected.
     pub const fn window(&self) -> u32 {
         self.counts.restarts
     }
 
-    /// Whether exchanges contradict each other again and again: the clocks drift apart faster than the limit, or a peer
-    /// lies. Delays are `inconsistent` then.
+    /// What the exchanges of the current window prove of the skew, whatever the network did; `None` before there are enough.
+    pub fn proven_skew(&self) -> Option<ProvenSkew> {
+        self.windows.current().proven_skew()
+    }
+
+    /// How far the exchanges that bound the offset at a time reach back: the settings' window, or further where exchanges are so rare
+    /// that the newest eight take longer. `None` without any.
+    pub fn window_reach(&self, at: RawTime) -> Option<Span> {
+        self.windows.current().reach(at)
+    }
+
+    /// Which assumption the clocks seem not to keep; delays are `inconsistent` then. Exchanges prove a skew beyond the limit, or they
+    /// contradict each other again and again; or a peer lies.
+    pub fn doubt(&self) -> Option<Doubt> {
+        if self.excess_skew().is_some() {
+            return Some(Doubt::Drift);
+        }
+        self.contradictions.surprises.doubt(self.windows.current().newest()?)
+    }
+
+    /// The proven skew, where it is beyond the limit.
+    pub fn excess_skew(&self) -> Option<ProvenSkew> {
+        self.windows.current().excess_skew()
+    }
+
+    /// Whether there is any.
     pub fn in_doubt(&self) -> bool {
-        self.band.newest().is_some_and(|newest| self.contradictions.surprises.cast_doubt(newest))
+        self.doubt().is_some()
     }
 
     /// Bytes of memory that the exchanges of the window take.
     pub fn memory_bytes(&self) -> usize {
-        self.band.memory_bytes() + self.contradictions.suspects.memory_bytes() + self.presence.memory_bytes()
+        self.windows.memory_bytes()
+            + self.contradictions.suspects.memory_bytes()
+            + self.presence.memory_bytes()
     }
 
     /// An exchange of probes finished.
@@ -123,7 +150,7 @@ impl Relation {
         let learned = self.consider(witnessed);
         let counts = &mut self.counts;
         match learned {
-            Learned::Taken | Learned::Restarted(_) => {
+            Learned::Taken | Learned::Restarted(_) | Learned::Jumped(_) => {
                 counts.taken += 1;
                 self.presence.note(witnessed.exchange.returned);
             }
@@ -166,18 +193,23 @@ impl Relation {
             return Learned::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
-        if self.band.excludes(&bounds) {
-            let empty = || Band::new(self.drift, self.settings.window, self.settings.retention);
-            let Some(believed) = self.contradictions.suspects.add(&bounds, empty) else {
-                return Learned::Refused(Refusal::Outlier);
-            };
-            self.steps.admit_all();
-            self.restart();
-            self.contradictions.surprises.note(exchange.returned);
-            self.band = believed;
-        } else {
-            self.contradictions.suspects.hear(&bounds);
-            self.band.insert(&bounds);
+        let contradiction = self.windows.contradiction(&bounds);
+        let moved = match contradiction {
+            Some(contradiction) => {
+                if !self.replace_window(&bounds, exchange.returned, contradiction) {
+                    return Learned::Refused(Refusal::Outlier);
+                }
+                None
+            }
+            None => {
+                self.contradictions.suspects.hear(&bounds);
+                self.windows.insert(exchange, &bounds)
+            }
+        };
+        if let Some(moved) = moved {
+            self.contradictions.suspects.clear();
+            self.counts.restarts += 1;
+            return Learned::Jumped(moved);
         }
         match self.restarted.take() {
             None => Learned::Taken,
@@ -188,11 +220,23 @@ impl Relation {
         }
     }
 
+    /// One more exchange contradicts the window. Returns whether there are enough that agree: they are the window then.
+    fn replace_window(&mut self, bounds: &Bounds, at: RawTime, contradiction: Contradiction) -> bool {
+        let Some(believed) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
+            return false;
+        };
+        self.steps.admit_all();
+        self.restart();
+        self.contradictions.surprises.note(at, contradiction);
+        self.windows.restart(believed);
+        true
+    }
+
     /// Whether any two clocks can show this: an answer after the message, and a round trip that is not negative, by more
     /// than the stamps are wrong and than the clocks can run apart meanwhile.
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
-        let apart = Span::from_nanos(self.drift.between(sent.nanos(), returned.nanos()));
+        let apart = Span::from_nanos(self.windows.limit().between(sent.nanos(), returned.nanos()));
         let absurd = [sent, received, replied, returned]
             .into_iter()
             .map(|stamp| stamp - RawTime::from_nanos(0))
@@ -208,15 +252,15 @@ impl Relation {
     /// Begins a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
-        let Some(newest) = self.band.newest() else { return };
+        let Some(newest) = self.windows.current().newest() else { return };
         self.restarted = Some(self.estimate_at(newest));
-        self.band = Band::new(self.drift, self.settings.window, self.settings.retention);
+        self.windows.restart(self.windows.empty());
         self.presence.clear();
         self.counts.restarts += 1;
     }
 
     fn estimate_at(&self, at: RawTime) -> Option<Span> {
-        self.band.interval(at).map(|interval| self.band.estimate(at, interval))
+        self.windows.interval(at).map(|known| self.windows.estimate(at, known))
     }
 }
 

@@ -22,6 +22,8 @@ impl Claims {
 pub(super) struct Knowledge {
     /// The band and the estimate within.
     pub(super) in_band: Option<(Interval, Span)>,
+    /// Whether the exchanges have an offset in common that keeps all assumptions.
+    pub(super) is_consistent: bool,
     /// The identities, or both hosts' time daemons together.
     pub(super) other: Option<(DelaySource, Interval)>,
 }
@@ -45,6 +47,11 @@ impl Knowledge {
 
     /// `None` when there is no source.
     pub(super) fn combined(&self) -> Option<Combined> {
+        let combined = self.intersected()?;
+        Some(Combined { agree: combined.agree && self.is_consistent, ..combined })
+    }
+
+    fn intersected(&self) -> Option<Combined> {
         let ((band, estimate), (source, other)) = match (self.in_band, self.other) {
             (None, None) => return None,
             (Some((bounds, estimate)), None) => {

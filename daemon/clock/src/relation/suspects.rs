@@ -1,6 +1,7 @@
 //! Exchanges that contradict the band: errors and lies, or the first after a step that nobody announced.
 
-use crate::band::{Band, Bounds};
+use super::types::Doubt;
+use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
 /// So many in a row that agree with each other are believed.
@@ -20,23 +21,25 @@ pub(super) struct Contradictions {
 /// When windows began without notice.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surprises {
-    last: Option<RawTime>,
-    doubt_until: Option<RawTime>,
+    last: Option<(RawTime, Contradiction)>,
+    doubt: Option<(RawTime, Doubt)>,
 }
 
 impl Surprises {
     /// One more.
-    pub(super) fn note(&mut self, at: RawTime) {
-        if self.last.is_some_and(|last| (at - last).abs() <= DOUBT) {
-            self.doubt_until = Some(at + DOUBT);
+    pub(super) fn note(&mut self, at: RawTime, contradiction: Contradiction) {
+        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= DOUBT) {
+            let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
+            let doubt = if is_change { Doubt::DriftChange } else { Doubt::Drift };
+            self.doubt = Some((at + DOUBT, doubt));
         }
-        self.last = Some(at);
+        self.last = Some((at, contradiction));
     }
 
-    /// Whether there were too many before a time.
-    pub(super) fn cast_doubt(&self, at: RawTime) -> bool {
+    /// What there is to doubt at a time because of too many of them before.
+    pub(super) fn doubt(&self, at: RawTime) -> Option<Doubt> {
         // A clock that is set back by more than the doubt lasts must not be doubted until it is there again.
-        self.doubt_until.is_some_and(|until| at < until && until - at <= DOUBT + DOUBT)
+        self.doubt.filter(|(until, _)| at < *until && *until - at <= DOUBT + DOUBT).map(|(_, doubt)| doubt)
     }
 }
 
@@ -51,7 +54,7 @@ pub(super) struct Suspects {
 impl Suspects {
     /// One more that contradicts. Returns the band of all of them when there are enough: a clock was stepped.
     pub(super) fn add(&mut self, bounds: &Bounds, empty: impl FnOnce() -> Band) -> Option<Band> {
-        let mut band = match self.band.take().filter(|band| !band.excludes(bounds)) {
+        let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
             None => {
                 self.sent.clear();
@@ -72,7 +75,7 @@ impl Suspects {
     /// One that fits the band. If it does not fit the suspects as well, they were wrong. A wide one that fits both says
     /// nothing, or a step under load would never be believed.
     pub(super) fn hear(&mut self, bounds: &Bounds) {
-        self.band = self.band.take().filter(|band| !band.excludes(bounds));
+        self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
     }
 
     /// Whether there are any, so that the band is in doubt.

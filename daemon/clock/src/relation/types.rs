@@ -21,6 +21,9 @@ pub struct RelationSettings {
     pub clocks: RelatedClocks,
     /// The fastest that the two clocks may drift apart, parts per million. All bounds hold as long as this does.
     pub max_drift_ppm: f64,
+    /// The fastest that their drift may change, parts per million per second. Where both run freely, all bounds hold as long as this
+    /// does, too.
+    pub max_drift_change_ppm_per_s: f64,
     /// How far from its own time an exchange bounds the offset, into the future and into the past. The newest eight bound it
     /// however far they are.
     pub window: Span,
@@ -37,7 +40,8 @@ impl Default for RelationSettings {
     fn default() -> Self {
         Self {
             clocks: RelatedClocks::default(),
-            max_drift_ppm: 50.0,
+            max_drift_ppm: 200.0,
+            max_drift_change_ppm_per_s: 1.0,
             window: Span::from_seconds(10),
             retention: Span::from_seconds(10),
             fresh: Span::from_seconds(10),
@@ -66,8 +70,21 @@ pub enum Learned {
     /// It counts, and is the first of a new window: a clock was stepped before it. The offset moved by this much,
     /// by the estimates before and after, where there were any.
     Restarted(Option<Span>),
+    /// It counts, and is the first of a new window: no host noticed a step, but the offset moved by this much at once, more than waiting
+    /// on the way explains. The path between the hosts changed, or a clock jumped. Delays are `limited` until the
+    /// window is full again.
+    Jumped(Span),
     /// It does not count.
     Refused(Refusal),
+}
+
+/// An assumption about the two clocks that they seem not to keep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Doubt {
+    /// They drift apart faster than [`max_drift_ppm`](RelationSettings::max_drift_ppm).
+    Drift,
+    /// Their drift changes faster than [`max_drift_change_ppm_per_s`](RelationSettings::max_drift_change_ppm_per_s).
+    DriftChange,
 }
 
 /// The offset between two clocks at one time: cloud minus edge.
@@ -105,7 +122,7 @@ pub struct ExchangeCounts {
     pub outliers: u64,
     /// Refused: a clock was stepped on the way.
     pub stepped: u64,
-    /// Windows begun after a step.
+    /// Windows begun after a step or a suspected jump.
     pub restarts: u32,
 }
 

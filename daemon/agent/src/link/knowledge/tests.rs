@@ -361,3 +361,29 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     up.sender.epoch = None;
     assert_eq!(knowledge.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
+
+/// Ten a second, of which the middle moves by 8 ms from the 20th on, and back from the 40th on.
+#[test]
+fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
+    let mut knowledge = knowledge();
+    let before = knowledge.now(&network(), now(0)).window;
+    let (mut jumps, mut windows) = (Vec::new(), BTreeSet::new());
+    for n in 0..60 {
+        let sent = n * 100;
+        let mut witnessed = exchange(sent, 0);
+        let moved = Span::from_millis(if (20..40).contains(&n) { 8 } else { 0 });
+        let stamps = &mut witnessed.exchange;
+        (stamps.received, stamps.replied) = (stamps.received + moved, stamps.replied + moved);
+        // Twelve milliseconds on the way, so that no exchange contradicts another one.
+        stamps.sent = stamps.sent - Span::from_millis(5);
+        stamps.returned = stamps.returned + Span::from_millis(5);
+        witnessed.edge_elapsed = None;
+        let (_, news) = knowledge.judge(&network(), &witnessed, WAYS, now(sent + 9));
+        jumps.extend(news.jump);
+        assert!(news.restart.is_none() && news.excess.is_none(), "{news:?}");
+        windows.insert(knowledge.now(&network(), now(sent + 9)).window);
+    }
+    let [jump] = jumps[..] else { panic!("{jumps:?}") };
+    assert!((jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.untold == 0, "{jump:?}");
+    assert!(windows.contains(&before) && windows.len() == 3, "{windows:?}");
+}

@@ -23,7 +23,14 @@ proptest! {
     }
 
     #[test]
-    fn no_stamps_can_panic(stamps: [i64; 4], uncertainty: i64, elapsed: Option<i64>, epoch: u32, at: i64) {
+    fn no_stamps_can_panic(
+            stamps: [i64; 4],
+            apart: [u32; 6],
+            uncertainty: i64,
+            elapsed: Option<i64>,
+            epoch: u32,
+            at: i64,
+        ) {
         let [sent, received, replied, returned] = stamps.map(RawTime::from_nanos);
         let uncertainty = Span::from_nanos(uncertainty);
         let witnessed = Witnessed {
@@ -33,11 +40,16 @@ proptest! {
             edge_epoch: epoch,
             cloud_epoch: Some(epoch),
         };
-        let mut relation = relation();
-        for _ in 0..6 {
-            relation.judge(&witnessed);
-            relation.delay(Direction::Down, returned, sent);
-            relation.offset(RawTime::from_nanos(at), WallTime::default());
+        for clocks in [RelatedClocks::Wall, RelatedClocks::Raw] {
+            let settings = RelationSettings { clocks, ..RelationSettings::default() };
+            let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+            for apart in apart.map(|nanos| Span::from_nanos(i64::from(nanos) << 28)) {
+                let exchange = Exchange { sent: sent + apart, returned: returned + apart, ..witnessed.exchange };
+                relation.judge(&witnessed);
+                relation.judge(&Witnessed { exchange, ..witnessed });
+                relation.delay(Direction::Down, returned, sent);
+                relation.offset(RawTime::from_nanos(at), WallTime::default());
+            }
         }
     }
 

@@ -1,8 +1,11 @@
 mod company;
+mod histories;
 mod liars;
 mod sources;
 mod stepped;
 mod truth;
+mod violations;
+mod widths;
 
 use super::*;
 use crate::simulation::{Dice, Path, Trip, Wall, World};
@@ -12,9 +15,13 @@ fn identity(clock: &str) -> ClockIdentity {
     ClockIdentity::new("boot", clock)
 }
 
-/// A relation that trusts the claims of time daemons, where a test makes any.
+/// A relation of wall clocks that trusts the claims of time daemons, where a test makes any.
 fn relation() -> Relation {
-    let settings = RelationSettings { trust_time_daemons: true, ..RelationSettings::default() };
+    let settings = RelationSettings {
+        clocks: RelatedClocks::Wall,
+        trust_time_daemons: true,
+        ..RelationSettings::default()
+    };
     Relation::new(&identity("edge"), &identity("cloud"), settings)
 }
 
@@ -41,5 +48,5 @@ fn contains(delay: &OneWayDelay, truth: Span) -> bool {
 
 /// Everything that the band says around a time.
 fn picture(relation: &Relation) -> Vec<Option<Interval>> {
-    (0..40).map(|second| relation.band.interval(at(second))).collect()
+    (0..40).map(|second| relation.windows.interval(at(second)).map(|known| known.interval)).collect()
 }

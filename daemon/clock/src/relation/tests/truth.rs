@@ -34,7 +34,7 @@ proptest! {
             }
             // The exchange itself bounds both, as long as the clocks do not run apart while the cloud serves.
             let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
-            let slack = Span::from_nanos(relation.drift.over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
+            let slack = Span::from_nanos(relation.windows.limit().over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
             prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
         }
     }
@@ -48,7 +48,7 @@ proptest! {
             cloud: Wall::wandering(Span::from_seconds(-1), wander, length, &mut dice),
         };
         let trips = Path { loss: 0.3, ..Path::VETH }.trips(&world, (0.0, 60.0), 2.0, &mut dice);
-        let settings = RelationSettings { retention: length, ..RelationSettings::default() };
+        let settings = RelationSettings { clocks: RelatedClocks::Wall, retention: length, ..RelationSettings::default() };
         let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
         let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.witnessed())).collect();
         for (trip, first) in trips.iter().zip(first) {

@@ -1,0 +1,136 @@
+//! Generated histories of two clocks and the paths between them that keep the assumptions: no interval is ever wrong.
+
+use std::env;
+
+use super::*;
+
+const LIMIT_PPM: f64 = 200.0;
+const CHANGE_PPM_PER_S: f64 = 1.0;
+/// Seconds of a history.
+const LENGTH: f64 = 60.0;
+
+/// A history: trips in the order in which their answers are known, with the cloud's epoch at the time.
+struct History {
+    trips: Vec<(Trip, u32)>,
+}
+
+/// Histories of `make test`; `PEERNET_HISTORIES` asks for more.
+fn histories() -> u64 {
+    env::var("PEERNET_HISTORIES").ok().and_then(|count| count.parse().ok()).unwrap_or(1_000)
+}
+
+fn settings() -> RelationSettings {
+    RelationSettings {
+        max_drift_ppm: LIMIT_PPM,
+        max_drift_change_ppm_per_s: CHANGE_PPM_PER_S,
+        clocks: RelatedClocks::Raw,
+        ..RelationSettings::default()
+    }
+}
+
+/// A path from 0.03 to 300 ms on either way, with waiting and loss.
+fn path(dice: &mut Dice) -> Path {
+    let mut way = |shortest: f64, longest: f64| (dice.between(shortest.ln(), longest.ln())).exp();
+    let (up, down, jitter, burst) = (way(3e4, 300e6), way(3e4, 300e6), way(1e3, 20e6), way(1e5, 200e6));
+    Path { up, down, jitter, loss: if dice.chance(0.5) { dice.between(0.0, 0.4) } else { 0.0 }, burst }
+}
+
+impl History {
+    fn generate(dice: &mut Dice) -> Self {
+        let pause = if dice.chance(0.4) { dice.between(0.5f64.ln(), 600f64.ln()).exp() } else { 0.0 };
+        let length = Span::from_seconds_f64(LENGTH + pause + 10.0);
+        // The two share what is allowed; at the very limit in a third of the histories.
+        let clock = |dice: &mut Dice| {
+            let offset = Span::from_nanos(dice.between(-1e15, 1e15) as i64);
+            let half = LIMIT_PPM / 2.0;
+            if dice.chance(0.33) {
+                return Wall::drifting(offset, if dice.chance(0.5) { half } else { -half });
+            }
+            Wall::warming(offset, half, CHANGE_PPM_PER_S / 2.0, length, dice)
+        };
+        let (mut edge, mut cloud) = (clock(dice), clock(dice));
+        // So short a path that nothing but the assumptions keeps bounds from the truth.
+        let is_tight = dice.chance(0.2);
+        if is_tight {
+            edge = Wall::drifting(Span::ZERO, 0.0);
+            cloud = Wall::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, dice);
+        }
+        let paused = dice.between(5.0, LENGTH - 5.0);
+        // A cloud that was started anew has another clock, and says so.
+        let restarted = dice.chance(0.2);
+        if restarted {
+            let by = Span::from_nanos(dice.between(-1e12, 1e12) as i64);
+            cloud = cloud.stepped(Span::from_seconds_f64(paused + pause / 2.0), by);
+        }
+        let world = World { edge, cloud };
+        let hz = dice.between(1f64.ln(), 30f64.ln()).exp() / if is_tight { 4.0 } else { 1.0 };
+        let tight = Path { up: 1e3, down: 1e3, jitter: 1e3, loss: 0.2, burst: 1e4 };
+        let mut route = if is_tight { tight } else { path(dice) };
+        let other =
+            if dice.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(dice) };
+        let flaps = if dice.chance(0.4) && !is_tight { dice.between(1.0, 20.0) } else { f64::INFINITY };
+        let mut trips = Vec::new();
+        for (begin, end) in [(0.0, paused), (paused + pause, LENGTH + pause)] {
+            let mut from = begin;
+            while from < end {
+                let until = (from + flaps).min(end);
+                trips.extend(route.trips(&world, (from, until), hz, dice));
+                if until < end {
+                    route = if route.up == other.up { Path { up: other.down, ..other } } else { other };
+                }
+                from = until;
+            }
+        }
+        let restart = (paused + pause / 2.0) * 1e9;
+        // Nothing that was under way is answered by a cloud that was started anew.
+        trips.retain(|trip| {
+            !restarted
+                || trip.ended < restart
+                || trip.ended - (trip.up + trip.down).nanos() as f64 - 1e9 > restart
+        });
+        let told = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
+        let mut trips: Vec<(Trip, u32)> = told.collect();
+        for (trip, _) in &mut trips {
+            trip.ended += if dice.chance(0.05) { dice.exponential(5e8) } else { 0.0 };
+        }
+        trips.sort_by(|a, b| a.0.ended.total_cmp(&b.0.ended));
+        Self { trips }
+    }
+}
+
+#[test]
+fn delays_of_generated_histories_contain_the_truth() {
+    let (mut judged, mut trusted, mut jumps) = (0_u64, 0_u64, 0_u64);
+    for seed in 0..histories() {
+        let history = History::generate(&mut Dice(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
+        let settings = RelationSettings { retention: Span::from_seconds(30), ..settings() };
+        let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+        let mut newest_epoch = 0;
+        for (n, (trip, epoch)) in history.trips.iter().enumerate() {
+            newest_epoch = newest_epoch.max(*epoch);
+            let answer = relation.judge(&Witnessed { cloud_epoch: Some(*epoch), ..trip.witnessed() });
+            jumps += u64::from(matches!(answer.learned, Learned::Jumped(_)));
+            let is_stepped = answer.learned == Learned::Refused(Refusal::Stepped);
+            assert!(is_stepped || !matches!(answer.learned, Learned::Refused(_)), "{seed}: {n}: {answer:?}");
+            let mut check = |delay: OneWayDelay, truth: Span| {
+                judged += 1;
+                trusted += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));
+                assert!(delay.verdict != Verdict::Inconsistent, "{seed}: {n}: {delay:?}");
+                let is_inside = delay.bounds.is_none_or(|bounds| bounds.contains(truth));
+                assert!(is_inside, "history {seed}, exchange {n}: {delay:?}, truth {truth}");
+            };
+            check(answer.up, trip.up);
+            check(answer.down, trip.down);
+            // An earlier one again, with what came after it.
+            let earlier = n - n.min((n * 7919) % 50);
+            let (before, _) = &history.trips[earlier];
+            if newest_epoch == 0 {
+                let exchange = &before.exchange;
+                check(relation.delay(Direction::Up, exchange.sent, exchange.received), before.up);
+                check(relation.delay(Direction::Down, exchange.replied, exchange.returned), before.down);
+            }
+        }
+    }
+    assert!(trusted * 2 > judged, "{trusted} of {judged}");
+    assert!(jumps > 0, "no flap was noticed");
+}

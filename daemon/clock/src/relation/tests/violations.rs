@@ -1,0 +1,200 @@
+//! What a violated assumption does to intervals, and for how long.
+
+use super::*;
+
+const WINDOW: f64 = 10.0;
+
+/// What was seen after an assumption was violated.
+#[derive(Debug, Default)]
+struct Seen {
+    /// Delays outside their intervals though `ok` or `limited`.
+    wrong: u32,
+    judged: u32,
+    /// Seconds from the violation to the last of them.
+    last_wrong: f64,
+    /// Seconds from the violation to the first doubt, and what it was.
+    doubted: Option<(f64, Doubt)>,
+    /// Seconds from the violation to the first suspected jump.
+    jumped: Option<f64>,
+    /// Whether the doubt stood at the end.
+    doubted_at_end: bool,
+    jumps: u32,
+}
+
+/// Judges ten exchanges a second for so many seconds; the assumption is violated from `at` on.
+fn see(world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let mut seen = Seen::default();
+    for trip in path.trips(world, (0.0, end), 10.0, &mut Dice(12)) {
+        let judged = relation.judge(&trip.witnessed());
+        let after = trip.ended / 1e9 - at;
+        for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
+            seen.judged += 1;
+            let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
+            if trusted && !contains(&delay, truth) {
+                assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.ended);
+                seen.wrong += 1;
+                seen.last_wrong = after;
+            }
+        }
+        if let Some(doubt) = relation.doubt() {
+            seen.doubted.get_or_insert((after, doubt));
+        }
+        if matches!(judged.learned, Learned::Jumped(_)) {
+            seen.jumps += 1;
+            seen.jumped.get_or_insert(after);
+        }
+    }
+    seen.doubted_at_end = relation.in_doubt();
+    seen
+}
+
+fn free_running(max_drift_ppm: f64) -> RelationSettings {
+    RelationSettings { max_drift_ppm, clocks: RelatedClocks::Raw, ..RelationSettings::default() }
+}
+
+fn path(up: f64, down: f64, jitter: f64) -> Path {
+    Path { up: up * 1e6, down: down * 1e6, jitter: jitter * 1e6, loss: 0.01, burst: 5e6 }
+}
+
+fn drifting(ppm: f64) -> World {
+    World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(3), ppm) }
+}
+
+/// Over a long path the interval is far wider than what the clocks drift within the window: none is wrong, and after some minutes the
+/// exchanges prove that the limit is not kept.
+#[test]
+fn drift_beyond_the_limit_over_a_long_path_is_proven_in_time() {
+    for (ppm, proven_after) in
+        [(51.0, None), (75.0, None), (100.0, Some(950.0)), (150.0, Some(500.0)), (-100.0, Some(950.0))]
+    {
+        let seen = see(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
+        assert_eq!(seen.wrong, 0, "{ppm}: {seen:?}");
+        let doubted = seen.doubted.filter(|(_, doubt)| *doubt == Doubt::Drift).map(|(after, _)| after);
+        assert_eq!(doubted.is_some(), proven_after.is_some(), "{ppm}: {seen:?}");
+        assert!(doubted <= proven_after && seen.doubted_at_end == doubted.is_some(), "{ppm}: {seen:?}");
+    }
+}
+
+#[test]
+fn drift_beyond_the_limit_over_a_short_path_is_noticed_within_the_window() {
+    for ppm in [75.0, 100.0, 150.0] {
+        let seen = see(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
+        assert!(seen.last_wrong < WINDOW && seen.doubted_at_end, "{ppm}: {seen:?}");
+        assert!(matches!(seen.doubted, Some((after, Doubt::Drift)) if after < WINDOW), "{ppm}: {seen:?}");
+    }
+}
+
+/// As when a virtual machine is moved: by less than the round trip, so that no exchange contradicts the others.
+#[test]
+fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
+    for (way, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
+        for millis in [-39, -10, 10, 39] {
+            let jump = Span::from_millis(millis);
+            let world = drifting(20.0);
+            let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
+            let seen = see(&world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
+            // 39 ms move every near exchange by more than waiting explains, 10 ms only those that did not wait.
+            let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
+            assert!(seen.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {seen:?}");
+            assert!(
+                seen.last_wrong < 0.5 && seen.jumps == 1 && seen.doubted.is_none(),
+                "{way:?} {jump}: {seen:?}"
+            );
+        }
+    }
+}
+
+/// Whatever the path, the jump and the change of rate.
+#[test]
+fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
+    let mut longest: f64 = 0.0;
+    for seed in 0..300 {
+        let mut dice = Dice(seed);
+        let mut log = |from: f64, to: f64| dice.between(from.ln(), to.ln()).exp();
+        let path = path(log(0.03, 300.0), log(0.03, 300.0), log(0.01, 20.0));
+        let (jump, ppm) = (log(1e4, 3e8) as i64, log(5.0, 180.0));
+        let at = Span::from_seconds(30);
+        let world = drifting(10.0);
+        let cloud = match seed % 4 {
+            0 => world.cloud.stepped(at, Span::from_nanos(jump)),
+            1 => world.cloud.stepped(at, Span::from_nanos(-jump)),
+            2 => world.cloud.faster(at, ppm),
+            _ => world.cloud.faster(at, -ppm),
+        };
+        let seen = see(&World { cloud, ..world }, path, free_running(200.0), (30.0, 60.0));
+        assert!(seen.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
+        longest = longest.max(seen.last_wrong);
+    }
+    assert!(longest > 0.1, "nothing was violated: {longest}");
+}
+
+#[test]
+fn flapping_route_widens_few_intervals_and_at_most_twofold() {
+    let world = drifting(20.0);
+    let (there, back) = (path(10.0, 30.0, 1.0), path(30.0, 10.0, 1.0));
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), free_running(200.0));
+    let mut dice = Dice(3);
+    let (mut widths, mut jumps) = (Vec::new(), 0);
+    for n in 0..24 {
+        let route = if n % 2 == 0 { there } else { back };
+        let seconds = (f64::from(n) * 5.0, f64::from(n + 1) * 5.0);
+        for trip in route.trips(&world, seconds, 10.0, &mut dice) {
+            let judged = relation.judge(&trip.witnessed());
+            jumps += u32::from(matches!(judged.learned, Learned::Jumped(_)));
+            for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
+                assert!(contains(&delay, truth), "{delay:?} {truth}");
+                widths.push(delay.bounds.expect("bounds").width());
+            }
+        }
+    }
+    widths.sort();
+    let (median, widest) = (widths[widths.len() / 2], widths[widths.len() - 1]);
+    assert!(median < Span::from_millis(42) && widest < Span::from_millis(80), "{median} {widest}");
+    assert!((10..24).contains(&jumps), "{jumps}");
+    assert!(!relation.in_doubt());
+}
+
+/// A delay from before a suspected jump is not judged by what came after it, one in between by both.
+#[test]
+fn suspected_jump_is_a_boundary_for_earlier_delays() {
+    let jump = Span::from_millis(30);
+    let world = drifting(20.0);
+    let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
+    let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice(5));
+    trips.iter().for_each(|trip| _ = relation.learn(&trip.witnessed()));
+    assert_eq!(relation.window(), 1);
+    let mut hulls = 0;
+    for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.ended)) {
+        let exchange = &trip.exchange;
+        let spans_the_jump = trip.ended > 30e9 && trip.ended - 60e6 < 30e9;
+        for (delay, truth) in [
+            (relation.delay(Direction::Up, exchange.sent, exchange.received), trip.up),
+            (relation.delay(Direction::Down, exchange.replied, exchange.returned), trip.down),
+        ] {
+            assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
+            hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
+            let is_unsettled = (30.3e9..39.5e9).contains(&trip.ended);
+            assert!(!is_unsettled || delay.verdict == Verdict::Limited, "{delay:?}");
+        }
+    }
+    assert!((2..30).contains(&hulls), "{hulls}");
+}
+
+/// One that waited does not show the jump, so that it is taken for one of before it.
+#[test]
+fn exchange_that_did_not_show_the_jump_bounds_no_delay_before_it() {
+    let world = drifting(0.0);
+    let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)), ..world };
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), free_running(200.0));
+    let near = |t: f64| world.trip(t * 1e9, 20e6, 1e5, 20e6);
+    (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).witnessed()));
+    let waited = world.trip(30.02e9, 60e6, 1e5, 20e6);
+    assert_eq!(relation.learn(&waited.witnessed()), Learned::Taken);
+    assert!(matches!(relation.learn(&near(30.1).witnessed()), Learned::Jumped(_)));
+    let before = near(29.8);
+    let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
+    assert!(contains(&delay, before.up), "{delay:?}");
+}

@@ -1,0 +1,57 @@
+//! How wide intervals are, and how far estimates are from the truth.
+
+use super::*;
+
+/// Returns of the delays of one path, in milliseconds: median width, mean distance of the estimate from the truth; jumps suspected.
+fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, u32) {
+    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let (mut widths, mut errors) = (Vec::new(), 0.0);
+    for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice(9)) {
+        let judged = relation.judge(&trip.witnessed());
+        for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
+            if trip.ended > 20e9 {
+                widths.push(delay.bounds.expect("bounds").width().seconds() * 1e3);
+                errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e3;
+            }
+        }
+    }
+    widths.sort_by(f64::total_cmp);
+    (widths[widths.len() / 2], errors / widths.len() as f64, relation.counts().restarts)
+}
+
+/// Oscillators of ordinary machines.
+fn world() -> World {
+    let mut dice = Dice(1);
+    let mut clock = |offset| Wall::warming(offset, 20.0, 0.02, Span::from_seconds(320), &mut dice);
+    World { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
+}
+
+fn limit(max_drift_ppm: f64) -> RelationSettings {
+    RelationSettings { clocks: RelatedClocks::Wall, max_drift_ppm, ..RelationSettings::default() }
+}
+
+fn free_running(max_drift_ppm: f64) -> RelationSettings {
+    RelationSettings { clocks: RelatedClocks::Raw, ..limit(max_drift_ppm) }
+}
+
+#[test]
+fn limit_of_drift_change_narrows_intervals_under_jitter() {
+    let world = world();
+    for (jitter, cones, both) in [(5e6, 1.2, 0.8), (20e6, 2.0, 1.8)] {
+        let path = Path { up: 100e3, down: 100e3, jitter, loss: 0.0, burst: 0.0 };
+        let (wide, ..) = measure(path, limit(200.0), &world);
+        let (narrow, _, jumps) = measure(path, free_running(200.0), &world);
+        assert!(narrow < wide && wide < cones && narrow < both, "{narrow} {wide}");
+        assert_eq!(jumps, 0);
+    }
+}
+
+/// Four times the limit of drift costs nothing where its change is limited, too.
+#[test]
+fn quiet_path_is_as_narrow_as_with_a_lower_limit_of_drift() {
+    let world = world();
+    let (before, error_before, _) = measure(Path::VETH, limit(50.0), &world);
+    let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &world);
+    assert!(width <= before && error <= error_before && error < 0.001, "{width} {before} {error}");
+    assert_eq!(jumps, 0);
+}
