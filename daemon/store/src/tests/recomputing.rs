@@ -105,7 +105,7 @@ pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulat
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };
         if let Some(bounds) = after.bounds {
-            assert!(bounds.contains(truth), "{truth} is outside: {delay:?}");
+            assert!(bounds.contains(truth), "{judged}: {truth} is outside: {delay:?}");
             assert!(after.value.is_some_and(|value| bounds.contains(value)), "{delay:?}");
             assert!(before.bounds.is_none_or(|known| known.hull(bounds) == known), "{delay:?}");
         } else {
@@ -229,6 +229,30 @@ async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_thems
         let (before, after) = stage(&recomputed, "upload");
         let mean = |judgement: &Judgement| judgement.half_width.expect("has bounds").mean;
         assert!(mean(after) < mean(before));
+    }
+}
+
+/// The cloud's clock jumps by less than a round trip, and nobody notices. Agents begin another window then; those of earlier
+/// versions did not, and what they stored is judged by exchanges alone.
+#[tokio::test]
+async fn jump_without_notice_moves_no_delay_before_it() {
+    for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
+        let mut bed = Bed::new().await;
+        let simulated = simulate(&mut bed, (5, 60, 20), |second, simulation| {
+            simulation.is_one_window = is_one_window;
+            // Only data shows it.
+            simulation.congestion = Span::from_millis(20);
+            if second == 30 {
+                let forward: fn(&mut Simulation) = |it| it.cloud_ahead += Span::from_millis(3);
+                let back: fn(&mut Simulation) = |it| it.cloud_ahead += Span::from_millis(-3);
+                simulation.halfway = Some(if jump > 0 { forward } else { back });
+            }
+        })
+        .await;
+        assert_sound(&bed, &simulated).await;
+        let recomputed = recompute(&bed).await;
+        let (_, after) = stage(&recomputed, "upload");
+        assert_eq!(times(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
     }
 }
 
