@@ -30,6 +30,9 @@ PROPTEST_CASES=$((inputs * 3)) \
     ${CARGO:-cargo} test --release --locked --package peernet-ros --lib damaged_corpora || passed=$?
 PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet-networks --lib -- \
     any_datagrams_break_no_promise any_peer_is_survived || passed=$?
+# Histories of two clocks and the paths between them, in which every interval must hold the truth.
+PEERNET_HISTORIES="${PEERNET_HISTORIES:-100000}" \
+    ${CARGO:-cargo} test --release --locked --package peernet-clock --lib generated_histories || passed=$?
 
 cpu=$(sed -n 's/^model name[[:space:]]*: //p' /proc/cpuinfo | head -1)
 {

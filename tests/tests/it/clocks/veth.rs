@@ -58,11 +58,11 @@ fn an_edge_behind_and_slow() {
 }
 
 #[test]
-fn an_edge_ahead_and_faster_than_the_default_limit() {
+fn an_edge_ahead_and_fast() {
     case(1_000.0, 100.0, 150.0, Wrong::Edge);
 }
 
 #[test]
-fn a_cloud_behind_and_slower_than_the_default_limit() {
+fn a_cloud_behind_and_slow() {
     case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
 }
