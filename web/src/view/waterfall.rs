@@ -154,7 +154,7 @@ impl Row {
             Where::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
             Where::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
         };
-        let bounds = node.delay.and_then(|delay| delay.bounds).map(|(lo, hi)| (lo.max(0.0), hi));
+        let bounds = node.delay.and_then(|delay| delay.bounds);
         let difference = node.length.zip(node.median).map(|(length, median)| difference_ms(length - median));
         Self {
             group: None,
@@ -209,7 +209,7 @@ fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
 pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
     let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let shown = known.map(|(node, delay)| {
-        let bounds = delay.bounds.map(|(lo, hi)| (lo.max(0.0), hi));
+        let bounds = delay.bounds;
         // Of an exact delay there is nothing to say beyond its value.
         let apart = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
         let end =

@@ -1,6 +1,6 @@
 //! What became of the two clocks during the study.
 
-use peernet_clock::Span;
+use peernet_clock::{RelatedClocks, Span};
 use peernet_stream::ClockSample;
 use serde::Serialize;
 
@@ -13,11 +13,15 @@ pub struct Clocks {
     pub seconds: u64,
     /// How often either clock was stepped, ran off faster than allowed, or was another after the peer had been away.
     pub steps: u64,
+    /// The clocks that were related, by the last second.
+    pub clocks: Option<RelatedClocks>,
     /// The limit of drift that all bounds rest on, parts per million.
     pub max_drift_ppm: Option<f64>,
+    /// The limit of how fast the drift changes that they rest on, parts per million per second; `None` where there is none.
+    pub max_drift_change_ppm_per_s: Option<f64>,
     /// How fast the clocks drifted apart, by the last estimate; parts per million.
     pub skew_ppm: Option<f64>,
-    /// The offset, cloud minus edge, by which the last delay was corrected; seconds.
+    /// The offset of the wall clocks, cloud minus edge, by which the last delay was corrected; seconds.
     pub offset: Option<f64>,
     /// The shortest round trip of a probe, seconds.
     pub round_trip: Option<f64>,
@@ -40,7 +44,11 @@ impl Clocks {
         Self {
             seconds: seconds.len() as u64,
             steps: announced + another,
+            clocks: seconds.last().map(ClockSample::clocks),
             max_drift_ppm: seconds.last().map(|second| second.max_drift_ppm),
+            max_drift_change_ppm_per_s: seconds
+                .last()
+                .and_then(|second| second.basis?.max_drift_change_ppm_per_s),
             skew_ppm: seconds.iter().rev().find_map(|second| second.offset.as_ref()?.skew_ppm),
             offset: samples.iter().rev().find_map(offset),
             round_trip: round_trips.map(|trip| trip.min.seconds()).reduce(f64::min),
@@ -51,7 +59,9 @@ impl Clocks {
 /// Whether a new relation of the two clocks excludes the one before it: one of the clocks was set while nobody looked,
 /// or what came back reads another.
 fn is_another(before: &ClockSample, after: &ClockSample) -> bool {
-    let is_new = before.window != after.window && after.exchanges.restarts <= before.exchanges.restarts;
+    let is_new = before.window != after.window
+        && after.exchanges.restarts <= before.exchanges.restarts
+        && before.clocks() == after.clocks();
     let Some((was, is)) = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new) else {
         return false;
     };

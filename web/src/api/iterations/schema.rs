@@ -77,12 +77,11 @@ impl StageDelay {
     pub(crate) fn of(row: &store::IterationRow, stage: &Name) -> Option<Self> {
         let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
         let delay = same.next().filter(|_| same.next().is_none())?;
-        // Nothing arrives before it was sent.
-        let end = |of: fn((f64, f64)) -> f64| delay.bounds.map(of).map(|end| end.max(0.0));
         Some(Self {
             raw_s: delay.raw,
-            lo_s: end(|(lo, _)| lo),
-            hi_s: end(|(_, hi)| hi),
+            // Negative only where it is the difference of two receivers of an observed system.
+            lo_s: delay.bounds.map(|(lo, _)| lo),
+            hi_s: delay.bounds.map(|(_, hi)| hi),
             source: delay.source.name(),
             verdict: delay.verdict.name(),
             claims_used: matches!(
