@@ -12,6 +12,14 @@ pub(crate) fn far_in_words(by: Span) -> String {
     if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }
 }
 
+/// Where what people should know of a connection comes from in the log: a command shows it on the terminal.
+pub const REMARKS: &str = "peernet_agent::remarks";
+
+/// Writes to the log what makes connections worse than they could be, and has a command show it.
+pub(crate) fn remark(text: &str) {
+    tracing::warn!(target: REMARKS, "{text}");
+}
+
 /// Reports incidents.
 #[derive(Clone, Debug)]
 pub(crate) struct Incidents {
@@ -44,6 +52,12 @@ impl Incidents {
                 self.tell(kind, what, text);
             }
         }
+    }
+
+    /// As [`report`](Self::report), of something that makes a connection worse than it could be: a command shows it.
+    pub(crate) fn remark(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+        remark(&text);
+        self.tell(kind, what, text);
     }
 
     /// As [`report`](Self::report), of something that calls for nothing, whatever its kind.

@@ -44,6 +44,7 @@ pub use check::Problem;
 pub use config::AgentConfig;
 pub use error::{ReflectorError, StartError};
 pub use identity::{IdentityError, host_id, host_secret};
+pub use incidents::REMARKS;
 pub use link::Cloud;
 pub use serve::Served;
 pub use tasks::{Failure, FailureCause};

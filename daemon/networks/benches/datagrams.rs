@@ -177,7 +177,7 @@ async fn serve(settings: SessionSettings) -> Anyhow<Address> {
                     let answer = request.sample.parts[0].bytes.slice(..ANSWER);
                     request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
                 }
-                Incoming::Closed { .. } => {}
+                _ => {}
             }
         }
     });

@@ -193,7 +193,7 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                 let answer = payload.slice(..plan.answer_bytes(payload.len()).min(payload.len()));
                 request.reply.send(request.log, Ok(Sample::of(Description::bytes(), answer)));
             }
-            Incoming::Closed { .. } => {}
+            _ => {}
         }
     }
     Ok(())

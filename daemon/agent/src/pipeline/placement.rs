@@ -11,7 +11,7 @@ use peernet_networks::{
 };
 use peernet_sample::Sample;
 use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind};
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 
 use super::context::PipelineContext;
 use crate::conditions::{Places, look_soon};
@@ -152,6 +152,14 @@ impl Placement {
         match self {
             Self::Local(_) | Self::None => None,
             Self::Remote { session, .. } => session.caveat(),
+        }
+    }
+
+    /// What else makes the connection worse, as it is noticed.
+    pub(super) fn remarks(&self) -> Option<watch::Receiver<Vec<String>>> {
+        match self {
+            Self::Local(_) | Self::None => None,
+            Self::Remote { session, .. } => Some(session.remarks()),
         }
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use futures::FutureExt;
 use peernet_inference::LoadError;
-use peernet_logger::RunId;
+use peernet_logger::{HostId, RunId};
 use peernet_networks::Address;
 use peernet_stream::{Condition, IncidentKind, PipelineState, Placement as Description};
 use tokio_util::sync::CancellationToken;
@@ -20,7 +20,7 @@ use super::observe::{self, SourceError};
 use super::placement::{OpenFailure, Placement};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
-use crate::incidents::Concerning;
+use crate::incidents::{Concerning, remark};
 use crate::live::Display;
 use crate::pauses::Pauses;
 
@@ -247,12 +247,33 @@ impl Runner {
         if let Some((peer, name)) = placement.peer() {
             let model = &description.model;
             let device = description.device.as_deref().unwrap_or("an unknown device");
+            if let Some(caveat) = placement.caveat() {
+                remark(&format!("the connection to {name}: {caveat}"));
+            }
             let caveat = placement.caveat().map(|caveat| format!("; {caveat}")).unwrap_or_default();
             let text = format!("connected to {name}, which runs {model} on {device}{caveat}");
             let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
             self.context.events.incidents.report(IncidentKind::Connected, what, text);
+            self.follow_remarks(placement, peer);
         }
         self.display.set_placement(description);
+    }
+
+    /// Reports what the transport remarks on the connection, as long as it is there.
+    fn follow_remarks(&self, placement: &Placement, peer: HostId) {
+        let Some(mut remarks) = placement.remarks() else { return };
+        let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());
+        tokio::spawn(async move {
+            let mut told = 0;
+            while remarks.changed().await.is_ok() {
+                let all = remarks.borrow_and_update().clone();
+                for text in all.get(told..).unwrap_or_default() {
+                    let what = Concerning { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
+                    incidents.remark(IncidentKind::Connected, what, format!("pipeline {pipeline}: {text}"));
+                }
+                told = all.len();
+            }
+        });
     }
 
     fn disconnected(&self, placement: &Placement, run: RunId, reason: String) {

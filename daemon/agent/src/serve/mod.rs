@@ -32,7 +32,7 @@ use self::listeners::Listeners;
 use self::service::{Refusal, Service};
 use crate::conditions::Places;
 use crate::host::Host;
-use crate::incidents::{Concerning, Incidents};
+use crate::incidents::{Concerning, Incidents, remark};
 use crate::observed::ObservedPipelines;
 use crate::telemetry;
 
@@ -72,6 +72,12 @@ pub(crate) async fn run(
     let named = Named { probes: doors.probes, instance: doors.instance, built_in: doors.built_in };
     let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
+    for listener in &doors.listeners {
+        if let Some(caveat) = listener.caveat() {
+            remark(&format!("{}: {caveat}", listener.address()));
+        }
+    }
+    let caveats = doors.listeners.iter().map(|listener| listener.caveat().map(str::to_owned)).collect();
     let server = Server {
         context,
         named,
@@ -80,6 +86,7 @@ pub(crate) async fn run(
         peers: HashMap::new(),
         probing: doors.reflectors.iter().map(Reflector::peers).collect(),
         asked: Asked::default(),
+        caveats,
     };
     let announcers = doors.listeners.iter().map(Listener::announcer).collect();
     let announcing = async {
@@ -132,6 +139,11 @@ async fn sessions(
                 }
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
                     server.closed(session, said_goodbye, ordered);
+                }
+                Some(Incoming::Remark { session, text }) => server.remark(session, &text),
+                Some(Incoming::Refused { host, text }) => {
+                    let what = Concerning { peer: host, ..Concerning::default() };
+                    server.context.incidents.remark(IncidentKind::Refused, what, text);
                 }
                 None => return Err(ServeError::PortLost(listeners.address(listener).clone())),
             },
@@ -198,6 +210,8 @@ struct Server {
     /// Tells each reflector the addresses of the peers with a session.
     probing: Vec<watch::Sender<Vec<IpAddr>>>,
     asked: Asked,
+    /// What makes the connections of each listener worse than they could be.
+    caveats: Vec<Option<String>>,
 }
 
 impl Server {
@@ -207,8 +221,12 @@ impl Server {
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
         match service {
             Ok(service) => {
-                let text =
-                    format!("{name} opened a session for its pipeline {pipeline} with {}", service.name());
+                let caveat = self.caveats.get(listener).and_then(Option::as_ref);
+                let caveat = caveat.map(|caveat| format!("; {caveat}")).unwrap_or_default();
+                let text = format!(
+                    "{name} opened a session for its pipeline {pipeline} with {}{caveat}",
+                    service.name()
+                );
                 let (session, accepted) = (wish.session, self.accepted(listener, &service, conditions));
                 let address = wish.address.map(|address| address.ip());
                 // Before the peer knows where to send its probes.
@@ -296,6 +314,16 @@ impl Server {
                 format!("lost {name}: the session for its pipeline {pipeline} ended without a goodbye");
             self.report(IncidentKind::Disconnected, host, text);
         }
+    }
+
+    /// Reports what makes a connection worse than it could be, with the peer that has a session on it.
+    fn remark(&self, session: Option<SessionId>, text: &str) {
+        let peer = session.and_then(|session| self.peers.get(&session));
+        let of =
+            peer.map(|peer| format!("the session of {} for its pipeline {}: ", peer.name, peer.pipeline));
+        let what = Concerning { peer: peer.map(|peer| peer.host), ..Concerning::default() };
+        let text = format!("{}{text}", of.unwrap_or_default());
+        self.context.incidents.remark(IncidentKind::Connected, what, text);
     }
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {

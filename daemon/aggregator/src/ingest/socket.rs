@@ -79,8 +79,15 @@ pub(crate) async fn run(
                     session.frame(&from, frame, wires.clock.stamp());
                 },
                 Some(Arrival::Gone(connection, _)) => session.gone(connection),
-                // The port's connections lose nothing and do not move.
-                Some(Arrival::Garbage(..) | Arrival::Incomplete(..) | Arrival::Lost(..) | Arrival::Moved(..)) => {}
+                // The port's connections lose nothing, do not move, and are as good as they could be.
+                Some(
+                    Arrival::Garbage(..)
+                    | Arrival::Incomplete(..)
+                    | Arrival::Lost(..)
+                    | Arrival::Moved(..)
+                    | Arrival::Remark(..)
+                    | Arrival::Refused(..),
+                ) => {}
                 None => return Err(Failure::Socket { address }),
             },
             event = wires.stored.recv() => match event {

@@ -1,4 +1,4 @@
-//! What users' own code prints, and with `PEERNET_LOG` the log.
+//! What users' own code prints, what makes connections worse than they could be, and with `PEERNET_LOG` the log.
 //!
 //! On a terminal it stands above the progress. A run that is one of an experiment's hands it to the program that shows
 //! the progress: on standard output, each line a text of JSON.
@@ -9,6 +9,7 @@ use std::io::{self, Write};
 use crate::exit::{Exit, Failure};
 use crate::log::{Line, VARIABLE};
 use crate::output::say;
+use peernet_agent::REMARKS;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Subscriber};
 use tracing_subscriber::filter::EnvFilter;
@@ -31,14 +32,14 @@ pub(crate) enum Shows {
     Parent,
 }
 
-/// Passes on what users' code prints; the log itself only as far as `PEERNET_LOG` says.
+/// Passes on what users' code prints and remarks on connections; the log itself only as far as `PEERNET_LOG` says.
 ///
 /// # Errors
 /// When the variable holds no level (78).
 pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let level =
-        std::env::var(VARIABLE).unwrap_or_else(|_| format!("off,{}=info,{}=info", USERS[0], USERS[1]));
+    let level = std::env::var(VARIABLE)
+        .unwrap_or_else(|_| format!("off,{}=info,{}=info,{REMARKS}=warn", USERS[0], USERS[1]));
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         wrong(anyhow::anyhow!(
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
@@ -74,7 +75,7 @@ impl Write for To {
     }
 }
 
-/// `model my_model-Net: the line` for users, the form of the log for the rest.
+/// `model my_model-Net: the line` for users, `warning: the text` for remarks, the form of the log for the rest.
 struct Form {
     other: Line,
 }
@@ -90,11 +91,15 @@ where
         mut writer: Writer<'_>,
         event: &Event<'_>,
     ) -> fmt::Result {
-        if !USERS.contains(&event.metadata().target()) {
+        let target = event.metadata().target();
+        if target != REMARKS && !USERS.contains(&target) {
             return self.other.format_event(context, writer, event);
         }
         let mut said = Said::default();
         event.record(&mut said);
+        if target == REMARKS {
+            return writeln!(writer, "warning: {}", said.line);
+        }
         writeln!(writer, "{}: {}", said.name, said.line)
     }
 }

@@ -60,6 +60,7 @@ pub struct Listener {
     shared: Arc<PortState>,
     receiver: Box<dyn CloudReceiver>,
     address: Address,
+    caveat: Option<String>,
     settings: SessionSettings,
     /// Sessions that ended together, to be handed out one by one.
     closed: VecDeque<SessionId>,
@@ -143,12 +144,18 @@ impl Listener {
             answered: Notify::new(),
         });
         let closed = VecDeque::new();
-        Ok(Self { shared, receiver: bound.receiver, address: bound.address, settings, closed })
+        let (receiver, address, caveat) = (bound.receiver, bound.address, bound.caveat);
+        Ok(Self { shared, receiver, address, caveat, settings, closed })
     }
 
     /// Where it listens, with the real port.
     pub const fn address(&self) -> &Address {
         &self.address
+    }
+
+    /// What makes all of its connections worse than they could be, and what to do about it, in words.
+    pub fn caveat(&self) -> Option<&str> {
+        self.caveat.as_deref()
     }
 
     /// Returns what was sent and received on all connections together, since the listener was bound.
@@ -193,6 +200,11 @@ impl Listener {
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
+                Arrival::Remark(connection, text) => {
+                    let session = self.shared.machine().session_of(connection);
+                    return Some(Incoming::Remark { session, text });
+                }
+                Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
                 Arrival::Garbage(address, problem) => {
                     // The transport has logged it.
                     tracing::debug!(

@@ -11,15 +11,18 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::{Client, CloseReason};
 use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, result};
-use super::open::{OpenError, handshake};
+use super::open::{OpenError, OpenedSession, handshake};
 use super::receiving::Receiving;
 use crate::message::{
-    Accepted, Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader,
-    SessionAccepted, SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
+    Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionAccepted,
+    SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
 };
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
-use crate::transport::{Dialled, EdgeSender, SendFailure, SendOptions};
+use crate::transport::{EdgeSender, SendFailure, SendOptions};
 use crate::{Address, SessionSettings};
+
+/// Most remarks of one connection that are kept.
+const MAX_REMARKS: usize = 64;
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
@@ -65,6 +68,8 @@ pub(crate) struct SessionState {
     max_message_bytes: u64,
     pub(crate) over: watch::Sender<Option<CloseReason>>,
     pub(crate) peer_clock: watch::Sender<PeerClock>,
+    /// What the transport remarked, oldest first; [`MAX_REMARKS`] at most.
+    pub(crate) remarks: watch::Sender<Vec<String>>,
     /// How many iterations the run was to have, once it is over.
     pub(crate) ordered: OnceLock<u64>,
 }
@@ -92,13 +97,11 @@ impl Session {
         let settings = settings.clamped();
         let counters = Counters::default();
         let opening = Box::pin(handshake(address, hello, &settings, &clock, &counters));
-        let (dialled, accepted) = opening.await?;
-        Ok(Self::start(dialled, accepted, &settings, clock, counters))
+        Ok(Self::start(opening.await?, &settings, clock, counters))
     }
 
     fn start(
-        dialled: Dialled,
-        accepted: Accepted,
+        OpenedSession { dialled, accepted, remarks }: OpenedSession,
         settings: &SessionSettings,
         clock: SharedClock,
         counters: Counters,
@@ -115,6 +118,7 @@ impl Session {
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
+            remarks: watch::Sender::new(remarks),
             ordered: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
@@ -141,6 +145,14 @@ impl Session {
     /// What makes the connection worse than it could be, and what to do about it, in words.
     pub fn caveat(&self) -> Option<&str> {
         self.inner.shared.sender.caveat()
+    }
+
+    /// What else makes the connection worse than it could be, each with its object and what to do, as it is noticed. The texts
+    /// stay; new ones come behind them.
+    pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
+        let mut remarks = self.inner.shared.remarks.subscribe();
+        remarks.mark_changed();
+        remarks
     }
 
     /// Returns what was sent and received so far, the messages that opened the session included.
@@ -298,6 +310,19 @@ impl SessionState {
     fn over(&self) -> RequestError {
         let reason = self.over.borrow().clone().unwrap_or(CloseReason::Local);
         RequestError::Lost(reason.to_string())
+    }
+
+    /// The transport remarked something. What finds no room is in the log alone.
+    pub(crate) fn remark(&self, text: String) {
+        self.remarks.send_if_modified(|remarks| {
+            let has_room = remarks.len() < MAX_REMARKS;
+            if has_room {
+                remarks.push(text);
+            } else {
+                tracing::warn!("{text}");
+            }
+            has_room
+        });
     }
 
     /// A place in flight; recorded as `send-queue` only if there was none free.

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::Weak;
 
 use peernet_clock::{RawTime, Stamp};
-use peernet_logger::Recorder;
+use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
 use super::cloud::PortState;
@@ -25,6 +25,20 @@ pub enum Incoming {
         said_goodbye: bool,
         /// How many iterations the edge's run was to have, where the session ended with that run.
         ordered: Option<u64>,
+    },
+    /// A connection is worse than it could be.
+    Remark {
+        /// A session of that connection; `None` when it has none now.
+        session: Option<SessionId>,
+        /// What is wrong, on what object, and what to do.
+        text: String,
+    },
+    /// An edge got no connection, before it could ask for a session.
+    Refused {
+        /// The host that it says it is.
+        host: Option<HostId>,
+        /// Who was refused, and why.
+        text: String,
     },
 }
 

@@ -61,6 +61,14 @@ impl OpenError {
     pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
 
+/// A connection with a session.
+pub(crate) struct OpenedSession {
+    pub(crate) dialled: Dialled,
+    pub(crate) accepted: Accepted,
+    /// What the transport remarked until now.
+    pub(crate) remarks: Vec<String>,
+}
+
 /// Connects and shakes hands within the time that the settings allow.
 pub(crate) async fn handshake(
     address: &Address,
@@ -68,7 +76,7 @@ pub(crate) async fn handshake(
     settings: &SessionSettings,
     clock: &SharedClock,
     counters: &Counters,
-) -> Result<(Dialled, Accepted), OpenError> {
+) -> Result<OpenedSession, OpenError> {
     let unreachable = |reason: String| OpenError::Unreachable { address: address.clone(), reason };
     let waited_ms = settings.open_timeout_ms;
     let deadline = Instant::now() + settings.open_timeout();
@@ -76,6 +84,7 @@ pub(crate) async fn handshake(
     let dialled = timeout_at(deadline, address.network().dial(address, settings, &dialler)).await;
     let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
+        DialFailure::Refused(reason) => OpenError::Refused { address: address.clone(), reason },
         // Not how long: the system may have been asked for less time than the settings allow.
         DialFailure::TimedOut => unreachable("nothing answered".to_owned()),
     })?;
@@ -87,11 +96,16 @@ pub(crate) async fn handshake(
         .send(vec![open], SendOptions::default())
         .map_err(|error| unreachable(error.to_string()))?;
     counters.sent(bytes);
+    let mut remarks = Vec::new();
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
         let frames = match frames {
             Ok(Ok(EdgeArrival::Message(frames))) => frames,
+            Ok(Ok(EdgeArrival::Remark(text))) => {
+                remarks.push(text);
+                continue;
+            }
             // The transport sends again what opens a session.
             Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_) | EdgeArrival::Garbage(_))) => continue,
             _ => return Err(OpenError::TimedOut { address: address.clone(), waited_ms }),
@@ -99,7 +113,9 @@ pub(crate) async fn handshake(
         counters.received(Sizes::of(&frames).total());
         let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
         match opened(header) {
-            Opened::Accepted(accepted) => return Ok((dialled, *accepted)),
+            Opened::Accepted(accepted) => {
+                return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
+            }
             Opened::Refused(reason) => return Err(OpenError::Refused { address: address.clone(), reason }),
             Opened::Incompatible(mismatch) => {
                 return Err(OpenError::Incompatible { address: address.clone(), mismatch });

@@ -120,6 +120,7 @@ impl Receiving {
                             tracing::debug!(problem, "dropped what came from where the cloud is");
                             self.shared.counters.malformed();
                         }
+                        Ok(EdgeArrival::Remark(text)) => self.shared.remark(text),
                         Err(Disconnected(reason)) => break CloseReason::Broken(reason),
                     },
                 }

@@ -276,6 +276,11 @@ impl Server {
         })
     }
 
+    /// Returns a session of a connection.
+    pub(crate) fn session_of(&self, connection: ConnectionId) -> Option<SessionId> {
+        self.connections.get(&connection)?.first().copied()
+    }
+
     /// A connection's peer has another address from now on.
     pub(crate) fn moved(&mut self, connection: ConnectionId, address: SocketAddr) {
         for session in self.connections.get(&connection).into_iter().flatten() {

@@ -24,6 +24,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
+use peernet_logger::HostId;
 use peernet_stream::NetworkName;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
@@ -229,6 +230,8 @@ pub(crate) enum EdgeArrival {
     Lost(MessageLoss),
     /// Something that makes no sense; dropped.
     Garbage(String),
+    /// What makes the connection worse than it could be, on what object, and what to do.
+    Remark(String),
 }
 
 /// A connection has ended, and why.
@@ -249,6 +252,8 @@ pub(crate) trait EdgeReceiver: Send + fmt::Debug {
 pub(crate) struct Bound {
     /// Where it really listens.
     pub(crate) address: Address,
+    /// What makes all of its connections worse than they could be, and what to do about it.
+    pub(crate) caveat: Option<String>,
     /// Hands messages to the network, from any task or thread.
     pub(crate) sender: Box<dyn CloudSender>,
     /// Takes messages from the network, in one task.
@@ -294,6 +299,10 @@ pub enum Arrival {
     Gone(ConnectionId, String),
     /// Bytes that are not even of the transport's own protocol; a connection that sent them was dropped.
     Garbage(Option<SocketAddr>, String),
+    /// What makes a connection worse than it could be, on what object, and what to do.
+    Remark(ConnectionId, String),
+    /// An edge gets no connection: which host it says it is, and why.
+    Refused(Option<HostId>, String),
 }
 
 /// One connection of a listener, never used again after it ended.
@@ -314,6 +323,8 @@ pub struct Peer {
 pub(crate) enum DialFailure {
     /// Nobody answers there, or not in this protocol.
     Unreachable(String),
+    /// The cloud is there, and gives no connection.
+    Refused(String),
     /// The time for it is over.
     TimedOut,
 }

@@ -234,7 +234,8 @@ pub(crate) async fn bind(
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
-    Ok(Bound { address: address.at_ip(bound.ip(), bound.port()), sender, receiver: Box::new(listener) })
+    let (address, receiver) = (address.at_ip(bound.ip(), bound.port()), Box::new(listener));
+    Ok(Bound { address, caveat: None, sender, receiver })
 }
 
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {

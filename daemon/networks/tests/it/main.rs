@@ -9,8 +9,6 @@ mod hostile;
 mod limits;
 mod requests;
 mod ros;
-#[cfg(feature = "ros2")]
-mod ros2;
 mod ros_limits;
 mod ros_master;
 mod shutdown;

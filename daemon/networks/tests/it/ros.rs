@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_networks::{CloseReason, Incoming, Listener, OpenError, Session};
+use peernet_networks::{CloseReason, Incoming, Listener, OpenError, Session, SessionHello};
 use peernet_ros::messages::{CompressedImage, Message, MessageInfo, StringMessage, WireForm};
 use peernet_ros::ros1::{
     Environment, Node, PublisherOptions, RpcUri, SubscriberOptions, TopicType, WhenFull,
@@ -150,7 +150,7 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
             match cloud.next().await {
                 Incoming::Open(request) => break request,
                 Incoming::Closed { .. } => {}
-                Incoming::Request(request) => panic!("expected a hello, not {request:?}"),
+                other => panic!("expected a hello, not {other:?}"),
             }
         };
         assert!(request.accept(accepted(cloud.host)));
@@ -212,6 +212,56 @@ async fn messages_of_second_publishers_are_dropped() {
     }
     publisher.publish(Bytes::from_static(b"nonsense")).expect("the node runs");
     echo(&mut cloud, &session, "the session goes on").await;
+    second_publisher_is_remarked(&mut cloud, &session, "node /stranger", &topic).await;
+}
+
+/// Exchanges until the cloud remarks on a second publisher.
+pub(crate) async fn second_publisher_is_remarked(
+    cloud: &mut Cloud,
+    session: &Session,
+    node: &str,
+    topic: &str,
+) {
+    within(async {
+        while cloud.remarks.is_empty() {
+            echo(cloud, session, "the session goes on").await;
+        }
+    })
+    .await;
+    for part in [node, topic, "two publishers", "another name"] {
+        assert!(cloud.remarks[0].contains(part), "{part}: {:?}", cloud.remarks);
+    }
+}
+
+#[tokio::test]
+async fn edge_is_told_why_it_gets_no_connection() {
+    pipeline_of_another_host_is_refused(Cloud::over(TestNetwork::Ros1).await).await;
+}
+
+/// A second host asks for the topics of a pipeline: both ends say so, and the session goes on.
+pub(crate) async fn pipeline_of_another_host_is_refused(mut cloud: Cloud) {
+    let (first, pipeline) = session(&mut cloud).await;
+    let (address, hello) = (cloud.address(), hello());
+    let hello = SessionHello { pipeline: pipeline.parse().expect("a name"), ..hello };
+    let host = hello.host;
+    let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+    let refused = within(async {
+        loop {
+            if let Some(Incoming::Refused { host, text }) = cloud.listener.next().await {
+                break (host, text);
+            }
+        }
+    });
+    let (of, text) = refused.await;
+    assert_eq!(of, Some(host));
+    assert!(text.contains("refused a connection to node /peernet_robot_1_"), "{text}");
+    let Err(OpenError::Refused { reason, .. }) = within(edge).await.expect("no panic") else {
+        panic!("the edge is refused")
+    };
+    for said in [text, reason] {
+        assert!(said.contains("another host uses the topics") && said.contains("ROS_NAMESPACE"), "{said}");
+    }
+    echo(&mut cloud, &first, "the first goes on").await;
 }
 
 #[tokio::test]

@@ -168,6 +168,8 @@ pub(crate) fn text(sample: &Sample) -> &str {
 pub(crate) struct Cloud {
     pub(crate) host: HostId,
     pub(crate) listener: Listener,
+    /// What was remarked on connections and refused, until now.
+    pub(crate) remarks: Vec<String>,
 }
 
 impl Cloud {
@@ -192,7 +194,8 @@ impl Cloud {
     async fn bind(address: &str, settings: SessionSettings, clock: SharedClock) -> Self {
         let (host, address) = (HostId::random(), address.parse().expect("an address"));
         let listener = Listener::bind(&address, settings, host, clock);
-        Self { host, listener: within(listener).await.expect("the port is free") }
+        let listener = within(listener).await.expect("the port is free");
+        Self { host, listener, remarks: Vec::new() }
     }
 
     pub(crate) fn address(&self) -> Address {
@@ -200,7 +203,12 @@ impl Cloud {
     }
 
     pub(crate) async fn next(&mut self) -> Incoming {
-        within(self.listener.next()).await.expect("the listener is open")
+        loop {
+            match within(self.listener.next()).await.expect("the listener is open") {
+                Incoming::Remark { text, .. } | Incoming::Refused { text, .. } => self.remarks.push(text),
+                other => return other,
+            }
+        }
     }
 
     pub(crate) async fn next_open(&mut self) -> OpenRequest {

@@ -30,7 +30,7 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
             match incoming {
                 Incoming::Open(open) => assert!(open.accept(accepted(cloud.host))),
                 Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
-                Incoming::Closed { .. } => {}
+                _ => {}
             }
         }
     })
@@ -160,7 +160,7 @@ async fn cut_path_ends_session_and_next_one_works() {
         match cloud.next().await {
             Incoming::Open(wish) => break assert!(wish.accept(accepted(cloud.host))),
             Incoming::Closed { .. } => {}
-            Incoming::Request(request) => panic!("{request:?}"),
+            other => panic!("{other:?}"),
         }
     }
     let session = within(edge).await.expect("no panic").expect("accepted");
@@ -169,7 +169,7 @@ async fn cut_path_ends_session_and_next_one_works() {
         match cloud.next().await {
             Incoming::Request(request) => break request.reply.send(request.log, Ok(request.sample)),
             Incoming::Closed { .. } => {}
-            Incoming::Open(wish) => panic!("{wish:?}"),
+            other => panic!("{other:?}"),
         }
     }
     assert!(within(pending).await.expect("no panic").result.is_ok());

@@ -82,7 +82,7 @@ impl Reader {
     pub fn new(form: WireForm, bytes: Bytes) -> Result<Self, DecodeError> {
         let mut reader = Self { form, is_big_endian: false, bytes, offset: 0, origin: 0 };
         if form == WireForm::Cdr {
-            let [first, second, ..] = reader.take_array::<4>()?;
+            let [first, second, ..] = reader.take_octets::<4>()?;
             if first != 0 || second > 1 {
                 return Err(DecodeError::Encapsulation { first, second });
             }
@@ -116,7 +116,11 @@ impl Reader {
         Ok(offset)
     }
 
-    fn take_array<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+    /// Reads bytes as they are, without alignment.
+    ///
+    /// # Errors
+    /// The bytes end before it.
+    pub fn take_octets<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         let start = self.advance(N)?;
         let mut array = [0; N];
         array.copy_from_slice(&self.bytes[start..start + N]);
@@ -132,7 +136,7 @@ impl Reader {
             let position = self.offset - self.origin;
             self.advance(position.wrapping_neg() & (N - 1))?;
         }
-        let mut number = self.take_array()?;
+        let mut number = self.take_octets()?;
         if self.is_big_endian {
             number.reverse();
         }

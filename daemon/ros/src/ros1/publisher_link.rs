@@ -69,6 +69,8 @@ struct LinkState {
     is_listed: bool,
     state: PublisherState,
     counts: ReceiveCounts,
+    /// Name of the node, where messages are taken from another one only.
+    unexpected: Option<Arc<str>>,
 }
 
 impl PublisherLink {
@@ -77,6 +79,7 @@ impl PublisherLink {
             is_listed: true,
             state: PublisherState::Connecting,
             counts: ReceiveCounts::default(),
+            unexpected: None,
         };
         Self { uri, state: Mutex::new(state), listing: Notify::new() }
     }
@@ -91,7 +94,12 @@ impl PublisherLink {
 
     pub(super) fn status(&self) -> PublisherStatus {
         let state = self.state();
-        PublisherStatus { uri: Arc::clone(&self.uri), state: state.state.clone(), counts: state.counts }
+        PublisherStatus {
+            uri: Arc::clone(&self.uri),
+            state: state.state.clone(),
+            counts: state.counts,
+            unexpected: state.unexpected.clone(),
+        }
     }
 
     pub(super) fn is_listed(&self) -> bool {
@@ -141,6 +149,10 @@ impl PublisherLink {
                 }
                 (last_reason, was_closed) = (reason.clone(), is_closed);
             }
+            self.state().unexpected = match error {
+                LinkError::Unexpected { node, .. } => Some(node),
+                _ => None,
+            };
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
                 () = sleep(pause) => pause = (pause * 2).min(MAX_PAUSE),

@@ -104,6 +104,8 @@ pub struct PublisherStatus {
     pub state: PublisherState,
     /// Counts of its messages.
     pub counts: ReceiveCounts,
+    /// Name of its node, where messages are taken from another node only ([`SubscriberOptions::publisher`]).
+    pub unexpected: Option<Arc<str>>,
 }
 
 /// Receives the messages of a topic from all its publishers. Dropping it ends the connections and tells the master.

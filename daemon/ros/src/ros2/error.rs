@@ -159,8 +159,8 @@ pub struct NoPeer {
     pub interfaces: String,
     /// Other participants of the domain that were found.
     pub participants: usize,
-    /// Peers on the topic that do not fit.
-    pub refused: Vec<Refusal>,
+    /// Peers on the topic that do not fit: the names of their nodes, where these are known, and why.
+    pub refused: Vec<(Option<String>, Refusal)>,
     /// Topics of ROS 2 that others were seen on.
     pub topics: Vec<String>,
 }
@@ -174,10 +174,11 @@ impl NoPeer {
             "no {peer} of topic {topic} ({type_name}) was found within {seconds} s in domain {domain_id} on \
              {interfaces}, where {participants} other participants were seen"
         );
-        if let Some(refusal) = self.refused.first() {
+        if let Some((node, refusal)) = self.refused.first() {
             let others = self.refused.len() - 1;
             let more = if others == 0 { String::new() } else { format!(" (and {others} more)") };
-            return format!("{tried}; a {peer} is there, but {refusal}{more}: make both ends agree");
+            let of = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
+            return format!("{tried}; a {peer}{of} is there, but {refusal}{more}: make both ends agree");
         }
         let advice = advise(*domain_id, interfaces, *participants, &self.topics);
         format!("{tried}; {advice}")
@@ -232,8 +233,15 @@ mod tests {
         }
         let elsewhere = NoPeer { participants: 1, topics: vec!["/camera".into()], ..no_peer() }.to_string();
         assert!(elsewhere.contains("Topics seen: /camera"), "{elsewhere}");
-        let refused = vec![Refusal::OtherType { type_name: "std_msgs/msg/String".into() }];
-        let other = NoPeer { participants: 1, refused, ..no_peer() }.to_string();
-        assert!(other.contains("its message type is std_msgs/msg/String"), "{other}");
+        let refusal = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
+        for (node, expected) in
+            [(Some("/talker".to_owned()), "publisher of node /talker is"), (None, "publisher is")]
+        {
+            let refused = vec![(node, refusal.clone())];
+            let other = NoPeer { participants: 1, refused, ..no_peer() }.to_string();
+            for part in [expected, "its message type is std_msgs/msg/String"] {
+                assert!(other.contains(part), "{part}: {other}");
+            }
+        }
     }
 }

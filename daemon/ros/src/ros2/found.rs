@@ -13,6 +13,8 @@ pub struct FoundPublisher {
     pub type_name: String,
     /// An address of the host that it runs on; `None` where that is this host.
     pub host: Option<IpAddr>,
+    /// Absolute name of the node that it is of, as `/robot1/camera`, where its participant has told.
+    pub node: Option<String>,
 }
 
 /// A publisher or subscription of another participant.
@@ -24,6 +26,15 @@ pub struct FoundEndpoint {
     pub role: EndpointRole,
     /// Message type, as `std_msgs/msg/String`.
     pub type_name: String,
+    /// Absolute name of the node that it is of, where its participant has told.
+    pub node: Option<String>,
+}
+
+impl FoundPublisher {
+    /// Returns the name of its node, or its identity where that is not known.
+    pub fn name(&self) -> String {
+        self.node.clone().unwrap_or_else(|| format!("publisher {}", self.id))
+    }
 }
 
 /// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.

@@ -7,9 +7,14 @@
 //! needs the cargo feature `ros2`; without it [`Ros2Node::new`] returns [`Ros2Error::NotBuilt`], and callers need
 //! no `cfg` of their own.
 
+#[cfg(any(feature = "ros2", test))]
+#[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only the DDS node uses all of it"))]
+mod discovery;
 mod error;
 mod found;
 mod names;
+#[cfg(any(feature = "ros2", test))]
+mod node_list;
 mod peers;
 mod qos;
 mod sample;
@@ -31,7 +36,7 @@ pub const IS_BUILT: bool = cfg!(feature = "ros2");
 pub use error::{NoPeer, Ros2Error};
 pub use found::{FoundEndpoint, FoundPublisher};
 pub use names::{absolute_topic, dds_type};
-pub use peers::{EndpointId, EndpointRole, ParticipantId, PeerTable, Refusal};
+pub use peers::{EndpointId, EndpointRole, InvalidParticipantId, ParticipantId, PeerTable, Refusal};
 pub use qos::{Durability, InvalidQos, QosProfile, Reliability};
 pub use sample::{ReceiveCounts, ReceivedSample};
 pub use settings::{Ros2Settings, SocketBufferWarning};

@@ -47,6 +47,16 @@ impl Ros2Node {
         match *self {}
     }
 
+    /// Returns the absolute name of the node that has an endpoint.
+    pub fn node_of(&self, _endpoint: EndpointId) -> Option<String> {
+        match *self {}
+    }
+
+    /// Returns the absolute names of a participant's nodes.
+    pub fn nodes_of(&self, _participant: ParticipantId) -> Vec<String> {
+        match *self {}
+    }
+
     /// Returns an address of the host that a participant runs on.
     pub fn host_of(&self, _participant: ParticipantId) -> Option<IpAddr> {
         match *self {}

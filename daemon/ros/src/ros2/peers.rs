@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::str::FromStr;
 
 /// Identity of a publisher or subscription in DDS (its GUID): 12 bytes of its participant, 4 of its own.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -69,13 +70,33 @@ impl EndpointId {
     }
 }
 
+/// A text that is not the identity of a participant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the identity of a participant has 24 hexadecimal digits")]
+pub struct InvalidParticipantId;
+
+impl FromStr for ParticipantId {
+    type Err = InvalidParticipantId;
+
+    fn from_str(text: &str) -> Result<Self, InvalidParticipantId> {
+        let mut id = [0; 12];
+        if text.len() != 2 * id.len() || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+            return Err(InvalidParticipantId);
+        }
+        for (at, byte) in id.iter_mut().enumerate() {
+            *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).map_err(|_| InvalidParticipantId)?;
+        }
+        Ok(Self(id))
+    }
+}
+
 impl fmt::Display for ParticipantId {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|byte| write!(formatter, "{byte:02x}"))
     }
 }
 
-#[cfg(feature = "ros2")]
+#[cfg(any(feature = "ros2", test))]
 impl PeerTable {
     /// Adds a matched peer; returns whether it was none before.
     pub(super) fn add(&mut self, id: EndpointId) -> bool {
@@ -132,6 +153,21 @@ impl fmt::Display for Refusal {
                 "the QoS policy {policy} does not fit: the publisher offers {offered}, the subscription requests \
                  {requested}"
             ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn participant_is_read_as_written() {
+        let id = ParticipantId([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0xab, 0xff]);
+        assert_eq!(id.to_string().parse(), Ok(id));
+        for other in ["", "00", "0001020304050607080900zz", "+001020304050607080900ab", "äääääääääääää"]
+        {
+            assert_eq!(other.parse::<ParticipantId>(), Err(InvalidParticipantId), "{other}");
         }
     }
 }

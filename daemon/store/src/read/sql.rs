@@ -55,7 +55,8 @@ macro_rules! exchange_columns {
     () => {
         "max_drift_ppm, upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
          lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
-         offset_lo_ns, offset_hi_ns, offset_source, offset_sources"
+         offset_lo_ns, offset_hi_ns, offset_source, offset_sources, \
+         (SELECT max_drift_change_ppm_per_s FROM clock_window WHERE link = ?1 AND window = ?2) AS max_drift_change_ppm_per_s"
     };
 }
 

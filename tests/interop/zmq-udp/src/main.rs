@@ -96,6 +96,7 @@ async fn serve(mut listener: Listener, host: HostId) {
             }
             Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
             Incoming::Closed { .. } => {}
+            Incoming::Remark { text, .. } | Incoming::Refused { text, .. } => eprintln!("{text}"),
         }
     }
 }

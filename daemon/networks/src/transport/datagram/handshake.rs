@@ -118,6 +118,8 @@ pub(crate) struct Dialling {
     /// Packets of this kind without an answer.
     tries: u32,
     next: MonoTime,
+    /// Length of the datagrams that the path does not carry.
+    too_long: Option<u16>,
 }
 
 impl Dialling {
@@ -132,6 +134,7 @@ impl Dialling {
             is_second_cookie: false,
             tries: 0,
             next: now,
+            too_long: None,
         }
     }
 
@@ -160,13 +163,18 @@ impl Dialling {
         if bytes <= SAFE_DATAGRAM_BYTES {
             return Err(PathTooSmall { bytes });
         }
-        tracing::warn!(
-            datagram_bytes = bytes,
-            "the path carries no datagrams of the configured size; going on with {SAFE_DATAGRAM_BYTES} bytes; set \
-             datagram_bytes lower, or the MTU of every link on the path higher"
-        );
+        self.too_long = Some(bytes);
         (self.terms.datagram, self.tries, self.next) = (SAFE_DATAGRAM_BYTES, 0, now);
         Ok(())
+    }
+
+    /// What makes the connection worse than it could be, and what to do, if it is shorter datagrams.
+    pub(crate) fn remark(&self) -> Option<String> {
+        let bytes = self.too_long?;
+        Some(format!(
+            "the path carries no datagrams of the configured {bytes} bytes: going on with {SAFE_DATAGRAM_BYTES}; set datagram_bytes \
+             lower, or the MTU of every link on the path higher"
+        ))
     }
 
     /// Appends a packet if one is due. Returns whether it did.

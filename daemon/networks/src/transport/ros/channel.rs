@@ -12,7 +12,7 @@ use peernet_sample::Description;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep};
 
-use super::connection::{Connection, ConnectionLimits, PeerState};
+use super::connection::{Connection, ConnectionLimits};
 use super::frames::{self, PAYLOAD_FRAME};
 use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
 use super::parts;
@@ -120,10 +120,10 @@ pub(super) struct Channel {
     pub(super) wake: Notify,
     /// The node at the other end, once it is known, and the connection from it.
     peer: OnceLock<RemoteNode>,
-    /// Set when a warning has said that the other end's QoS does not fit.
+    /// Set when it has been said that the other end's QoS does not fit.
     refusal: OnceLock<()>,
-    /// Set when a warning has said that payloads are too long for the payload topic.
-    size_warning: OnceLock<()>,
+    /// Set when it has been said that payloads are too long for the payload topic.
+    size_remark: OnceLock<()>,
 }
 
 /// What a message says of its first payload part and of its departure.
@@ -155,7 +155,7 @@ impl Channel {
             wake: Notify::new(),
             peer: OnceLock::new(),
             refusal: OnceLock::new(),
-            size_warning: OnceLock::new(),
+            size_remark: OnceLock::new(),
         }
     }
 
@@ -238,7 +238,7 @@ impl Channel {
         info.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
         let has_payload = match (&described, message.get(PAYLOAD_FRAME)) {
             (Some(described), Some(data)) => {
-                self.publish_payload(&info, state.peer(), (&described.part, data), &peer.node)?
+                self.publish_payload(&info, &mut state, (&described.part, data), &peer.node)?
             }
             _ => false,
         };
@@ -264,7 +264,7 @@ impl Channel {
     fn publish_payload(
         &self,
         info: &MessageInfo,
-        state: PeerState,
+        state: &mut Connection,
         (part, data): (&Description, &Bytes),
         peer: &str,
     ) -> Result<bool, SendFailure> {
@@ -278,12 +278,12 @@ impl Channel {
         if *published != kind || !self.holds_payload(state, data.len(), publisher.topic()) {
             return Ok(false);
         }
-        let is_confirmed = self.node.receive_buffer_bytes().is_none() || state.is_subscribed;
+        let is_confirmed = self.node.receive_buffer_bytes().is_none() || state.peer().is_subscribed;
         if !is_confirmed
             && let Some(reason) = publisher.refusal(peer)
             && self.refusal.set(()).is_ok()
         {
-            tracing::warn!("payloads travel in their companions as well: {reason}");
+            self.remark(state, format!("payloads travel in their companions as well: {reason}"));
         }
         // A value that this version of ROS cannot say travels in the companion.
         let Ok(message) = payload::encode(self.node.form(), &info.header, part, data) else {
@@ -298,19 +298,24 @@ impl Channel {
     }
 
     /// Whether the sockets of both ends hold a payload of a number of bytes.
-    fn holds_payload(&self, state: PeerState, bytes: usize, topic: &str) -> bool {
+    fn holds_payload(&self, state: &mut Connection, bytes: usize, topic: &str) -> bool {
         let Some(own) = self.node.receive_buffer_bytes() else { return true };
-        let most = state.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize));
-        if bytes > most && self.size_warning.set(()).is_ok() {
-            tracing::warn!(
-                topic,
-                bytes,
-                most,
-                "payloads of more than the sockets of both hosts hold travel in parts, where no other program sees them; raise \
-                 session.socket_buffer_bytes, and net.core.rmem_max, on both"
+        let most = state.peer().receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize));
+        if bytes > most && self.size_remark.set(()).is_ok() {
+            let text = format!(
+                "a payload of {bytes} bytes is longer than the {most} bytes that the sockets of both hosts hold: such payloads travel \
+                 in parts and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
+                 net.core.rmem_max, on both hosts"
             );
+            self.remark(state, text);
         }
         bytes <= most
+    }
+
+    /// Has the task hand up what makes the connection worse than it could be.
+    pub(super) fn remark(&self, state: &mut Connection, text: String) {
+        state.remark(text);
+        self.wake.notify_one();
     }
 
     /// Opens the payload topic, again and again while the master is away.
@@ -323,7 +328,7 @@ impl Channel {
                     return;
                 }
                 Err(error) if !is_told => {
-                    tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");
+                    self.remark(&mut self.lock(), payload_topic_closed(topic, &error));
                     is_told = true;
                 }
                 Err(_) => {}
@@ -345,6 +350,15 @@ impl Channel {
         let received = DatagramStatistics { lost, ..DatagramStatistics::default() };
         TransportStatistics { sent: DatagramStatistics::default(), received, round_trip }
     }
+}
+
+/// Says that a payload topic could not be opened, for a remark.
+pub(super) fn payload_topic_closed(topic: &str, error: &NodeFailure) -> String {
+    format!(
+        "topic {topic} could not be opened, and is tried again every {} s; payloads travel on the topic of their companions \
+         until then: {error}",
+        MASTER_RETRY.as_secs()
+    )
 }
 
 /// Reads what a message's header says of the first payload part.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use futures::future::BoxFuture;
 use peernet_clock::SharedClock;
-use peernet_ros::messages::{Message, SessionHello, WireForm};
+use peernet_ros::messages::{Message, MessageInfo, SessionHello, WireForm};
 use peernet_ros::ros1::{QueueLimits, SubscriberOptions, TopicType, WhenFull};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, TopicUse, open_node};
-use super::names::{cloud_node, sessions_topic};
+use super::names::{cloud_node, refusals_topic, sessions_topic};
 use super::peers::{Delivery, Peers, Standing};
 use crate::descriptors::DescriptorShare;
 use crate::transport::memory::MemoryBudget;
@@ -59,9 +59,10 @@ pub(crate) async fn bind(
     };
     let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
-    if let Some(caveat) = node.caveat() {
-        tracing::warn!(%address, "{caveat}");
-    }
+    let refusals = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+    let queue = QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES };
+    let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
+    let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
     let (stop, abort, tasks) = (CancellationToken::new(), CancellationToken::new(), TaskTracker::new());
     let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
@@ -69,14 +70,14 @@ pub(crate) async fn bind(
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
         (settings.clone(), budget, max),
-        deliveries,
+        (refusals, deliveries),
         (stop.clone(), abort.clone(), tasks.clone()),
     );
     let peers = Arc::new(peers);
     tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, (stop.clone(), abort.clone())));
     let sender = Box::new(RosCloudSender(peers));
     let receiver = Box::new(RosCloudReceiver { node, arrivals, stop, abort, tasks });
-    Ok(Bound { address: address.clone(), sender, receiver })
+    Ok(Bound { address: address.clone(), caveat, sender, receiver })
 }
 
 /// Opens a connection for each edge that asks.

@@ -47,6 +47,8 @@ pub(super) enum Event {
     /// A message to the peer did not arrive as a whole.
     Lost(MessageLoss),
     Garbage(String),
+    /// What makes the connection worse than it could be, on what object, and what to do.
+    Remark(String),
     Gone(String),
 }
 
@@ -360,6 +362,11 @@ impl Connection {
 
     pub(super) fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
+    }
+
+    /// Says what makes the connection worse than it could be.
+    pub(super) fn remark(&mut self, text: String) {
+        self.events.push_back(Event::Remark(text));
     }
 
     /// Ends the connection; the first reason counts.

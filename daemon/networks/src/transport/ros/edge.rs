@@ -15,10 +15,10 @@ use tokio_util::sync::CancellationToken;
 use super::channel::{Channel, ReceiveLimits, largest_message, queue_limits};
 use super::connection::Event;
 use super::interface::{
-    EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse, end_in_background,
-    open_node,
+    EdgeTopics, NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicUse,
+    end_in_background, open_node,
 };
-use super::names::{TopicPair, allowed, edge_node_prefix, sessions_topic};
+use super::names::{TopicPair, allowed, edge_node_prefix, refusals_topic, sessions_topic};
 use super::serving::{Directive, Serving, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -74,8 +74,9 @@ pub(crate) async fn dial(
         pipeline,
         ..SessionHello::default()
     };
-    let mut response_info = opened.response_info;
-    welcome(&channel, &mut *response_info, &*opened.sessions, (&cloud, wire)).await?;
+    let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
+    welcome(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire)).await?;
+    drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
     let serving = Serving {
@@ -104,6 +105,8 @@ struct Opened {
     request_info: Box<dyn SessionPublisher>,
     response_info: Box<dyn SessionSubscriber>,
     response: Box<dyn SessionSubscriber>,
+    /// What the cloud says instead of a welcome.
+    refusals: Box<dyn SessionSubscriber>,
 }
 
 async fn open(
@@ -118,7 +121,8 @@ async fn open(
     let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     Ok(Opened {
         response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
-        response: node.subscribe(&topics.response.payload, payloads, receiving).await?,
+        response: node.subscribe(&topics.response.payload, payloads, receiving.clone()).await?,
+        refusals: node.subscribe(&refusals_topic(&topics.cloud), companions.clone(), receiving).await?,
         request_info: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
     })
@@ -127,11 +131,14 @@ async fn open(
 /// Says hello until the cloud answers.
 async fn welcome(
     channel: &Channel,
-    response_info: &mut dyn SessionSubscriber,
+    (response_info, refusals): (&mut dyn SessionSubscriber, &mut dyn SessionSubscriber),
     sessions: &dyn SessionPublisher,
     (cloud, mut hello): (&Arc<str>, SessionHello),
 ) -> Result<(), DialFailure> {
     let (mut next, mut interval) = (Instant::now(), MIN_HELLO_INTERVAL);
+    let is_from_cloud = |info: &MessageInfo, message: &RemoteNode| {
+        info.header.frame_id == channel.lock().id() && message.node == *cloud
+    };
     loop {
         tokio::select! {
             () = sleep_until(next) => {
@@ -146,7 +153,7 @@ async fn welcome(
             message = response_info.recv() => {
                 let message = message?;
                 let Ok(info) = MessageInfo::decode(channel.node.form(), message.bytes) else { continue };
-                if info.header.frame_id != channel.lock().id() || message.publisher.node != *cloud {
+                if !is_from_cloud(&info, &message.publisher) {
                     continue;
                 }
                 let now = channel.now();
@@ -159,6 +166,13 @@ async fn welcome(
                     }
                     Some(Event::Gone(reason)) => return Err(DialFailure::Unreachable(reason)),
                     _ => {}
+                }
+            }
+            message = refusals.recv() => {
+                let message = message?;
+                let Ok(info) = MessageInfo::decode(channel.node.form(), message.bytes) else { continue };
+                if is_from_cloud(&info, &message.publisher) {
+                    return Err(DialFailure::Refused(peernet_sample::printable_line(&info.reason).into_owned()));
                 }
             }
         }
@@ -200,12 +214,13 @@ impl Sink for EdgeSink {
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
             Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), Vec::new()),
             Event::Garbage(problem) => (Ok(EdgeArrival::Garbage(problem)), Vec::new()),
+            Event::Remark(text) => (Ok(EdgeArrival::Remark(text)), Vec::new()),
             Event::Gone(reason) => (Err(Disconnected(reason)), Vec::new()),
         };
         Some((arrival, reserved))
     }
 
-    async fn wait(&mut self) -> Directive {
+    async fn wait(&mut self, _channel: &Arc<Channel>) -> Directive {
         std::future::pending().await
     }
 }

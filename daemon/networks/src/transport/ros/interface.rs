@@ -103,6 +103,9 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// The name by which messages of this node are recognised at the other end.
     fn name(&self) -> &str;
 
+    /// Names another node for people, as `node /viewer`: `node` is how its messages are recognised.
+    fn describe(&self, node: &str) -> String;
+
     /// Returns the global name of a topic or of a pipeline.
     fn resolve(&self, name: &str) -> Result<String, NodeFailure>;
 
@@ -175,6 +178,11 @@ pub(super) trait SessionSubscriber: Debug + Send {
 
     /// Whether messages of a node arrive.
     fn is_connected(&self, node: &str) -> bool;
+
+    /// Nodes that publish the topic as well, and whose messages never arrive here.
+    fn other_publishers(&self) -> Vec<Arc<str>> {
+        Vec::new()
+    }
 
     /// Returns a view of the publishers that can be used while a message is awaited.
     fn watch(&self) -> Box<dyn PublisherChanges>;

@@ -10,9 +10,21 @@ pub(super) fn sessions_topic(name: &str) -> String {
     format!("/{name}/sessions")
 }
 
+/// Topic on which the cloud with a name says to which edges it gives no connection.
+pub(super) fn refusals_topic(name: &str) -> String {
+    format!("/{name}/refusals")
+}
+
 /// First part of the names of an edge's nodes for a pipeline, without namespace; the identifier of the connection follows.
 pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
     format!("peernet_{}_{}_", allowed(host), allowed(pipeline))
+}
+
+/// Returns the name of an edge's node without the identifier of its connection; `None` for other nodes.
+pub(super) fn without_connection(node: &str) -> Option<&str> {
+    let (prefix, identifier) = node.rsplit_once('_')?;
+    let is_edge = base_name(prefix).starts_with("peernet_") && identifier.len() == 8;
+    (is_edge && identifier.bytes().all(|digit| digit.is_ascii_hexdigit())).then_some(prefix)
 }
 
 /// Returns a text with what names of ROS lack replaced by underscores.
@@ -66,6 +78,11 @@ mod tests {
         assert_eq!(allowed("2nd"), "p2nd");
         assert_eq!(edge_node_prefix("jetson-orin", "line"), "peernet_jetson_orin_line_");
         assert_eq!(base_name("/robot/peernet_gpu"), cloud_node("gpu"));
+        let (first, second) = ("/peernet_jetson_line_1a2b3c4d", "/peernet_jetson_line_00000000");
+        assert_eq!(without_connection(first), without_connection(second));
+        for other in ["/peernet_gpu", "/viewer_1a2b3c4d", "/peernet_jetson_line_nothex00"] {
+            assert_eq!(without_connection(other), None, "{other}");
+        }
         let topics = TopicPair::request("/robot/line");
         assert_eq!((&*topics.payload, &*topics.info), ("/robot/line/request", "/robot/line/request_info"));
     }

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{LogThrottle, SharedClock};
-use peernet_ros::messages::{MessageInfo, SessionHello};
+use peernet_ros::messages::{Header, Message, MessageInfo, SessionHello};
 use peernet_ros::ros1::{SubscriberOptions, TopicType};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep, sleep_until};
@@ -13,10 +13,11 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
 use super::channel::{
-    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, ReceiveLimits, largest_message, queue_limits,
+    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, ReceiveLimits, largest_message, payload_topic_closed,
+    queue_limits,
 };
 use super::connection::Event;
-use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionSubscriber, TopicUse};
+use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
 use super::names::TopicPair;
 use super::serving::{Directive, Serving, Sink};
 use crate::SessionSettings;
@@ -52,6 +53,8 @@ pub(super) struct Peers {
     budget: Arc<MemoryBudget>,
     max_connections: usize,
     table: Mutex<Table>,
+    /// Tells edges that they get no connection.
+    refusals: Box<dyn SessionPublisher>,
     deliveries: mpsc::Sender<Delivery>,
     stop: CancellationToken,
     abort: CancellationToken,
@@ -90,11 +93,23 @@ impl Peers {
     pub(super) fn new(
         (node, clock): (Arc<dyn SessionNode>, SharedClock),
         (settings, budget, max_connections): (SessionSettings, Arc<MemoryBudget>, usize),
-        deliveries: mpsc::Sender<Delivery>,
+        (refusals, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
         (stop, abort, tasks): (CancellationToken, CancellationToken, TaskTracker),
     ) -> Self {
         let table = Mutex::default();
-        Self { node, clock, settings, budget, max_connections, table, deliveries, stop, abort, tasks }
+        Self {
+            node,
+            clock,
+            settings,
+            budget,
+            max_connections,
+            table,
+            refusals,
+            deliveries,
+            stop,
+            abort,
+            tasks,
+        }
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
@@ -124,20 +139,19 @@ impl Peers {
             return;
         }
         let group = AddressGroup::of(edge.remote);
-        if let Some(reason) = self.refusal(&table, &hello, group) {
+        if let Some(reason) = self.reason_to_refuse(&table, &hello, group) {
             let address = Some(edge.remote.ip());
-            if let Some(times) = table.log_throttle.count(reason, address, self.clock.mono()) {
-                let (node, pipeline) = (&*edge.node, &*hello.pipeline);
-                tracing::warn!(node, pipeline, times, "no connection for a ROS node: {reason}");
-            }
+            let is_new = table.log_throttle.count(reason, address, self.clock.mono()).is_some();
+            drop(table);
+            self.refuse(&hello, edge, reason, is_new);
             return;
         }
         let connection = ConnectionId(table.next);
         table.next += 1;
         let entry = Arc::new(Entry {
             connection,
-            id: hello.header.frame_id,
-            host: hello.host,
+            id: hello.header.frame_id.clone(),
+            host: hello.host.clone(),
             group,
             channel: Mutex::default(),
             standing: watch::Sender::new(Standing::Unadmitted),
@@ -156,7 +170,7 @@ impl Peers {
                 earlier.ended.cancelled().await;
             }
             if let Err(error) = peers.serve(&entry, &hello.pipeline, &edge).await {
-                tracing::warn!(%error, node = &*edge.node, "no connection for a ROS node");
+                peers.refuse(&hello, &edge, &error.to_string(), true);
             }
             peers.forget(&hello.pipeline, &entry);
             // The next connection publishes the same topics.
@@ -168,8 +182,42 @@ impl Peers {
         });
     }
 
+    /// Tells an edge, which repeats its request, that it gets no connection; what is new is handed up as well.
+    fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str, is_new: bool) {
+        let header = Header { frame_id: hello.header.frame_id.clone(), ..Header::default() };
+        let reason = peernet_sample::printable_line(reason).into_owned();
+        let goodbye = MessageInfo {
+            header,
+            kind: MessageInfo::GOODBYE,
+            request: MessageInfo::NO_REQUEST,
+            reason: reason.clone(),
+            ..MessageInfo::default()
+        };
+        let encoded = goodbye.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
+        if let Err(error) = encoded.and_then(|message| self.refusals.publish(message)) {
+            tracing::debug!(%error, topic = self.refusals.topic(), "an edge is not told why it gets no connection");
+        }
+        if is_new {
+            let node = self.node.describe(&edge.node);
+            let pipeline = peernet_sample::printable_line(&hello.pipeline);
+            let text = format!(
+                "refused a connection to {node} on {} for pipeline {pipeline}: {reason}",
+                edge.remote.ip()
+            );
+            let refused = Arrival::Refused(hello.host.parse().ok(), text.clone());
+            if self.deliveries.try_send((refused, Vec::new())).is_err() {
+                tracing::warn!("{text}");
+            }
+        }
+    }
+
     /// Why an edge gets no connection now.
-    fn refusal(&self, table: &Table, hello: &SessionHello, group: AddressGroup) -> Option<&'static str> {
+    fn reason_to_refuse(
+        &self,
+        table: &Table,
+        hello: &SessionHello,
+        group: AddressGroup,
+    ) -> Option<&'static str> {
         if let Some(earlier) = table.entries.get(&hello.pipeline) {
             // A host is believed that it has come back only from where it was.
             let is_same = earlier.host == hello.host && earlier.group == group;
@@ -279,12 +327,13 @@ impl Sink for CloudSink {
             Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
             Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
             Event::Garbage(problem) => (Arrival::Garbage(self.address(), problem), Vec::new()),
+            Event::Remark(text) => (Arrival::Remark(connection, text), Vec::new()),
             Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
         };
         Some((arrival, reserved))
     }
 
-    async fn wait(&mut self) -> Directive {
+    async fn wait(&mut self, channel: &Arc<Channel>) -> Directive {
         let deadline = self.deadline;
         let too_late = async move {
             match deadline {
@@ -309,7 +358,7 @@ impl Sink for CloudSink {
             changed = self.standing.changed() => {
                 let standing = *self.standing.borrow_and_update();
                 match changed {
-                    Ok(()) => self.follow(standing),
+                    Ok(()) => self.follow(standing, channel),
                     Err(_) => Directive::End("the connection was closed here".to_owned()),
                 }
             }
@@ -323,7 +372,7 @@ impl CloudSink {
         self.peer.address
     }
 
-    fn follow(&mut self, standing: Standing) -> Directive {
+    fn follow(&mut self, standing: Standing, channel: &Arc<Channel>) -> Directive {
         let settings = &self.peers.settings;
         self.deadline = (standing == Standing::Unadmitted).then(|| Instant::now() + settings.hello_timeout());
         if standing != Standing::Admitted {
@@ -336,7 +385,8 @@ impl CloudSink {
             let node = Arc::clone(&self.peers.node);
             let options = admitted.subscriber_options(settings, &self.node);
             // It asks the master, which may be away; what arrives meanwhile is in the companions.
-            let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options).await });
+            let channel = Arc::clone(channel);
+            let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options, &channel).await });
             self.subscribing = Some(AbortOnDropHandle::new(subscribing));
         }
         Directive::Limit(admitted)
@@ -348,13 +398,14 @@ async fn subscribe(
     node: &dyn SessionNode,
     topic: &str,
     options: SubscriberOptions,
+    channel: &Channel,
 ) -> Box<dyn SessionSubscriber> {
     let mut is_told = false;
     loop {
         match node.subscribe(topic, (TopicUse::Payloads, TopicType::any()), options.clone()).await {
             Ok(subscriber) => return subscriber,
             Err(error) if !is_told => {
-                tracing::warn!(topic, %error, "payloads stay on the topic of their companions until the master is back");
+                channel.remark(&mut channel.lock(), payload_topic_closed(topic, &error));
                 is_told = true;
             }
             Err(_) => {}

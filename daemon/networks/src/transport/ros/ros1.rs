@@ -99,6 +99,10 @@ impl SessionNode for Ros1Node {
         self.node.name()
     }
 
+    fn describe(&self, node: &str) -> String {
+        format!("node {node}")
+    }
+
     fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
         Ok(self.node.resolve(name)?)
     }
@@ -225,6 +229,10 @@ impl SessionSubscriber for Subscriber {
         let is_node =
             |state: &PublisherState| matches!(state, PublisherState::Connected(info) if *info.node == *node);
         self.publishers().iter().any(|publisher| is_node(&publisher.state))
+    }
+
+    fn other_publishers(&self) -> Vec<Arc<str>> {
+        self.publishers().into_iter().filter_map(|publisher| publisher.unexpected).collect()
     }
 
     fn watch(&self) -> Box<dyn PublisherChanges> {

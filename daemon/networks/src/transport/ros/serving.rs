@@ -12,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::channel::{Channel, ReceiveLimits};
 use super::connection::Event;
 use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
+use super::names::without_connection;
 use super::payload;
 
 /// Where the events of a connection go.
@@ -23,7 +24,7 @@ pub(super) trait Sink: Send {
     fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
     /// Waits for something that only this side knows of.
-    fn wait(&mut self) -> impl Future<Output = Directive> + Send;
+    fn wait(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
 }
 
 /// What a side wants of its connection's task.
@@ -53,6 +54,8 @@ enum Step {
     Info(Result<Received, NodeFailure>),
     Payload(Result<Received, NodeFailure>),
     Directive(Directive),
+    /// The publishers of a topic have changed.
+    Publishers,
     Other,
 }
 
@@ -68,7 +71,7 @@ impl<S: Sink> Serving<S> {
         let mut waiting = VecDeque::new();
         let mut foreign = BTreeSet::new();
         let mut connected = BTreeSet::new();
-        let mut is_closing = false;
+        let (mut is_closing, mut opens_payload_topic) = (false, false);
         let mut left = None;
         loop {
             self.send_due();
@@ -144,15 +147,17 @@ impl<S: Sink> Serving<S> {
                 // What is not taken stays in the topic's queue, and then with the publisher.
                 message = info.recv(), if is_idle => Step::Info(message),
                 message = receive(payload), if is_idle => Step::Payload(message),
-                directive = sink.wait() => Step::Directive(directive),
+                directive = sink.wait(channel) => Step::Directive(directive),
                 () = channel.wake.notified() => {
-                    if let Some(kind) = channel.wanted.get() {
+                    if let Some(kind) = channel.wanted.get()
+                        && !std::mem::replace(&mut opens_payload_topic, true)
+                    {
                         let (channel, kind) = (Arc::clone(channel), *kind);
                         tokio::spawn(async move { channel.publish_payload_topic(kind).await });
                     }
                     Step::Other
                 }
-                () = changed => Step::Other,
+                () = changed => Step::Publishers,
                 () = sleep_until(next.unwrap_or_else(Instant::now)), if next.is_some() => Step::Other,
             };
             self.take(step, &mut foreign);
@@ -162,12 +167,14 @@ impl<S: Sink> Serving<S> {
     fn take(&mut self, step: Step, foreign: &mut BTreeSet<Arc<str>>) {
         match step {
             Step::Info(Ok(message)) => {
-                if self.is_of_peer(&message, foreign) {
+                if self.is_of_peer(&message, self.info.topic(), foreign) {
                     self.hear_info(message);
                 }
             }
             Step::Payload(Ok(message)) => {
-                if self.is_of_peer(&message, foreign) {
+                let topic =
+                    self.payload.as_ref().map_or_else(|| self.info.topic(), |payload| payload.topic());
+                if self.is_of_peer(&message, topic, foreign) {
                     self.hear_payload(message);
                 }
             }
@@ -178,6 +185,13 @@ impl<S: Sink> Serving<S> {
                 self.channel.lock().set_budget(limits.budget);
             }
             Step::Directive(Directive::End(reason)) => self.channel.lock().end(reason),
+            Step::Publishers => {
+                for subscriber in [Some(&self.info), self.payload.as_ref()].into_iter().flatten() {
+                    for node in subscriber.other_publishers() {
+                        self.remark_second_publisher(&node, subscriber.topic(), foreign);
+                    }
+                }
+            }
             Step::Other => {}
         }
     }
@@ -211,22 +225,29 @@ impl<S: Sink> Serving<S> {
     }
 
     /// Whether a message is of the node at the other end. Others are named once.
-    fn is_of_peer(&self, message: &Received, foreign: &mut BTreeSet<Arc<str>>) -> bool {
+    fn is_of_peer(&self, message: &Received, topic: &str, foreign: &mut BTreeSet<Arc<str>>) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
             return true;
         }
-        if foreign.len() < MAX_FOREIGN && foreign.insert(Arc::clone(node)) {
-            tracing::warn!(
-                topic = self.info.topic(),
-                session_node = &*peer.node,
-                second_publisher = &**node,
-                "the topics of a pipeline have a second publisher, whose messages are dropped: stop that node, or give the \
-                 pipeline another name"
-            );
-        }
+        self.remark_second_publisher(node, topic, foreign);
         false
+    }
+
+    fn remark_second_publisher(&self, node: &Arc<str>, topic: &str, foreign: &mut BTreeSet<Arc<str>>) {
+        let Some(peer) = self.channel.peer() else { return };
+        // An earlier connection of the same pipeline ends by itself.
+        let is_earlier =
+            without_connection(node).is_some_and(|own| Some(own) == without_connection(&peer.node));
+        if !is_earlier && foreign.len() < MAX_FOREIGN && foreign.insert(Arc::clone(node)) {
+            let (second, first) = (self.channel.node.describe(node), self.channel.node.describe(&peer.node));
+            let text = format!(
+                "topic {topic} has two publishers: the messages of {second} are dropped, because the session is that of {first}; \
+                 stop the former, or give the pipeline another name"
+            );
+            self.channel.lock().remark(text);
+        }
     }
 
     // A message gives back its memory before the connection reserves it for the frames, which are the same bytes.

@@ -41,9 +41,7 @@ pub(crate) async fn bind(
     let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
     let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| failure(&error))?;
     let bound = socket.address();
-    if let Some(caveat) = socket.caveat() {
-        tracing::warn!(address = %bound, "{caveat}");
-    }
+    let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {
         connection: connection_limits(settings),
         reassembly: reassembly_limits(settings),
@@ -59,7 +57,7 @@ pub(crate) async fn bind(
     let (port, arrivals) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
     let address = address.at_ip(bound.ip(), bound.port());
-    Ok(Bound { address, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
+    Ok(Bound { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
 }
 
 fn failure(error: &io::Error) -> BindFailure {

@@ -45,7 +45,7 @@ pub(crate) async fn dial(
     let socket = socket.map_err(|error| unreachable(&error))?;
     socket.report_errors().map_err(|error| unreachable(&error))?;
     let start = Instant::now();
-    let (id, terms) = open(&socket, peer, own_terms(settings, &socket), start).await?;
+    let (id, terms, remark) = open(&socket, peer, own_terms(settings, &socket), start).await?;
     let largest = u64::from(reassembly_limits(settings).max_message_bytes);
     let budget = MemoryBudget::new(largest.saturating_mul(UNFINISHED_MESSAGES));
     let now = time_since(start, Instant::now());
@@ -57,7 +57,8 @@ pub(crate) async fn dial(
         now,
     );
     let (token, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let machine = EdgeEnd { peer, id, connection, garbage: VecDeque::new(), token, asked: None };
+    let garbage = VecDeque::new();
+    let machine = EdgeEnd { peer, id, connection, remark, garbage, token, asked: None };
     let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
     Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }) })
@@ -67,13 +68,13 @@ fn unreachable(error: &io::Error) -> DialFailure {
     DialFailure::Unreachable(error.to_string().to_lowercase())
 }
 
-/// Shakes hands until the cloud has opened a connection.
+/// Shakes hands until the cloud has opened a connection. Returns its number, the terms, and what makes it worse than it could be.
 async fn open(
     socket: &UdpPort,
     peer: SocketAddr,
     terms: Terms,
     start: Instant,
-) -> Result<(u64, Terms), DialFailure> {
+) -> Result<(u64, Terms, Option<String>), DialFailure> {
     let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
     let mut dialling = Dialling::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
     let mut buffers = ReceiveBuffers::new();
@@ -116,9 +117,11 @@ async fn open(
             Err(error) => return Err(unreachable(&error)),
         }
         match answer {
-            Some(Answer::Opened { connection, terms }) => return Ok((connection, terms)),
+            Some(Answer::Opened { connection, terms }) => return Ok((connection, terms, dialling.remark())),
             Some(Answer::Refused) => {
-                return Err(DialFailure::Unreachable("it has too many connections already".into()));
+                return Err(DialFailure::Refused(
+                    "it has too many connections already; close some, or raise the limit of open files (LimitNOFILE) there".into(),
+                ));
             }
             None => {}
         }
@@ -131,6 +134,8 @@ struct EdgeEnd {
     peer: SocketAddr,
     id: u64,
     connection: Connection,
+    /// What was noticed while it was opened, until it was told.
+    remark: Option<String>,
     garbage: VecDeque<String>,
     /// Proves that who repeats it receives what is sent to its address.
     token: u64,
@@ -197,6 +202,9 @@ impl Machine for EdgeEnd {
     }
 
     fn next_delivery(&mut self) -> Option<Self::Delivery> {
+        if let Some(remark) = self.remark.take() {
+            return Some((Ok(EdgeArrival::Remark(remark)), None));
+        }
         if let Some(problem) = self.garbage.pop_front() {
             return Some((Ok(EdgeArrival::Garbage(problem)), None));
         }

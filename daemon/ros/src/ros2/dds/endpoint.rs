@@ -44,6 +44,8 @@ impl Endpoint {
 
     fn absence(&self, waited: Duration) -> NoPeer {
         let discovery = self.node.discovery();
+        let name = |id| discovery.node_of(id).map(str::to_owned);
+        let refused = self.peers.borrow().refused.iter().map(|(id, why)| (name(*id), why.clone())).collect();
         NoPeer {
             role: self.role,
             topic: self.topic.clone(),
@@ -52,7 +54,7 @@ impl Endpoint {
             domain_id: self.node.domain_id,
             interfaces: self.node.interfaces.clone(),
             participants: discovery.participants(),
-            refused: self.peers.borrow().refused.values().cloned().collect(),
+            refused,
             topics: discovery.topics(),
         }
     }

@@ -1,11 +1,9 @@
 //! What speaks DDS; nothing outside this folder names `rustdds`.
 
 mod conversions;
-mod discovery;
 mod endpoint;
 mod interfaces;
 mod node;
-mod node_list;
 mod publisher;
 mod raw_message;
 mod sequence_tracker;

@@ -1,10 +1,11 @@
 //! A ROS 2 node: a participant of a DDS domain.
 
+use std::pin::pin;
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use futures::StreamExt;
-use rustdds::no_key::DataWriter;
+use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent,
     DomainParticipantStatusListener, Publisher, RTPSEntity, StatusEvented, Subscriber, Topic, TopicKind,
@@ -13,15 +14,15 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::conversions::{endpoint_id, incompatibility, policies};
-use super::discovery::{DiscoveryEvent, DiscoveryState};
 use super::endpoint::Endpoint;
 use super::interfaces::{Interfaces, check_socket_buffers};
-use super::node_list::{self, NodeEntry};
 use super::publisher::Ros2Publisher;
 use super::raw_message::{RawAdapter, RawMessage};
 use super::sequence_tracker::SequenceTracker;
 use super::subscription::Ros2Subscription;
+use crate::ros2::discovery::{DiscoveryEvent, DiscoveryState};
 use crate::ros2::names::{absolute_topic, dds_topic, dds_type};
+use crate::ros2::node_list::{self, ListEntry, NodeEntry};
 use crate::ros2::{
     Durability, EndpointId, EndpointRole, ParticipantId, QosProfile, ReceiveCounts, Ros2Error, Ros2Settings,
     SocketBufferWarning,
@@ -43,6 +44,8 @@ pub(super) struct Parts {
     publisher: Publisher,
     subscriber: Subscriber,
     discovery: JoinHandle<()>,
+    /// Reads the node list.
+    listing: JoinHandle<()>,
 }
 
 /// What the endpoints of a node share.
@@ -54,6 +57,11 @@ pub(super) struct NodeState {
     discovery: Mutex<DiscoveryState>,
     node_list: Mutex<NodeList>,
 }
+
+type ListReader = SimpleDataReader<RawMessage, RawAdapter>;
+
+/// Participants whose entries of the node list may be received and not yet read.
+const LISTED_PARTICIPANTS: u32 = 1_024;
 
 struct NodeList {
     writer: DataWriter<RawMessage, RawAdapter>,
@@ -96,7 +104,7 @@ impl Ros2Node {
         let qos = |role| policies(role, &QosProfile::default());
         let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
         let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
-        let node_list = NodeList::new(&settings, &participant, &publisher)?;
+        let (node_list, entries) = NodeList::new(&settings, &participant, (&publisher, &subscriber))?;
         let id = endpoint_id(participant.guid()).participant();
         let state = Arc::new(NodeState {
             id,
@@ -108,7 +116,8 @@ impl Ros2Node {
         });
         state.announce();
         let discovery = tokio::spawn(follow_discovery(participant.status_listener(), Arc::clone(&state)));
-        let parts = Some(Parts { participant, publisher, subscriber, discovery });
+        let listing = tokio::spawn(follow_node_list(entries, Arc::clone(&state)));
+        let parts = Some(Parts { participant, publisher, subscriber, discovery, listing });
         Ok(Self { settings, socket_buffer_warnings, state, parts })
     }
 
@@ -233,7 +242,9 @@ impl Ros2Node {
         self.state.closed.cancel();
         let Some(parts) = self.parts.take() else { return Ok(()) };
         let failed = |reason: String| Ros2Error::Leave { domain_id: self.state.domain_id, reason };
-        parts.discovery.await.map_err(|error| failed(error.to_string()))?;
+        for task in [parts.discovery, parts.listing] {
+            task.await.map_err(|error| failed(error.to_string()))?;
+        }
         let participant = parts.participant;
         // Waits for the threads of rustdds to end.
         tokio::task::spawn_blocking(move || drop(participant))
@@ -297,8 +308,8 @@ impl NodeList {
     fn new(
         settings: &Ros2Settings,
         participant: &DomainParticipant,
-        publisher: &Publisher,
-    ) -> rustdds::dds::CreateResult<Self> {
+        (publisher, subscriber): (&Publisher, &Subscriber),
+    ) -> rustdds::dds::CreateResult<(Self, ListReader)> {
         let qos = QosProfile {
             depth: 1,
             durability: Durability::TransientLocal,
@@ -306,6 +317,9 @@ impl NodeList {
             max_blocking_ms: 0,
             ..QosProfile::default()
         };
+        // The topic has no keys, so that the entries of all participants are in one history.
+        let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos.clone() };
+        let of_others = policies(EndpointRole::Subscription, &of_others);
         let qos = policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
         let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
@@ -316,7 +330,8 @@ impl NodeList {
             identifier_length: settings.identifier_length(),
             endpoints: Vec::new(),
         };
-        Ok(Self { writer: publisher.create_datawriter_no_key(&topic, Some(qos))?, entry })
+        let reader = subscriber.create_simple_datareader_no_key(&topic, Some(of_others))?;
+        Ok((Self { writer: publisher.create_datawriter_no_key(&topic, Some(qos))?, entry }, reader))
     }
 }
 
@@ -338,7 +353,48 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
     while let Some(Some(event)) = state.closed.run_until_cancelled(events.next()).await {
         if let Some(event) = translate(event) {
             tracing::debug!(?event, "discovery of ROS 2");
-            state.discovery().apply(event);
+            let mut discovery = state.discovery();
+            let before = discovery.ignored();
+            discovery.apply(event);
+            let ignored = discovery.ignored();
+            if ignored > before && ignored.is_power_of_two() {
+                tracing::warn!(
+                    ignored,
+                    "the ROS 2 domain {} has more participants or topics than are remembered; messages of the others may be taken \
+                     for those of unknown nodes",
+                    state.domain_id
+                );
+            }
+        }
+    }
+}
+
+/// Takes in the node list, until the node is shut down. What is no entry of it is counted and logged, the first time and then each
+/// time that their number has doubled.
+async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
+    let mut entries = pin!(reader.as_async_stream());
+    let mut dropped = 0_u64;
+    while let Some(Some(entry)) = state.closed.run_until_cancelled(entries.next()).await {
+        let entry = entry.map_err(|error| error.to_string()).and_then(|message| {
+            let writer = endpoint_id(message.writer_guid()).participant();
+            match ListEntry::decode(&message.into_value().0) {
+                Ok(entry) if entry.participant == writer => Ok(entry),
+                Ok(_) => Err(format!("participant {writer} lists nodes of another one")),
+                Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),
+            }
+        });
+        match entry {
+            Ok(entry) => state.discovery().apply(DiscoveryEvent::NodesListed(entry)),
+            Err(error) => {
+                dropped += 1;
+                if dropped.is_power_of_two() {
+                    tracing::warn!(
+                        error,
+                        dropped,
+                        "dropped an entry of the node list of ROS 2; its nodes go by the identities of their participant"
+                    );
+                }
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ use super::node::Ros2Node;
 use crate::ros2::error::advise;
 use crate::ros2::found::other_host;
 use crate::ros2::names::{dds_topic, ros_type};
-use crate::ros2::{FoundEndpoint, FoundPublisher, ParticipantId};
+use crate::ros2::{EndpointId, FoundEndpoint, FoundPublisher, ParticipantId};
 
 impl Ros2Node {
     /// Returns the publishers that others have of a topic, by its absolute name, in the order of their identities.
@@ -27,7 +27,20 @@ impl Ros2Node {
         let mut publishers: Vec<FoundPublisher> =
             of_topic.map(|writer| found_publisher(&writer, &own)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
+        for publisher in &mut publishers {
+            publisher.node = self.node_of(publisher.id);
+        }
         publishers
+    }
+
+    /// Returns the absolute name of the node that has an endpoint, where its participant has told.
+    pub fn node_of(&self, endpoint: EndpointId) -> Option<String> {
+        self.state.discovery().node_of(endpoint).map(str::to_owned)
+    }
+
+    /// Returns the absolute names of a participant's nodes, as far as it has told.
+    pub fn nodes_of(&self, participant: ParticipantId) -> Vec<String> {
+        self.state.discovery().nodes_of(participant)
     }
 
     /// Returns the endpoints that others have of a topic, by its absolute name.
@@ -72,5 +85,6 @@ fn found_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> FoundPublis
         id: endpoint_id(proxy.remote_writer_guid),
         type_name: ros_type(&writer.publication_topic_data.type_name),
         host: other_host(&addresses, own),
+        node: None,
     }
 }

@@ -27,6 +27,7 @@ struct Row {
     /// The end of the second, by the edge's clock of the two that are related.
     time_ns: i64,
     max_drift_ppm: f64,
+    max_drift_change_ppm_per_s: Option<f64>,
     upper_sent_ns: Option<i64>,
     upper_received_ns: Option<i64>,
     upper_replied_ns: Option<i64>,
@@ -129,6 +130,7 @@ impl Rolling {
             let settings = RelationSettings {
                 clocks: self.clocks,
                 max_drift_ppm: row.max_drift_ppm,
+                max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: SPAN,
                 retention: SPAN + SPAN + DISORDER,
                 // Only claims that were used then are stored among the sources of an offset.

@@ -145,7 +145,7 @@ impl Ros2Topic {
         };
         let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
         let place = |publisher: FoundPublisher| PublisherPlace {
-            node: format!("publisher {}", publisher.id),
+            node: publisher.name(),
             host: publisher.host.map(|host| host.to_string()),
         };
         found.map(place).collect()
@@ -199,7 +199,7 @@ mod tests {
 
     fn publisher(type_name: &str) -> FoundPublisher {
         let type_name = type_name.to_owned();
-        FoundPublisher { id: EndpointId([1; 16]), type_name, host: None }
+        FoundPublisher { id: EndpointId([1; 16]), type_name, host: None, node: None }
     }
 
     #[test]

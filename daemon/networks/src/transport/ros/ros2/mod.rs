@@ -183,8 +183,9 @@ impl Ros2SessionNode {
         let expected = ros2_name(MessageInfo::DEFINITION.name);
         for topic in [&topics.request.info, &topics.response.info] {
             if let Some(other) = node.endpoints_of(topic).iter().find(|found| found.type_name != expected) {
+                let of = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
                 return Err(NodeFailure(format!(
-                    "topic {topic} has the message type {} and would need {expected}; {remedy}",
+                    "topic {topic} has the message type {}{of} and would need {expected}; {remedy}",
                     other.type_name
                 )));
             }
@@ -194,9 +195,14 @@ impl Ros2SessionNode {
             let is_foreign = |id: ParticipantId| id != self.id && !own().contains(&id);
             if let Some(other) = publishers.iter().find(|found| is_foreign(found.id.participant())) {
                 let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
+                let publisher = match &other.node {
+                    Some(name) => format!("node {name}"),
+                    None => {
+                        format!("a program without a known node (participant {})", other.id.participant())
+                    }
+                };
                 return Err(NodeFailure(format!(
-                    "another program on {host} (participant {}) publishes topic {topic} already; stop it, {remedy}",
-                    other.id.participant()
+                    "{publisher} on {host} publishes topic {topic} already; stop it, {remedy}"
                 )));
             }
         }
@@ -233,6 +239,18 @@ fn clouds_of(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
     let found = node.endpoints_of(sessions).into_iter();
     found.filter(|found| is_cloud(found.role, &found.type_name)).map(|found| found.id.participant()).collect()
+}
+
+/// Names the nodes of a participant for people, as `node /viewer`.
+fn describe(node: &Ros2Node, participant: &str) -> String {
+    let known = participant.parse().map(|id: ParticipantId| (node.nodes_of(id), node.host_of(id)));
+    let (names, host) = known.unwrap_or_default();
+    let host = host.map(|host| format!(" on host {host}")).unwrap_or_default();
+    match &names[..] {
+        [] => format!("participant {participant}{host}"),
+        [name] => format!("node {name}{host}"),
+        names => format!("one of the nodes {}{host}", names.join(", ")),
+    }
 }
 
 /// Waits until discovery has found out something.
@@ -280,6 +298,11 @@ impl SessionNode for Ros2SessionNode {
 
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn describe(&self, node: &str) -> String {
+        let Ok(own) = self.node() else { return format!("participant {node}") };
+        describe(&own, node)
     }
 
     fn resolve(&self, name: &str) -> Result<String, NodeFailure> {

@@ -209,10 +209,10 @@ impl SessionPublisher for Ros2SessionPublisher {
     fn refusal(&self, node: &str) -> Option<String> {
         let peers = self.shared.publisher.peers();
         let peers = peers.borrow();
-        let refused = peers.refused.iter().find(|(id, _)| is_of(**id, node))?;
+        let (_, refusal) = peers.refused.iter().find(|(id, _)| is_of(**id, node))?;
         Some(format!(
-            "topic {}: {}; give both ends the same keys in session.ros2",
-            self.shared.topic, refused.1
+            "the other end does not receive topic {}: {refusal}; give both ends the same keys in session.ros2",
+            self.shared.topic
         ))
     }
 }

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use tokio::sync::watch;
 
-use crate::ros2::names::ros_type;
-use crate::ros2::{EndpointId, EndpointRole, FoundEndpoint, ParticipantId, PeerTable, Refusal};
+use super::names::ros_type;
+use super::node_list::{ListEntry, ListedNode};
+use super::{EndpointId, EndpointRole, FoundEndpoint, ParticipantId, PeerTable, Refusal};
 
 /// Something that discovery found out.
 #[derive(Clone, Debug)]
@@ -14,6 +15,7 @@ pub(super) enum DiscoveryEvent {
     ParticipantGone(ParticipantId),
     EndpointFound { id: EndpointId, topic: String, type_name: String },
     EndpointGone(EndpointId),
+    NodesListed(ListEntry),
     Matched { local: EndpointId, remote: EndpointId },
     Incompatible { local: EndpointId, remote: EndpointId, refusal: Refusal },
 }
@@ -25,6 +27,10 @@ pub(super) struct DiscoveryState {
     participants: BTreeSet<ParticipantId>,
     /// DDS names of the topic and the type of every endpoint in the domain.
     endpoints: BTreeMap<EndpointId, (String, String)>,
+    /// The nodes of other participants, as they list them.
+    nodes: BTreeMap<ParticipantId, Vec<ListedNode>>,
+    /// What was found and not remembered, because a bound was reached.
+    ignored: u64,
     local: BTreeMap<EndpointId, LocalEndpoint>,
     /// Number of events so far.
     changes: watch::Sender<u64>,
@@ -42,9 +48,48 @@ impl DiscoveryState {
     /// Most endpoints of others that are remembered: anybody on the network can announce more.
     const MAX_ENDPOINTS: usize = 16_384;
 
+    /// Most other participants that are remembered.
+    const MAX_PARTICIPANTS: usize = 4_096;
+
+    /// Most endpoints that are remembered by the nodes which list them.
+    const MAX_LISTED: usize = 16_384;
+
+    /// Most refused peers of one endpoint that are remembered.
+    const MAX_REFUSED: usize = 1_024;
+
+    /// Longest name of a topic or type that is remembered. Bytes; DDS has names of 255.
+    const MAX_NAME_BYTES: usize = 1_024;
+
     pub(super) fn new(own: ParticipantId) -> Self {
-        let (participants, endpoints, local) = (BTreeSet::new(), BTreeMap::new(), BTreeMap::new());
-        Self { own, participants, endpoints, local, changes: watch::Sender::default() }
+        Self {
+            own,
+            participants: BTreeSet::new(),
+            endpoints: BTreeMap::new(),
+            nodes: BTreeMap::new(),
+            ignored: 0,
+            local: BTreeMap::new(),
+            changes: watch::Sender::default(),
+        }
+    }
+
+    /// Returns how much was found and not remembered, because a bound was reached.
+    pub(super) fn ignored(&self) -> u64 {
+        self.ignored
+    }
+
+    /// Returns the absolute name of the node that has an endpoint, if its participant has told.
+    pub(super) fn node_of(&self, endpoint: EndpointId) -> Option<&str> {
+        let nodes = self.nodes.get(&endpoint.participant())?;
+        let listed = nodes.iter().find(|node| node.endpoints.contains(&endpoint));
+        // An endpoint that is newer than the list is of the participant's only node, if it has only one.
+        let only = || nodes.first().filter(|_| nodes.len() == 1);
+        listed.or_else(only).map(|node| node.name.as_str())
+    }
+
+    /// Returns the absolute names of a participant's nodes, as far as it has told.
+    pub(super) fn nodes_of(&self, participant: ParticipantId) -> Vec<String> {
+        let nodes = self.nodes.get(&participant);
+        nodes.into_iter().flatten().map(|node| node.name.clone()).collect()
     }
 
     /// Returns the number of events so far, which changes after each of them was recorded.
@@ -94,7 +139,8 @@ impl DiscoveryState {
             .iter()
             .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own);
         let found = of_topic.filter_map(|(id, (_, type_name))| {
-            Some(FoundEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name) })
+            let node = self.node_of(*id).map(str::to_owned);
+            Some(FoundEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name), node })
         });
         found.collect()
     }
@@ -120,36 +166,75 @@ impl DiscoveryState {
     fn record(&mut self, event: DiscoveryEvent) {
         match event {
             DiscoveryEvent::ParticipantFound(id) => {
-                if id != self.own {
+                if id == self.own || self.participants.contains(&id) {
+                } else if self.participants.len() < Self::MAX_PARTICIPANTS {
                     self.participants.insert(id);
+                } else {
+                    self.ignored += 1;
                 }
             }
             DiscoveryEvent::ParticipantGone(id) => {
                 self.participants.remove(&id);
+                self.nodes.remove(&id);
                 self.forget(|endpoint| endpoint.participant() == id);
             }
             DiscoveryEvent::EndpointFound { id, topic, type_name } => {
-                if self.endpoints.len() < Self::MAX_ENDPOINTS || self.endpoints.contains_key(&id) {
+                let has_room = self.endpoints.len() < Self::MAX_ENDPOINTS || self.endpoints.contains_key(&id);
+                if has_room && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
+                } else {
+                    self.ignored += 1;
                 }
             }
+            DiscoveryEvent::NodesListed(entry) => self.list(entry),
             DiscoveryEvent::EndpointGone(id) => self.forget(|endpoint| endpoint == id),
             DiscoveryEvent::Matched { local, remote } => {
                 let refusal = self
                     .other_type(local, remote)
                     .map(|type_name| Refusal::OtherType { type_name: ros_type(type_name) });
-                self.update(local, |peers| match refusal {
-                    Some(refusal) => peers.refused.insert(remote, refusal).is_none(),
-                    None => peers.add(remote),
-                });
+                match refusal {
+                    Some(refusal) => self.refuse(local, remote, refusal),
+                    None => self.update(local, |peers| peers.add(remote)),
+                }
             }
             DiscoveryEvent::Incompatible { local, remote, refusal } => {
                 self.update(local, |peers| {
                     peers.remove(remote);
-                    peers.refused.insert(remote, refusal);
                     true
                 });
+                self.refuse(local, remote, refusal);
             }
+        }
+    }
+
+    fn refuse(&mut self, local: EndpointId, remote: EndpointId, refusal: Refusal) {
+        let mut has_room = true;
+        self.update(local, |peers| {
+            has_room = peers.refused.len() < Self::MAX_REFUSED || peers.refused.contains_key(&remote);
+            has_room && peers.refused.insert(remote, refusal).is_none()
+        });
+        self.ignored += u64::from(!has_room);
+    }
+
+    /// Remembers the nodes of a participant, instead of those that it listed before.
+    fn list(&mut self, ListEntry { participant, nodes }: ListEntry) {
+        if participant == self.own {
+            return;
+        }
+        // A node takes memory also without endpoints.
+        let size =
+            |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
+        self.nodes.remove(&participant);
+        let listed =
+            |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
+        if listed(&self.nodes) + size(&nodes) > Self::MAX_LISTED {
+            // Those that nothing else is known of may be invented.
+            self.nodes.retain(|participant, _| self.participants.contains(participant));
+        }
+        if listed(&self.nodes) + size(&nodes) > Self::MAX_LISTED {
+            self.ignored += 1;
+        } else {
+            self.nodes.insert(participant, nodes);
         }
     }
 
@@ -236,6 +321,52 @@ mod tests {
         assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
         state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
         assert!(peers.borrow().refused.is_empty() && peers.borrow().matched.contains(&REMOTE));
+    }
+
+    fn listed(name: &str, endpoints: &[EndpointId]) -> ListedNode {
+        ListedNode { name: name.into(), endpoints: endpoints.to_vec() }
+    }
+
+    #[test]
+    fn endpoint_has_the_name_of_its_node() {
+        let (mut state, _) = state();
+        let participant = REMOTE.participant();
+        let other = EndpointId([[2; 12].as_slice(), &[9; 4]].concat().try_into().unwrap());
+        let nodes = vec![listed("/camera", &[REMOTE]), listed("/lidar", &[])];
+        state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+        assert_eq!((state.node_of(REMOTE), state.node_of(other)), (Some("/camera"), None));
+        assert_eq!(state.nodes_of(participant), ["/camera", "/lidar"]);
+        let nodes = vec![listed("/camera2", &[REMOTE])];
+        state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+        assert_eq!(state.node_of(other), Some("/camera2"), "the only node of its participant");
+        state.apply(DiscoveryEvent::ParticipantGone(participant));
+        assert_eq!(state.node_of(REMOTE), None);
+    }
+
+    #[test]
+    fn invented_node_lists_make_room_for_real_ones() {
+        let (mut state, _) = state();
+        let list = |number: u32, state: &mut DiscoveryState| {
+            let mut participant = [7; 12];
+            participant[..4].copy_from_slice(&number.to_le_bytes());
+            let (participant, nodes) = (ParticipantId(participant), vec![listed("/node", &[REMOTE; 99])]);
+            state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+            participant
+        };
+        for number in 0..2_000 {
+            list(number, &mut state);
+        }
+        let real = ParticipantId([2; 12]);
+        state.apply(DiscoveryEvent::ParticipantFound(real));
+        state.apply(DiscoveryEvent::NodesListed(ListEntry {
+            participant: real,
+            nodes: vec![listed("/camera", &[REMOTE])],
+        }));
+        for number in 2_000..4_000 {
+            list(number, &mut state);
+        }
+        assert_eq!(state.node_of(REMOTE), Some("/camera"));
+        assert!(state.nodes.len() <= DiscoveryState::MAX_LISTED / 100 + 1, "{}", state.nodes.len());
     }
 
     #[test]

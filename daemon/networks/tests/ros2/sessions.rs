@@ -11,7 +11,9 @@ use peernet_ros::messages::{CompressedImage, Message, MessageInfo, WireForm};
 use peernet_ros::ros2::{QosProfile, Reliability, Ros2Node, Ros2Settings};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
-use crate::ros::{exchange, replace_connections, session};
+use crate::ros::{
+    exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
+};
 use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
@@ -67,6 +69,11 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         let statistics = session.statistics();
         assert_eq!((statistics.sent.messages, statistics.received.messages), (9, 9));
         assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
+        let remarks = session.remarks().borrow().clone();
+        let [remark] = &remarks[..] else { panic!("the longest do not fit: {remarks:?}") };
+        for part in ["20000", "/request", "socket_buffer_bytes", "net.core.rmem_max"] {
+            assert!(remark.contains(part), "{part}: {remark}");
+        }
     }
 }
 
@@ -127,7 +134,8 @@ async fn topic_of_another_publisher_or_type_is_refused() {
         let _publisher = node.publisher(&topic, kind, &qos).expect("a publisher");
         let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
         assert!(
-            error.contains(&format!("publishes topic {topic}")) && error.contains("ROS_NAMESPACE"),
+            error.contains(&format!("node /viewer on this host publishes topic {topic}"))
+                && error.contains("ROS_NAMESPACE"),
             "{error}"
         );
     }
@@ -135,7 +143,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let topic = topic(hello.pipeline.as_str(), "response_info");
     let _publisher = node.publisher(&topic, "std_msgs/msg/String", &qos).expect("a publisher");
     let error = open(&cloud.address(), hello, settings()).await.expect_err("another type").to_string();
-    assert!(error.contains("std_msgs/msg/String") && error.contains(&topic), "{error}");
+    assert!(error.contains("std_msgs/msg/String for node /viewer") && error.contains(&topic), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -153,6 +161,12 @@ async fn messages_of_second_publishers_are_dropped() {
     }
     publisher.await_acknowledgment(PATIENCE).await.expect("the cloud has them");
     echo(&mut cloud, &session, "the session goes on").await;
+    second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn edge_is_told_why_it_gets_no_connection() {
+    pipeline_of_another_host_is_refused(cloud().await).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,0 +1,254 @@
+//! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and those of others.
+//!
+//! Every participant publishes `rmw_dds_common/msg/ParticipantEntitiesInfo` on the DDS topic `ros_discovery_info`:
+//! its own identifier, then for each node the names and the identifiers of subscriptions and publishers.
+
+use bytes::{BufMut, Bytes, BytesMut};
+
+use super::{EndpointId, EndpointRole, ParticipantId};
+use crate::messages::{DecodeError, Reader, WireForm};
+
+#[cfg(feature = "ros2")]
+pub(super) const TOPIC: &str = "ros_discovery_info";
+#[cfg(feature = "ros2")]
+pub(super) const TYPE_NAME: &str = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
+
+/// Most nodes of a participant that are read: a component container has some dozens.
+const MAX_NODES: usize = 512;
+
+/// Most publishers and subscriptions of a participant that are read.
+const MAX_ENDPOINTS: usize = 8_192;
+
+/// Longest name of a node with its namespace. Bytes.
+const MAX_NAME_BYTES: usize = 512;
+
+/// Bytes of an identifier, from ROS 2 Iron on and before.
+const IDENTIFIER_LENGTHS: [usize; 2] = [16, 24];
+
+/// A node of another participant, as it names itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ListedNode {
+    /// Absolute name, as `/robot1/camera`.
+    pub(crate) name: String,
+    /// Its publishers and subscriptions.
+    pub(crate) endpoints: Vec<EndpointId>,
+}
+
+/// An entry of the node list: the nodes of one participant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ListEntry {
+    /// The participant.
+    pub(crate) participant: ParticipantId,
+    /// Its nodes.
+    pub(crate) nodes: Vec<ListedNode>,
+}
+
+/// Why a message of the node list is not read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum ListError {
+    /// The bytes are no entry.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// More than anything that exists has.
+    #[error("it lists more than {most} {what}")]
+    TooMany {
+        /// The bound.
+        most: usize,
+        /// What is too many.
+        what: &'static str,
+    },
+    /// A name that ROS 2 does not allow.
+    #[error("it has the name of a node that ROS 2 does not allow")]
+    InvalidName,
+    /// A participant names endpoints of another one.
+    #[error("it lists endpoints of another participant than its own")]
+    ForeignEndpoint,
+}
+
+impl ListEntry {
+    /// Reads an entry of either length of identifiers.
+    ///
+    /// # Errors
+    /// [`ListError`].
+    pub(crate) fn decode(payload: &Bytes) -> Result<Self, ListError> {
+        let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with(payload, length));
+        // A message of one length has bytes left, or too few, when it is read with the other.
+        short.or_else(|error| long.map_err(|_| error))
+    }
+
+    fn decode_with(payload: &Bytes, identifier_length: usize) -> Result<Self, ListError> {
+        let mut reader = Reader::new(WireForm::Cdr, payload.clone())?;
+        let participant = identifier(&mut reader, identifier_length)?.participant();
+        // Two empty texts and two empty sequences.
+        let count = reader.take_length(16)?;
+        if count > MAX_NODES {
+            return Err(ListError::TooMany { most: MAX_NODES, what: "nodes" });
+        }
+        let (mut nodes, mut all) = (Vec::new(), 0);
+        for _ in 0..count {
+            let (namespace, name) = (reader.take_text()?, reader.take_text()?);
+            let name = absolute_name(&namespace, &name)?;
+            let mut endpoints = Vec::new();
+            for _subscriptions_then_publishers in 0..2 {
+                let count = reader.take_length(identifier_length)?;
+                all += count;
+                if all > MAX_ENDPOINTS {
+                    return Err(ListError::TooMany {
+                        most: MAX_ENDPOINTS,
+                        what: "publishers and subscriptions",
+                    });
+                }
+                for _ in 0..count {
+                    let id = identifier(&mut reader, identifier_length)?;
+                    if id.participant() != participant {
+                        return Err(ListError::ForeignEndpoint);
+                    }
+                    endpoints.push(id);
+                }
+            }
+            nodes.push(ListedNode { name, endpoints });
+        }
+        reader.finish()?;
+        Ok(Self { participant, nodes })
+    }
+}
+
+fn identifier(reader: &mut Reader, length: usize) -> Result<EndpointId, DecodeError> {
+    let id = EndpointId(reader.take_octets()?);
+    for _padding in id.0.len()..length {
+        reader.take_octets::<1>()?;
+    }
+    Ok(id)
+}
+
+fn absolute_name(namespace: &str, name: &str) -> Result<String, ListError> {
+    let absolute = format!("{}/{name}", namespace.trim_end_matches('/'));
+    let is_allowed = |char: char| char.is_ascii_alphanumeric() || matches!(char, '_' | '/');
+    let is_valid = absolute.starts_with('/')
+        && !name.is_empty()
+        && absolute.len() <= MAX_NAME_BYTES
+        && absolute.chars().all(is_allowed);
+    if is_valid { Ok(absolute) } else { Err(ListError::InvalidName) }
+}
+
+/// Our node as others see it.
+#[derive(Debug)]
+pub(super) struct NodeEntry {
+    pub(super) participant: EndpointId,
+    pub(super) namespace: String,
+    pub(super) name: String,
+    /// Bytes of an identifier: 16, and 24 before ROS 2 Iron.
+    pub(super) identifier_length: usize,
+    pub(super) endpoints: Vec<(EndpointRole, EndpointId)>,
+}
+
+impl NodeEntry {
+    /// Returns the CDR form of the announcement with its encapsulation header.
+    pub(super) fn to_payload(&self) -> Bytes {
+        let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);
+        self.put_identifier(&mut cdr, self.participant);
+        cdr.put_u32_le(1);
+        put_string(&mut cdr, &self.namespace);
+        put_string(&mut cdr, &self.name);
+        self.put_identifiers(&mut cdr, EndpointRole::Subscription);
+        self.put_identifiers(&mut cdr, EndpointRole::Publisher);
+        cdr.freeze()
+    }
+
+    fn put_identifiers(&self, cdr: &mut BytesMut, role: EndpointRole) {
+        let of_role = || self.endpoints.iter().filter(|(other, _)| *other == role);
+        cdr.put_u32_le(u32::try_from(of_role().count()).unwrap_or(u32::MAX));
+        of_role().for_each(|(_, id)| self.put_identifier(cdr, *id));
+    }
+
+    fn put_identifier(&self, cdr: &mut BytesMut, id: EndpointId) {
+        cdr.put_slice(&id.0);
+        cdr.put_bytes(0, self.identifier_length - id.0.len());
+    }
+}
+
+/// Appends a string and the padding that the length of the next value needs.
+fn put_string(cdr: &mut BytesMut, text: &str) {
+    cdr.put_u32_le(u32::try_from(text.len() + 1).unwrap_or(u32::MAX));
+    cdr.put_slice(text.as_bytes());
+    cdr.put_u8(0);
+    cdr.put_bytes(0, cdr.len().next_multiple_of(4) - cdr.len());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(identifier_length: usize) -> NodeEntry {
+        let own = |byte: u8, last: u8| {
+            let mut id = [byte; 16];
+            id[15] = last;
+            EndpointId(id)
+        };
+        NodeEntry {
+            participant: own(1, 0xc1),
+            namespace: "/robot1".into(),
+            name: "camera".into(),
+            identifier_length,
+            endpoints: vec![
+                (EndpointRole::Publisher, own(1, 0x03)),
+                (EndpointRole::Subscription, own(1, 0x04)),
+            ],
+        }
+    }
+
+    #[test]
+    fn entry_is_read_as_written_with_both_lengths() {
+        for length in IDENTIFIER_LENGTHS {
+            let written = entry(length);
+            let read = ListEntry::decode(&written.to_payload()).unwrap();
+            let endpoints = vec![written.endpoints[1].1, written.endpoints[0].1];
+            let node = ListedNode { name: "/robot1/camera".into(), endpoints };
+            assert_eq!(read, ListEntry { participant: ParticipantId([1; 12]), nodes: vec![node] });
+        }
+    }
+
+    #[test]
+    fn entry_with_foreign_endpoints_or_names_is_refused() {
+        let mut foreign = entry(16);
+        foreign.endpoints[0].1.0[0] = 2;
+        assert_eq!(ListEntry::decode(&foreign.to_payload()), Err(ListError::ForeignEndpoint));
+        for (namespace, name) in [("/", ""), ("robot", "camera"), ("/", "a\nb"), ("/", &*"n".repeat(600))] {
+            let other = NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
+            assert_eq!(
+                ListEntry::decode(&other.to_payload()),
+                Err(ListError::InvalidName),
+                "{namespace} {name}"
+            );
+        }
+        let root = NodeEntry { namespace: "/".into(), ..entry(16) };
+        assert_eq!(ListEntry::decode(&root.to_payload()).unwrap().nodes[0].name, "/camera");
+    }
+
+    #[test]
+    fn announcement_has_the_form_of_rmw_dds_common() {
+        let entry = NodeEntry {
+            participant: EndpointId([1; 16]),
+            namespace: "/".into(),
+            name: "peernet".into(),
+            identifier_length: 24,
+            endpoints: vec![
+                (EndpointRole::Publisher, EndpointId([2; 16])),
+                (EndpointRole::Subscription, EndpointId([3; 16])),
+            ],
+        };
+        let mut expected = vec![0, 1, 0, 0];
+        let padded = |byte: u8| [[byte; 16].as_slice(), &[0; 8]].concat();
+        expected.extend(padded(1));
+        expected.extend([1, 0, 0, 0, 2, 0, 0, 0, b'/', 0, 0, 0]);
+        expected.extend([8, 0, 0, 0]);
+        expected.extend(b"peernet\0");
+        expected.extend([1, 0, 0, 0]);
+        expected.extend(padded(3));
+        expected.extend([1, 0, 0, 0]);
+        expected.extend(padded(2));
+        assert_eq!(entry.to_payload()[..], expected);
+        let shorter = NodeEntry { identifier_length: 16, ..entry };
+        assert_eq!(shorter.to_payload().len(), expected.len() - 3 * 8);
+    }
+}

@@ -1,0 +1,248 @@
+//! ROS 2 between nodes of one process, over the loopback interface.
+
+use std::sync::atomic::{AtomicU16, Ordering};
+use std::time::Duration;
+
+use bytes::{BufMut, Bytes, BytesMut};
+use peernet_clock::WallTime;
+use peernet_ros::ros2::{
+    Durability, QosProfile, Refusal, Reliability, Ros2Error, Ros2Node, Ros2Publisher, Ros2Settings,
+    Ros2Subscription,
+};
+
+const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
+/// A bound for what hangs, far above what anything here takes.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Returns settings of a domain that no other test of this process has.
+fn settings() -> Ros2Settings {
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    let of_process = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
+    let domain_id = Some(1 + of_process + NEXT.fetch_add(1, Ordering::Relaxed));
+    Ros2Settings { domain_id, interfaces: vec!["127.0.0.1".into()], ..Ros2Settings::default() }
+}
+
+async fn two_nodes() -> (Ros2Node, Ros2Node) {
+    let settings = settings();
+    let first = Ros2Node::new(settings.clone()).await.expect("a node");
+    (first, Ros2Node::new(settings).await.expect("a node"))
+}
+
+async fn connected(
+    (first, second): &(Ros2Node, Ros2Node),
+    topic: &str,
+    qos: &QosProfile,
+) -> (Ros2Publisher, Ros2Subscription) {
+    let publisher = first.publisher(topic, BYTES, qos).expect("a publisher");
+    let subscription = second.subscription(topic, BYTES, qos).expect("a subscription");
+    publisher.await_peer(PATIENCE).await.expect("a subscription");
+    subscription.await_peer(PATIENCE).await.expect("a publisher");
+    (publisher, subscription)
+}
+
+/// Returns the CDR form of a sequence of bytes.
+fn payload(size: usize, seed: usize) -> Bytes {
+    let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);
+    cdr.put_u32_le(u32::try_from(size).expect("small enough"));
+    cdr.extend((0..size).map(|index| (index * 31 + seed).to_le_bytes()[0]));
+    cdr.freeze()
+}
+
+/// Whether received bytes are what was sent, but for the padding of DDS.
+fn is_same(sent: &Bytes, received: &Bytes) -> bool {
+    received.starts_with(sent) && received.len() < sent.len() + 4
+}
+
+async fn receive(subscription: &mut Ros2Subscription) -> peernet_ros::ros2::ReceivedSample {
+    let received = tokio::time::timeout(PATIENCE, subscription.receive());
+    received.await.expect("a message in time").expect("a message")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_every_size_arrive_unchanged() {
+    let nodes = two_nodes().await;
+    let (publisher, mut subscription) = connected(&nodes, "/bytes", &QosProfile::default()).await;
+    for (number, size) in (1..).zip([0, 1, 1_000, 60_000, 1_200_000]) {
+        let (sent, time) = (payload(size, number), WallTime::from_unix_nanos(1_700_000_000_123_456_789));
+        let sequence = publisher.publish(sent.clone(), time).await.expect("published");
+        let received = receive(&mut subscription).await;
+        assert!(is_same(&sent, &received.payload), "{size} bytes");
+        assert_eq!((received.sequence, sequence), (number as i64, number as i64));
+        assert_eq!((received.writer, received.source_time), (publisher.id(), Some(time)));
+        assert_eq!(received.missing_before, 0);
+        assert!(received.received_time > time);
+    }
+    let counts = subscription.counts();
+    assert_eq!((counts.received, counts.lost, counts.late), (5, 0, 0));
+    publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn burst_of_large_messages_arrives_whole() {
+    let nodes = two_nodes().await;
+    let qos = QosProfile { depth: 20, ..QosProfile::default() };
+    let (publisher, mut subscription) = connected(&nodes, "/burst", &qos).await;
+    let sender = tokio::spawn(async move {
+        for number in 0..20 {
+            let time = WallTime::from_unix_nanos(1);
+            publisher.publish(payload(1_000_000, number), time).await.expect("published");
+        }
+        publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+        publisher
+    });
+    for number in 0..20 {
+        let received = receive(&mut subscription).await;
+        assert!(is_same(&payload(1_000_000, number), &received.payload), "message {number}");
+    }
+    sender.await.expect("the sender ends");
+    assert_eq!(subscription.counts().lost, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn message_that_was_not_read_in_time_is_counted_as_lost() {
+    let nodes = two_nodes().await;
+    let writer_qos = QosProfile { depth: 20, ..QosProfile::default() };
+    let publisher = nodes.0.publisher("/slow", BYTES, &writer_qos).expect("a publisher");
+    let reader_qos = QosProfile { depth: 1, ..QosProfile::default() };
+    let mut subscription = nodes.1.subscription("/slow", BYTES, &reader_qos).expect("a subscription");
+    publisher.await_peer(PATIENCE).await.expect("a subscription");
+    let publish = |number| publisher.publish(payload(100_000, number), WallTime::from_unix_nanos(1));
+    publish(0).await.expect("published");
+    receive(&mut subscription).await;
+    for number in 1..=10 {
+        publish(number).await.expect("published");
+    }
+    publisher.await_acknowledgment(PATIENCE).await.expect("acknowledged");
+    while receive(&mut subscription).await.sequence < 11 {}
+    let counts = subscription.counts();
+    assert_eq!(counts.received + counts.lost, 11, "{counts:?}");
+    assert!(counts.lost > 0, "{counts:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn late_subscription_gets_kept_messages_of_transient_local_topic() {
+    let nodes = two_nodes().await;
+    let qos = QosProfile { durability: Durability::TransientLocal, depth: 3, ..QosProfile::default() };
+    let publisher = nodes.0.publisher("/map", BYTES, &qos).expect("a publisher");
+    let sent = payload(5_000, 1);
+    publisher.publish(sent.clone(), WallTime::from_unix_nanos(1)).await.expect("published");
+    let mut subscription = nodes.1.subscription("/map", BYTES, &qos).expect("a subscription");
+    assert!(is_same(&sent, &receive(&mut subscription).await.payload));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn incompatible_qos_is_named_at_both_ends() {
+    let (first, second) = two_nodes().await;
+    let offered = QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() };
+    let publisher = first.publisher("/qos", BYTES, &offered).expect("a publisher");
+    let subscription = second.subscription("/qos", BYTES, &QosProfile::default()).expect("a subscription");
+    let expected = Refusal::IncompatibleQos {
+        policy: "reliability".into(),
+        offered: "best-effort".into(),
+        requested: "reliable".into(),
+    };
+    for mut peers in [publisher.peers(), subscription.peers()] {
+        let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+        let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
+        assert_eq!(refused.values().collect::<Vec<_>>(), [&expected]);
+    }
+    let error = subscription.await_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
+    assert!(
+        error.contains("the publisher offers best-effort, the subscription requests reliable"),
+        "{error}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn messages_of_another_type_are_not_handed_over() {
+    let nodes = two_nodes().await;
+    let qos = QosProfile::default();
+    let mut subscription = nodes.1.subscription("/type", BYTES, &qos).expect("a subscription");
+    let other = nodes.0.publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
+    let mut peers = subscription.peers();
+    let refused = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| !peers.refused.is_empty()));
+    let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
+    let expected = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
+    assert_eq!(refused.get(&other.id()), Some(&expected));
+    let error = subscription.await_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
+    assert!(error.contains("its message type is std_msgs/msg/String"), "{error}");
+    let right = nodes.0.publisher("/type", BYTES, &qos).expect("a publisher");
+    right.await_peer(PATIENCE).await.expect("a subscription");
+    other.publish(payload(10, 0), WallTime::from_unix_nanos(1)).await.expect("published");
+    right.publish(payload(10, 1), WallTime::from_unix_nanos(1)).await.expect("published");
+    assert_eq!(receive(&mut subscription).await.writer, right.id());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn absence_of_a_peer_names_domain_interface_and_topics_seen() {
+    let (first, second) = two_nodes().await;
+    let qos = QosProfile::default();
+    let publisher = first.publisher("/alone", BYTES, &qos).expect("a publisher");
+    let subscription = second.subscription("/elsewhere", BYTES, &qos).expect("a subscription");
+    let error = publisher.await_peer(Duration::from_secs(3)).await.expect_err("no peer");
+    let Ros2Error::NoPeer(absence) = &error else { panic!("{error}") };
+    assert_eq!((absence.participants, absence.topics.as_slice()), (1, &["/elsewhere".to_owned()][..]));
+    let domain = first.settings().domain_id.expect("a domain");
+    for part in
+        ["no subscription of topic /alone".to_owned(), format!("domain {domain}"), "127.0.0.1".to_owned()]
+    {
+        assert!(error.to_string().contains(&part), "{part}: {error}");
+    }
+    drop(subscription);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn shutdown_ends_receiving_and_is_seen_by_the_peer() {
+    let nodes = two_nodes().await;
+    let (publisher, mut subscription) = connected(&nodes, "/end", &QosProfile::default()).await;
+    let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });
+    let (first, second) = nodes;
+    tokio::time::timeout(PATIENCE, second.shut_down()).await.expect("in time").expect("shut down");
+    let ended = tokio::time::timeout(PATIENCE, receiving).await.expect("in time").expect("no panic");
+    assert!(matches!(ended, Err(Ros2Error::ShutDown { .. })), "{ended:?}");
+    let mut peers = publisher.peers();
+    let gone = tokio::time::timeout(PATIENCE, peers.wait_for(|peers| peers.matched.is_empty()));
+    assert_eq!(gone.await.expect("in time").expect("the endpoint exists").unmatched_total, 1);
+    first.shut_down().await.expect("shut down");
+    let late = publisher.publish(payload(1, 1), WallTime::from_unix_nanos(1)).await;
+    assert!(matches!(late, Err(Ros2Error::ShutDown { .. })), "{late:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn payload_without_encapsulation_header_is_refused() {
+    let node = Ros2Node::new(settings()).await.expect("a node");
+    let publisher = node.publisher("/raw", BYTES, &QosProfile::default()).expect("a publisher");
+    let refused = publisher.publish(Bytes::from_static(b"hello"), WallTime::from_unix_nanos(1)).await;
+    assert!(matches!(refused, Err(Ros2Error::NotCdr { .. })), "{refused:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn unknown_interface_is_named_with_those_that_exist() {
+    let settings = Ros2Settings { interfaces: vec!["eth99".into()], ..settings() };
+    let error = Ros2Node::new(settings).await.err().expect("no such interface").to_string();
+    assert!(error.contains("`eth99`") && error.contains("127.0.0.1"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn publishers_of_a_topic_are_found_without_a_subscription() {
+    let (first, second) = two_nodes().await;
+    let mut changes = second.discovery_changes();
+    assert_eq!(second.publishers_of("/found"), []);
+    let publisher = first.publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
+    let _other = first.publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
+    let mut until = async |count: usize| {
+        let found = async {
+            while second.publishers_of("/found").len() != count {
+                changes.changed().await.expect("the node is there");
+            }
+        };
+        tokio::time::timeout(PATIENCE, found).await.expect("in time");
+    };
+    until(1).await;
+    let found = second.publishers_of("/found").remove(0);
+    assert_eq!((found.id, found.type_name.as_str()), (publisher.id(), BYTES));
+    assert_eq!(found.host, None, "it is on this host");
+    assert!(second.describe_domain().contains("127.0.0.1"), "{}", second.describe_domain());
+    drop(publisher);
+    until(0).await;
+}
