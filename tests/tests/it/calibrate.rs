@@ -158,7 +158,12 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
         for (stage, ahead) in [("upload", 1.0), ("download", -1.0)] {
             let [raw, lo, hi] = ["raw", "lo", "hi"].map(|column| cell(format!("{stage}-{column}")));
             let truth = raw - ahead;
-            assert!((lo..=hi).contains(&truth), "{stage}: {truth} s lies outside of {lo} to {hi} in {row:?}");
+            // The interval is of the free-running clocks, the raw difference of the wall clocks, which are read up to 3 µs later.
+            const APART: f64 = 3e-6;
+            assert!(
+                (lo - APART..=hi + APART).contains(&truth),
+                "{stage}: {truth} s lies outside of {lo} to {hi} in {row:?}"
+            );
         }
     }
 }

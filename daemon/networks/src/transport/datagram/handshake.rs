@@ -172,7 +172,7 @@ impl Dialling {
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long?;
         Some(format!(
-            "the path carries no datagrams of the configured {bytes} bytes: going on with {SAFE_DATAGRAM_BYTES}; set datagram_bytes \
+            "the path carries no datagrams of the configured {bytes} bytes: going on with {SAFE_DATAGRAM_BYTES} bytes; set datagram_bytes \
              lower, or the MTU of every link on the path higher"
         ))
     }
