@@ -168,6 +168,7 @@ async fn serve(settings: SessionSettings) -> Anyhow<Address> {
                         host_clock: PeerClock::default(),
                         probes: None,
                         instance: 1,
+                        probe_key: None,
                         conditions: Vec::new(),
                         hardware: Hardware::default(),
                     };

@@ -183,6 +183,7 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
                     host_clock: PeerClock::default(),
                     probes: None,
                     instance: 1,
+                    probe_key: None,
                     conditions: Vec::new(),
                     hardware: Hardware::default(),
                 };

@@ -71,6 +71,7 @@ fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, Cancellatio
             let config = ReflectorConfig {
                 listen,
                 key,
+                session_key: None,
                 instance: 1,
                 max_per_source_hz: 100_000,
                 stamps,

@@ -61,6 +61,7 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut sender = Sending::new(SendingConfig {
         key: key.cloned(),
         instance: None,
+        bound: false,
         clocks: if how & RAW != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
         ssid: 5,
         first: u32::MAX,

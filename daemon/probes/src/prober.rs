@@ -107,6 +107,8 @@ impl Prober {
         let logic = Sending::new(SendingConfig {
             key: config.key.clone(),
             instance: config.instance,
+            // Other implementations need not return them.
+            bound: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
             first: 0,

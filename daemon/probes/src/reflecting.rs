@@ -35,6 +35,9 @@ pub struct ReflectorConfig {
     pub listen: SocketAddr,
     /// With a key, only requests that it authenticates are answered; without, only unauthenticated ones.
     pub key: Option<Key>,
+    /// The key that peers are given with their session. Where there is no [`key`](Self::key) that all must have, requests that
+    /// it authenticates get authenticated answers, and unauthenticated ones are answered as they are.
+    pub session_key: Option<Key>,
     /// A number that this process chose at random: answers tell it, so that a prober knows whose clock they are of.
     pub instance: u64,
     /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources that have no
@@ -138,7 +141,8 @@ impl Reflector {
         Ok(Self {
             socket,
             complaints: Complaints::new(config.key.is_some()),
-            logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful),
+            logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful)
+                .with_session_key(config.session_key),
             clock,
             figures: ReflectorFigures::default(),
             peers: watch::Sender::default(),

@@ -141,7 +141,7 @@ async fn open(link: &Link, session: &Session, port: u16) -> Result<(Prober, Sock
     let probes = &link.shared.probes;
     let config = ProberConfig {
         target,
-        key: probes.key.clone(),
+        key: probes.key_for(session),
         instance: Some(session.instance),
         clocks: link.clocks,
         padding_bytes: probes.padding_bytes,

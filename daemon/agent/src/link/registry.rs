@@ -98,6 +98,7 @@ impl Links {
             host: cloud_host(session, address),
             probes: accepted.probes,
             instance: accepted.instance,
+            probe_key: accepted.probe_key,
             clock: session.peer_clock(),
             statistics: session.statistics_reader(),
         };

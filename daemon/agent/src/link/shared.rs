@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
-use peernet_networks::{PeerClock, StatisticsReader};
+use peernet_networks::{PeerClock, ProbeKey, StatisticsReader};
 use peernet_probes::{Key, KeyError, Stamps};
 use peernet_stream::NetworkName;
 use tokio::sync::watch;
@@ -63,6 +63,12 @@ impl ProbeSettings {
             stamps,
         })
     }
+
+    /// The key for probes of a session: the configured one, else the one that came with the session.
+    pub(super) fn key_for(&self, session: &Session) -> Option<Key> {
+        let given = || session.probe_key.map(|key| Key::from_bytes(key.as_bytes()));
+        self.key.clone().or_else(given)
+    }
 }
 
 /// A session with a cloud, as its link sees it.
@@ -77,6 +83,8 @@ pub(super) struct Session {
     pub(super) probes: Option<u16>,
     /// The process that serves it.
     pub(super) instance: u64,
+    /// What it gave to authenticate probes.
+    pub(super) probe_key: Option<ProbeKey>,
     /// What it tells of its clock.
     pub(super) clock: watch::Receiver<PeerClock>,
     /// What was sent and received on its connection.

@@ -2,8 +2,8 @@
 
 use peernet_inference::ModelConfig;
 use peernet_logger::Slug;
-use peernet_networks::{Address, Listener};
-use peernet_probes::Reflector;
+use peernet_networks::{Address, Listener, ProbeKey};
+use peernet_probes::{Key, Reflector};
 use uuid::Uuid;
 
 use super::reflector;
@@ -20,6 +20,8 @@ const CALIBRATION: &str = "calibration";
 pub(crate) struct Doors {
     /// Tells this process from others behind the same address, and from those before it.
     pub(super) instance: u64,
+    /// What peers are given with their session to authenticate probes, unless a key of this host's own is configured.
+    pub(super) probe_key: Option<ProbeKey>,
     /// The name of the built-in model, if it is offered.
     pub(super) built_in: Option<Slug>,
     /// One for each address of `[serve] listen`, in that order.
@@ -41,13 +43,16 @@ impl Doors {
         let listen = serve.listen.all();
         let listeners = Listener::bind_all(listen, &serve.session, host.id, &host.clock).await?;
         let instance = Uuid::new_v4().as_u64_pair().0;
+        let offers_key = config.probes.reflect && probes.key.is_none();
+        let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
         let (reflectors, probes) = if config.probes.reflect {
-            reflector::bind_all(listen, &config.probes, probes, instance, &host.clock).await?
+            let asked = reflector::Answering { settings: probes, instance, session_key: probe_key };
+            reflector::bind_all(listen, &config.probes, asked, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };
         let built_in = calibration(config).map(|model| model.name().clone());
-        Ok(Some(Self { instance, built_in, listeners, reflectors, probes }))
+        Ok(Some(Self { instance, probe_key, built_in, listeners, reflectors, probes }))
     }
 
     /// Where peers may ask for models, with the real ports.

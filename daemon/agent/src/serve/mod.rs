@@ -19,7 +19,7 @@ use peernet_inference::{Bank, Done, InferenceError};
 use peernet_logger::{HostId, Slug};
 use peernet_networks::{
     Address, Announcer, Failure, Incoming, IncomingRequest, Listener, MAX_CONDITIONS, OpenRequest, PeerClock,
-    SessionAccepted, SessionId,
+    ProbeKey, SessionAccepted, SessionId,
 };
 use peernet_probes::{ReceiveError, Reflector};
 use peernet_stream::{Condition, Hardware, IncidentKind};
@@ -69,7 +69,12 @@ pub(crate) async fn run(
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    let named = Named { probes: doors.probes, instance: doors.instance, built_in: doors.built_in };
+    let named = Named {
+        probes: doors.probes,
+        instance: doors.instance,
+        probe_key: doors.probe_key,
+        built_in: doors.built_in,
+    };
     let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
     for listener in &doors.listeners {
@@ -175,6 +180,8 @@ struct Named {
     probes: Vec<Option<u16>>,
     /// Who answers them.
     instance: u64,
+    /// What authenticates them, where no configured key does.
+    probe_key: Option<ProbeKey>,
     /// The model whose answers do not count.
     built_in: Option<Slug>,
 }
@@ -272,6 +279,7 @@ impl Server {
             host_clock: self.context.own.borrow().clone(),
             probes: self.named.probes.get(listener).copied().flatten(),
             instance: self.named.instance,
+            probe_key: self.named.probe_key,
             conditions,
             hardware: self.hardware.clone(),
         }

@@ -5,20 +5,28 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
-use peernet_networks::Address;
-use peernet_probes::{Reflector, ReflectorConfig};
+use peernet_networks::{Address, ProbeKey};
+use peernet_probes::{Key, Reflector, ReflectorConfig};
 
 use crate::config::ProbesConfig;
 use crate::error::ReflectorError;
 use crate::link::ProbeSettings;
+
+/// Who answers, and whom.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Answering<'a> {
+    pub(super) settings: &'a ProbeSettings,
+    pub(super) instance: u64,
+    /// What peers with a session are given.
+    pub(super) session_key: Option<ProbeKey>,
+}
 
 /// Binds to the addresses at which peers are awaited. Returns one reflector for each IP address, and for each of `listen`
 /// the port of its reflector.
 pub(super) async fn bind_all(
     listen: &[Address],
     config: &ProbesConfig,
-    settings: &ProbeSettings,
-    instance: u64,
+    answering: Answering<'_>,
     clock: &SharedClock,
 ) -> Result<(Vec<Reflector>, Vec<Option<u16>>), ReflectorError> {
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
@@ -36,7 +44,7 @@ pub(super) async fn bind_all(
     let mut reflectors: Vec<Reflector> = Vec::new();
     for at in by_reach {
         if find(&reflectors, at.ip()).is_none() {
-            reflectors.push(bind(at, config, settings, instance, clock)?);
+            reflectors.push(bind(at, config, answering, clock)?);
         }
     }
     let ports = wanted.iter().map(|at| find(&reflectors, at.ip())).collect();
@@ -55,14 +63,14 @@ fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
 fn bind(
     at: SocketAddr,
     config: &ProbesConfig,
-    settings: &ProbeSettings,
-    instance: u64,
+    Answering { settings, instance, session_key }: Answering<'_>,
     clock: &SharedClock,
 ) -> Result<Reflector, ReflectorError> {
     let bind = |at: SocketAddr| {
         let config = ReflectorConfig {
             listen: at,
             key: settings.key.clone(),
+            session_key: session_key.map(|key| Key::from_bytes(key.as_bytes())),
             instance,
             max_per_source_hz: config.max_per_source_hz,
             stamps: settings.stamps,

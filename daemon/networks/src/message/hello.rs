@@ -9,6 +9,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
+use super::probe_key::ProbeKey;
 use super::{printable, words};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
@@ -90,6 +91,10 @@ pub struct SessionAccepted {
     /// A number that the cloud's process chose at random when it began. Answers to probes carry it, and epochs of
     /// different processes cannot be compared.
     pub instance: u64,
+    /// What authenticates probes of this session and their answers, where both ends have no key of their own. `None` in clouds
+    /// before 0.3.0 and in those with a key of their own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probe_key: Option<ProbeKey>,
     /// What was found of the cloud before the session; at most [`MAX_CONDITIONS`]. On the wire a longer list makes the
     /// whole message unreadable.
     #[serde(deserialize_with = "few")]

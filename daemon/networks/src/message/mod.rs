@@ -15,6 +15,7 @@
 
 mod header;
 mod hello;
+mod probe_key;
 mod tree;
 
 #[cfg(test)]
@@ -30,6 +31,7 @@ pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
     SessionId,
 };
+pub use probe_key::ProbeKey;
 pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
 
 use peernet_sample::printable_line;

@@ -10,8 +10,9 @@ use peernet_stream::{Condition, Grade, Hardware, Release, VersionRange};
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, RawClock, RefusalKind,
-    Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey, RawClock,
+    RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -83,11 +84,11 @@ fn raw_clock() -> impl Strategy<Value = RawClock> {
 
 pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
     let facts = proptest::collection::vec((words(), words()), 0..4);
-    let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64)>());
+    let clocks = (clock(), peer_clock(), any::<(Option<u16>, u64, Option<[u8; 32]>)>());
     let conditions = proptest::collection::vec(condition(), 0..4);
     let words = (words(), words(), facts, conditions, hardware());
     (host(), slug(), clocks, slug(), words).prop_map(
-        |(host, name, (clock, host_clock, (probes, instance)), model, words)| {
+        |(host, name, (clock, host_clock, (probes, instance, key)), model, words)| {
             let (version, device, facts, conditions, hardware) = words;
             SessionAccepted {
                 host,
@@ -100,6 +101,7 @@ pub(crate) fn accepted() -> impl Strategy<Value = SessionAccepted> {
                 host_clock,
                 probes,
                 instance,
+                probe_key: key.map(ProbeKey::new),
                 conditions,
                 hardware,
             }

@@ -152,6 +152,7 @@ pub(crate) fn accepted(host: HostId) -> SessionAccepted {
         host_clock: PeerClock { text: "left alone".into(), ..PeerClock::default() },
         probes: Some(8620),
         instance: 4,
+        probe_key: None,
         conditions: Vec::new(),
         hardware: Hardware::default(),
     }

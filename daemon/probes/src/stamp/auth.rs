@@ -84,6 +84,11 @@ impl Key {
         Self(Hmac::new_from_slice(bytes).expect("a key for HMAC has any length"))
     }
 
+    /// Random bytes for a key that nobody has yet.
+    pub fn random_bytes() -> [u8; 32] {
+        rand::random()
+    }
+
     /// The authentication code of the parts, one after the other.
     pub fn code(&self, parts: &[&[u8]]) -> [u8; CODE_BYTES] {
         let mut code = [0; CODE_BYTES];

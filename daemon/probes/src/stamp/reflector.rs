@@ -26,6 +26,8 @@ const LONGEST_ANSWER: Span = Span::from_seconds(4);
 #[derive(Debug)]
 pub struct Reflecting {
     key: Option<Key>,
+    /// Of the peers that have a session.
+    session_key: Option<Key>,
     instance: u64,
     limiter: Limiter,
     sessions: Option<Sessions>,
@@ -89,6 +91,7 @@ struct Left {
 pub struct Answer {
     reply: Reply,
     session: SessionId,
+    mode: Mode,
     intact: bool,
     received_raw: RawTime,
     previous: Option<(u32, RawTime)>,
@@ -111,7 +114,16 @@ impl Reflecting {
     /// sessions apart; `instance` tells it from others in its answers.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
         let sessions = stateful.then(Sessions::new);
-        Self { key, instance, limiter: Limiter::new(max_per_source_hz), sessions }
+        let limiter = Limiter::new(max_per_source_hz);
+        Self { key, session_key: None, instance, limiter, sessions }
+    }
+
+    /// Answers what this key authenticates in the same way, and everything else as before. Without effect where there is a key
+    /// that all must have.
+    #[must_use]
+    pub fn with_session_key(mut self, key: Option<Key>) -> Self {
+        self.session_key = key;
+        self
     }
 
     /// Replaces the addresses of the peers that have a session with this host: each has a rate of its own, which nobody
@@ -129,12 +141,12 @@ impl Reflecting {
         if arrival.source.port() == 0 {
             return Err(Refusal::NoPort);
         }
-        let mode = Mode::of(self.key.as_ref());
+        let mode = self.mode(packet)?;
         let asked = Request::parse(mode, packet).ok_or(Refusal::Short)?;
-        if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
-            return Err(Refusal::Unauthenticated);
-        }
-        if is_reply(mode, packet, arrival.received) {
+        // An authenticated reply of another process shows in the layout of its own only.
+        let is_keyed_reply =
+            self.session_key.is_some() && is_reply(Mode::Authenticated, packet, arrival.received);
+        if is_keyed_reply || is_reply(mode, packet, arrival.received) {
             return Err(Refusal::Reply);
         }
         let address = arrival.source.ip();
@@ -144,16 +156,17 @@ impl Reflecting {
         let id = SessionId { source: arrival.source, ssid: asked.ssid, is_peer };
         let session =
             self.sessions.as_mut().map(|sessions| &*sessions.table(&id).entry(id, Session::default));
+        let (next, previous) =
+            (session.map(|session| session.next), session.and_then(|session| session.last));
         let format = asked.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
-        let intact = tlv::are_intact(self.key.as_ref(), asked.sequence, tlvs);
-        let previous = session.and_then(|session| session.last);
+        let intact = tlv::are_intact(self.key_of(mode), asked.sequence, tlvs);
         let follow_up =
             previous.map(|left| FollowUp { sequence: left.sequence, timestamp: format.encode(left.wall) });
         answer_tlvs(tlvs, intact, follow_up);
 
         let reply = Reply {
-            sequence: session.map_or(asked.sequence, |session| session.next),
+            sequence: next.unwrap_or(asked.sequence),
             timestamp: 0,
             estimate: ErrorEstimate::new(format, uncertainty::OWN),
             received: format.encode(arrival.received),
@@ -161,12 +174,34 @@ impl Reflecting {
             ttl: 0,
         };
         let (previous, received_raw) = (previous.map(|left| (left.sequence, left.raw)), arrival.received_raw);
-        Ok(Answer { reply, session: id, intact, received_raw, previous })
+        Ok(Answer { reply, session: id, mode, intact, received_raw, previous })
+    }
+
+    /// The mode of a request. Where nobody must have a key, its own form decides: what the key of the sessions authenticates is
+    /// authenticated, what claims to be and is not is refused, and all else is open.
+    fn mode(&self, packet: &[u8]) -> Result<Mode, Refusal> {
+        let Some(key) = self.key_of(Mode::Authenticated) else { return Ok(Mode::Open) };
+        if packet::is_sealed(key, packet) {
+            return Ok(Mode::Authenticated);
+        }
+        if self.key.is_none() && !claims_authentication(packet) {
+            return Ok(Mode::Open);
+        }
+        let is_short = packet.len() < Mode::Authenticated.base_bytes();
+        Err(if is_short { Refusal::Short } else { Refusal::Unauthenticated })
+    }
+
+    /// The key by which packets of this mode are authenticated.
+    fn key_of(&self, mode: Mode) -> Option<&Key> {
+        match mode {
+            Mode::Open => None,
+            Mode::Authenticated => self.key.as_ref().or(self.session_key.as_ref()),
+        }
     }
 
     /// Stamps the answer and authenticates it; returns the stamp. To be sent at once.
     pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
-        let mode = Mode::of(self.key.as_ref());
+        let mode = answer.mode;
         let now = clock.stamp();
         // After the stamp: a step in between must show.
         let (epoch, wall_epoch) = (clock.epoch(), clock.wall_epoch());
@@ -186,7 +221,7 @@ impl Reflecting {
                 tlvs[place.value].copy_from_slice(&stamps.to_value());
             }
         }
-        if let Some(key) = &self.key {
+        if let Some(key) = self.key_of(mode) {
             if answer.intact {
                 tlv::seal(key, reply.sequence, tlvs);
             }
@@ -235,6 +270,12 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
         let (Some(received), Some(replied)) = stamps else { return false };
         reply.received != 0 && (replied - received).abs() <= LONGEST_ANSWER
     })
+}
+
+/// Whether the TLVs of an authenticated packet follow, as far as its form tells.
+fn claims_authentication(packet: &[u8]) -> bool {
+    let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
+    tlv::places(tlvs).any(|place| place.kind == tlv::HMAC && place.value.len() == CODE_BYTES)
 }
 
 /// Sets the flags of the TLVs and tells what is asked; those that are not intact only go back.

@@ -1,6 +1,7 @@
 //! What a sender asks and what it makes of replies (the session-sender of RFC 8762, section 4.2).
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use peernet_clock::{
     Clock, Exchange, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime, Witnessed,
@@ -16,6 +17,10 @@ use super::uncertainty::{self, AGREEMENT};
 /// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
 const MAX_PENDING: usize = 1024;
 
+/// Random octets of one request.
+type Nonce = [u8; NONCE_BYTES];
+const NONCE_BYTES: usize = 16;
+
 /// Longest time between the program's stamp and the kernel's that is believed.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
@@ -26,6 +31,9 @@ pub struct SendingConfig {
     pub key: Option<Key>,
     /// The only reflector that is believed, by its [`Origin::instance`]; any at `None`.
     pub instance: Option<u64>,
+    /// With a key, whether each request carries random octets that its answer must bring back: what the TLVs say was then written
+    /// for this request, and not for another one of the same number that the same key authenticated.
+    pub bound: bool,
     /// Which clock of the reflector is asked for. Reflectors of other implementations have the wall clock alone.
     pub clocks: RelatedClocks,
     /// Tells the session from other sessions between the same ports.
@@ -47,6 +55,8 @@ pub struct Sending {
     ssid: u16,
     next: u32,
     packet: Vec<u8>,
+    /// Where the random octets stand in the packet.
+    nonce: Option<Range<usize>>,
     timeout: Span,
     pending: VecDeque<Pending>,
     /// The kernel's stamps are of another clock than the program's.
@@ -59,6 +69,7 @@ pub struct Departure {
     sequence: u32,
     timestamp: u64,
     sent: Stamp,
+    nonce: Option<Nonce>,
     /// How far the wall clock was ahead before.
     ahead: Interval,
     /// The edge's epoch, read before: the stamp belongs to this one or a later one.
@@ -118,6 +129,7 @@ struct Told {
     follow_up: Option<FollowUp>,
     origin: Option<Origin>,
     raw: Option<RawStamps>,
+    nonce: Option<Nonce>,
 }
 
 /// What a reply tells of the reflector's related clock.
@@ -133,7 +145,7 @@ struct There {
 impl Sending {
     /// A session that has sent nothing.
     pub fn new(config: SendingConfig) -> Self {
-        let SendingConfig { key, instance, clocks, ssid, first, padding_bytes, timeout } = config;
+        let SendingConfig { key, instance, bound, clocks, ssid, first, padding_bytes, timeout } = config;
         let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
         // Empty TLVs that the reflector fills in.
         tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
@@ -141,6 +153,10 @@ impl Sending {
         if clocks == RelatedClocks::Raw {
             tlv::push(&mut packet, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
+        let nonce = (bound && key.is_some()).then(|| {
+            tlv::push(&mut packet, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
+            packet.len() - NONCE_BYTES..packet.len()
+        });
         if key.is_some() {
             tlv::push(&mut packet, tlv::HMAC, &[0; CODE_BYTES]);
         }
@@ -148,13 +164,19 @@ impl Sending {
             tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
         }
         let pending = VecDeque::new();
-        Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, distrusts_kernel: false }
+        let distrusts_kernel = false;
+        Self { key, instance, clocks, ssid, next: first, packet, nonce, timeout, pending, distrusts_kernel }
     }
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
         let mode = Mode::of(self.key.as_ref());
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
+        let nonce = self.nonce.clone().map(|place| {
+            let nonce: Nonce = rand::random();
+            self.packet[place].copy_from_slice(&nonce);
+            nonce
+        });
         if let Some(key) = &self.key {
             tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
         }
@@ -168,7 +190,7 @@ impl Sending {
         if let Some(key) = &self.key {
             packet::seal(key, &mut self.packet);
         }
-        (Departure { sequence: self.next, timestamp, sent, ahead, epoch }, &self.packet)
+        (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, &self.packet)
     }
 
     /// The request was sent; returns how many earlier ones are given up for it.
@@ -246,6 +268,9 @@ impl Sending {
         if pending.departure.timestamp != reply.asked.timestamp {
             return Err("to another stamp than was sent");
         }
+        if pending.departure.nonce.is_some_and(|nonce| told.nonce != Some(nonce)) {
+            return Err(NOT_BOUND);
+        }
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
@@ -304,6 +329,8 @@ impl Sending {
 
 /// Of a reply that nothing waits for.
 const LATE: &str = "late, or to no probe of ours";
+/// Of a reply with what another one told.
+const NOT_BOUND: &str = "with what was told to another probe";
 /// Of a reply by another reflector of ours than was expected.
 pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
 /// Of a reply by no reflector of ours where one was expected.
@@ -348,11 +375,13 @@ fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
         return told;
     }
     for place in tlv::places(tlvs) {
-        if place.overruns || place.flags & tlv::MALFORMED != 0 {
+        // What follows it is not authenticated.
+        if place.overruns || place.flags & tlv::MALFORMED != 0 || place.kind == tlv::HMAC {
             break;
         }
         if place.flags & tlv::UNRECOGNISED == 0 {
             match place.kind {
+                tlv::EXTRA_PADDING => told.nonce = told.nonce.or(tlvs[place.value].try_into().ok()),
                 tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
                 tlv::ORIGIN => told.origin = Origin::from_value(&tlvs[place.value]),
                 tlv::RAW_STAMPS => {

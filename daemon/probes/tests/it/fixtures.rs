@@ -61,6 +61,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
     let mut sender = Sending::new(SendingConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
+        bound: false,
         clocks: mode.clocks,
         ssid: 0xBEEF,
         first: 0x0102_0304,

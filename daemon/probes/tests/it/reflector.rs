@@ -230,6 +230,54 @@ fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
 }
 
 #[test]
+fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
+    let (clock, ours, theirs) = (clock(), &key(7), &key(8));
+    let keyed = || Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
+    let mut reflector = keyed();
+    let (room, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
+    let sealed_by = |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
+
+    let asked = sealed_by(ours);
+    let mut packet = asked.clone();
+    answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
+    assert!(packet::is_sealed(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
+    assert_eq!(packet.len(), asked.len());
+    // Neither it nor another process of this kind answers the answer, and a changed one is none for long.
+    let mut other = Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
+    for reflector in [&mut reflector, &mut other] {
+        let back = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
+        assert!(matches!(back, Err(Refusal::Reply | Refusal::Unauthenticated)), "{back:?}");
+    }
+
+    let mut stale = sealed_by(theirs);
+    let refused = answer(&mut reflector, &clock, &mut stale).expect_err("of another process");
+    assert_eq!(refused, Refusal::Unauthenticated);
+    let mut touched = sealed_by(ours);
+    touched[20] ^= 1;
+    assert_eq!(answer(&mut reflector, &clock, &mut touched).expect_err("touched"), Refusal::Unauthenticated);
+
+    // Those who have no key, of whatever length: as without one.
+    let padding: &[u8] = &[0; 300];
+    for tlvs in [&[][..], &[(tlv::FOLLOW_UP, room)], &[(tlv::FOLLOW_UP, room), (tlv::EXTRA_PADDING, padding)]]
+    {
+        let mut reflectors = [keyed(), Reflecting::new(None, INSTANCE, 100, true)];
+        let [with, without] = reflectors.each_mut().map(|reflector| {
+            let mut packet = request(None, 1, 1, tlvs);
+            answer(reflector, &clock, &mut packet).expect("answered");
+            packet
+        });
+        assert_eq!(with, without);
+    }
+    // The key that all must have comes first.
+    let mut strict =
+        Reflecting::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
+    let mut packet = sealed_by(ours);
+    assert_eq!(answer(&mut strict, &clock, &mut packet).expect_err("another"), Refusal::Unauthenticated);
+    let refused = answer(&mut strict, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
+    assert_eq!(refused, Refusal::Short);
+}
+
+#[test]
 fn two_reflectors_do_not_play_ping_pong() {
     let clock = clock();
     for format in [Format::Ntp, Format::Ptp] {

@@ -21,6 +21,7 @@ fn config() -> SendingConfig {
     SendingConfig {
         key: None,
         instance: None,
+        bound: false,
         clocks: RelatedClocks::RawToWall,
         ssid: 1,
         first: 0,
@@ -238,6 +239,34 @@ fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
     let heard = pair.hear(&touched).expect("its base packet is authentic");
     assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, None));
     assert_eq!(answered(&heard).exchange.uncertainty, uncertainty::FOREIGN);
+}
+
+#[test]
+fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
+    let bound = |ssid| {
+        let mut pair = Pair::raw(true);
+        let clocks = RelatedClocks::Raw;
+        let (key, instance) = (Some(key(7)), Some(INSTANCE));
+        pair.sender = Sending::new(SendingConfig { key, instance, bound: true, ssid, clocks, ..config() });
+        pair
+    };
+    let mut earlier = bound(1);
+    let (_, packet) = earlier.send();
+    let told = earlier.reflect(packet);
+    let mut pair = bound(2);
+    pair.clock.advance(Span::from_seconds(9));
+    let (_, packet) = pair.send();
+    let reply = pair.reflect(packet);
+    // Both of its halves are authentic, each by itself.
+    let spliced = [&reply[..112], &told[112..]].concat();
+    assert_eq!(pair.hear(&spliced), Err("with what was told to another probe"));
+    // The octets of the right one, where nothing is authenticated any more.
+    let octets = tlv::places(&reply[112..]).find(|place| place.kind == tlv::EXTRA_PADDING).expect("bound");
+    let mut appended = spliced;
+    tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
+    assert_eq!(pair.hear(&appended), Err("with what was told to another probe"));
+    let exchange = answered(&pair.hear(&reply).expect("the real one")).exchange;
+    assert_eq!(exchange.received - exchange.sent, WAY);
 }
 
 #[test]

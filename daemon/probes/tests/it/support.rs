@@ -43,6 +43,7 @@ pub(crate) fn reflector_config() -> ReflectorConfig {
     ReflectorConfig {
         listen: loopback(),
         key: None,
+        session_key: None,
         instance: INSTANCE,
         max_per_source_hz: 10_000,
         stamps: Stamps::Kernel,

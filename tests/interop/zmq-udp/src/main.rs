@@ -89,6 +89,7 @@ async fn serve(mut listener: Listener, host: HostId) {
                     host_clock: PeerClock::default(),
                     probes: None,
                     instance: 1,
+                    probe_key: None,
                     conditions: Vec::new(),
                     hardware: Hardware::default(),
                 };

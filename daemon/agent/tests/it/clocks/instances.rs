@@ -59,6 +59,7 @@ impl Cloud {
             host_clock: PeerClock::default(),
             probes: self.probes,
             instance: self.instance,
+            probe_key: None,
             conditions: Vec::new(),
             hardware: Hardware::default(),
         }));
@@ -76,6 +77,7 @@ async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
     let elsewhere = ReflectorConfig {
         listen,
         key: None,
+        session_key: None,
         instance: 2,
         max_per_source_hz: 1000,
         stamps: Stamps::Kernel,

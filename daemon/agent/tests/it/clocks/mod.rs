@@ -4,6 +4,7 @@
 //! tell: the raw difference, less what a rehearsal adds, is the delay.
 
 mod bounds;
+mod forged;
 mod instances;
 mod links;
 mod probes;

@@ -37,6 +37,7 @@ fn accepted() -> SessionAccepted {
         host_clock: PeerClock::default(),
         probes: None,
         instance: 1,
+        probe_key: None,
         conditions: Vec::new(),
         hardware: Hardware::default(),
     }

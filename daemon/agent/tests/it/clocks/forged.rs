@@ -1,0 +1,139 @@
+//! Somebody on the path who sees and alters probes, but not the session.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use peernet_clock::{Span, Verdict};
+use peernet_stream::Probing;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream, UdpSocket};
+
+use super::{CLOUD, WAYS, assert_holds, delay, line};
+use crate::harness::{Aggregator, TestAgent, config};
+
+/// How long data takes each way: so wide is what honest exchanges leave open.
+const WAY: Duration = Duration::from_millis(20);
+/// What is added to the cloud's stamps: less than anything but the probes could contradict.
+const ADDED: Span = Span::from_millis(13);
+
+/// Passes the bytes of a connection on, later.
+async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
+    let (queue, mut queued) = tokio::sync::mpsc::unbounded_channel();
+    let reading = async move {
+        let mut buffer = vec![0; 65_536];
+        loop {
+            let length = from.read(&mut buffer).await?;
+            if length == 0
+                || queue.send((tokio::time::Instant::now() + WAY, buffer[..length].to_vec())).is_err()
+            {
+                return io::Result::Ok(());
+            }
+        }
+    };
+    let writing = async {
+        while let Some((due, bytes)) = queued.recv().await {
+            tokio::time::sleep_until(due).await;
+            to.write_all(&bytes).await?;
+        }
+        to.shutdown().await
+    };
+    tokio::try_join!(reading, writing).map(|_| ())
+}
+
+/// Passes on connections to `cloud`, each later by [`WAY`] in both directions.
+async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
+    while let Ok((near, _)) = listener.accept().await {
+        let far = TcpStream::connect(cloud).await.expect("the cloud listens");
+        let ((near_read, near_write), (far_read, far_write)) = (near.into_split(), far.into_split());
+        tokio::spawn(pass(near_read, far_write));
+        tokio::spawn(pass(far_read, near_write));
+    }
+}
+
+/// Passes probes on at once and forges each answer.
+async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<AtomicUsize>) {
+    let far = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
+    let (mut asked, mut answered) = ([0; 2048], [0; 2048]);
+    let mut edge = None;
+    loop {
+        tokio::select! {
+            Ok((length, from)) = near.recv_from(&mut asked) => {
+                edge = Some(from);
+                far.send_to(&asked[..length], reflector).await.expect("loopback takes it");
+            }
+            Ok((length, _)) = far.recv_from(&mut answered) => {
+                let answer = &mut answered[..length];
+                forge(answer);
+                forged.fetch_add(1, Ordering::Relaxed);
+                near.send_to(answer, edge.expect("it was asked")).await.expect("loopback takes it");
+            }
+        }
+    }
+}
+
+/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
+/// clock.
+fn forge(answer: &mut [u8]) {
+    let seconds = ADDED.nanos() as f64 / 1e9;
+    let ntp = (seconds * 2_f64.powi(32)) as u64;
+    let is_open = answer[4..12] != [0; 8];
+    for at in if is_open { [4, 16] } else { [16, 32] } {
+        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
+        answer[at..at + 8].copy_from_slice(&(u64::from_be_bytes(stamp) + ntp).to_be_bytes());
+    }
+    let mark =
+        answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
+    for at in [mark + 8, mark + 16] {
+        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
+        answer[at..at + 8].copy_from_slice(&(i64::from_be_bytes(stamp) + ADDED.nanos()).to_be_bytes());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn forged_answers_to_probes_reach_no_delay() {
+    let aggregator = Aggregator::start().await;
+    let near = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
+    let port = near.local_addr().expect("bound").port();
+    let tables = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
+    let cloud = TestAgent::start_with("cloud", None, tables, "cloud").await;
+    let address: SocketAddr = cloud.address().trim_start_matches("tcp://").parse().expect("an address");
+    let data = TcpListener::bind("127.0.0.2:0").await.expect("a port");
+    let relayed = format!("tcp://{}", data.local_addr().expect("bound"));
+    let forged = Arc::new(AtomicUsize::new(0));
+    let relays = [
+        tokio::spawn(relay_data(data, address)),
+        tokio::spawn(relay_probes(near, SocketAddr::new(address.ip(), port), Arc::clone(&forged))),
+    ];
+
+    let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
+    let table = line("line", &cloud, load).replace(&cloud.address(), &relayed);
+    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
+    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("not authenticated by the key"));
+    edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let mut judged = 0;
+    for iteration in seen.iterations() {
+        for way in WAYS {
+            let delay = delay(iteration, way);
+            assert!(delay.raw > Span::from_millis(19), "{delay:?}");
+            if matches!(delay.verdict, Verdict::Ok | Verdict::Limited) {
+                // Both agents read one clock.
+                assert_holds(&delay, delay.raw);
+                judged += 1;
+            }
+        }
+    }
+    assert!(judged > 500, "{judged}");
+    edge.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    let counts = seen.clocks().iter().fold((0, 0), |(answered, lost), sample| {
+        (answered + sample.probes.answered, lost + sample.probes.lost)
+    });
+    assert!(counts.0 == 0 && counts.1 > 0, "{counts:?}");
+    assert!(forged.load(Ordering::Relaxed) > 20);
+    relays.iter().for_each(tokio::task::JoinHandle::abort);
+    cloud.stop().await.expect("stops well");
+}
