@@ -20,6 +20,8 @@ pub(super) struct Answers {
     before: Option<Probing>,
     /// What was refused last: said once, not at each packet.
     refused: Option<&'static str>,
+    /// So many were refused since one was taken.
+    refusals: u32,
 }
 
 impl Answers {
@@ -33,25 +35,37 @@ impl Answers {
                 if self.lost >= SILENCE
                     && let Probing::On { address, .. } = &now
                 {
-                    let reason = why_unanswered(link.shared.probes.key.is_some(), self.refused);
-                    link.set_probing(Probing::Unanswered { address: address.clone(), reason });
+                    link.set_probing(self.unanswered(address.clone(), link));
                     self.before = Some(now);
                 }
             }
             ProbeResult::Answered(_) | ProbeResult::Stepped(_) => {
                 self.under_way = self.under_way.saturating_sub(1);
-                (self.lost, self.refused) = (0, None);
+                (self.lost, self.refused, self.refusals) = (0, None, 0);
                 if let Some(on) = self.before.take() {
                     link.set_probing(on);
                 }
             }
             ProbeResult::Refused(why) => {
+                self.refusals = self.refusals.saturating_add(1);
                 if self.refused.replace(why) != Some(why) {
                     tracing::warn!(peer = %link.name, "probes go wrong: {why}");
+                }
+                if let Probing::Unanswered { address, .. } = link.probing() {
+                    link.set_probing(self.unanswered(address, link));
                 }
             }
             ProbeResult::Refined(_) => {}
         }
+    }
+
+    fn unanswered(&self, address: String, link: &Link) -> Probing {
+        let reason = why_unanswered(link.shared.probes.key.is_some(), self.refused);
+        let counted = |reason| match self.refusals {
+            0 => reason,
+            refusals => format!("{reason} ({refusals} refused)"),
+        };
+        Probing::Unanswered { address, reason: reason.map(counted) }
     }
 }
 
