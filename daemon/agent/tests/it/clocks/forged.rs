@@ -21,14 +21,13 @@ const ADDED: Span = Span::from_millis(13);
 
 /// Passes the bytes of a connection on, later.
 async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
-    let (queue, mut queued) = tokio::sync::mpsc::unbounded_channel();
+    let (queue, mut queued) = tokio::sync::mpsc::channel(1024);
     let reading = async move {
         let mut buffer = vec![0; 65_536];
         loop {
             let length = from.read(&mut buffer).await?;
-            if length == 0
-                || queue.send((tokio::time::Instant::now() + WAY, buffer[..length].to_vec())).is_err()
-            {
+            let due = tokio::time::Instant::now() + WAY;
+            if length == 0 || queue.send((due, buffer[..length].to_vec())).await.is_err() {
                 return io::Result::Ok(());
             }
         }
@@ -77,12 +76,11 @@ async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<Atomic
 /// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
 /// clock.
 fn forge(answer: &mut [u8]) {
-    let seconds = ADDED.nanos() as f64 / 1e9;
-    let ntp = (seconds * 2_f64.powi(32)) as u64;
+    let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
     let is_open = answer[4..12] != [0; 8];
     for at in if is_open { [4, 16] } else { [16, 32] } {
         let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
-        answer[at..at + 8].copy_from_slice(&(u64::from_be_bytes(stamp) + ntp).to_be_bytes());
+        answer[at..at + 8].copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
     }
     let mark =
         answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
