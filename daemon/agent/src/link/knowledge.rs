@@ -247,9 +247,11 @@ impl Knowledge {
         ]
     }
 
-    /// Something became of a probe.
-    pub(super) fn probed(&mut self, result: &ProbeResult, now: Stamp) -> News {
+    /// Something became of a probe, which was authenticated or not.
+    pub(super) fn probed(&mut self, result: &ProbeResult, authenticated: bool, now: Stamp) -> News {
         let mut news = self.turn(now);
+        let all = self.second.authenticated.unwrap_or(true);
+        self.second.authenticated = Some(all && authenticated);
         let probes = &mut self.second.probes;
         match result {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
@@ -423,7 +425,7 @@ impl Knowledge {
                 .map(|skew| (skew.least_ppm.min(skew.most_ppm), skew.most_ppm.max(skew.least_ppm))),
             grown_window: self.relation.window_reach(at.raw).filter(|reach| *reach > settings.window),
             claims_trusted: settings.trust_time_daemons,
-            probes_authenticated: None,
+            probes_authenticated: self.second.authenticated,
         };
         ClockSample {
             peer: self.peer,

@@ -116,10 +116,10 @@ impl Link {
         lock(&self.knowledge).judge_stamps(up, down)
     }
 
-    /// Something became of a probe.
-    pub(super) fn probed(&self, result: &ProbeResult) {
+    /// Something became of a probe, which was authenticated or not.
+    pub(super) fn probed(&self, result: &ProbeResult, authenticated: bool) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).probed(result, now);
+        let news = lock(&self.knowledge).probed(result, authenticated, now);
         self.tell(news);
     }
 

@@ -56,6 +56,7 @@ pub(super) async fn tend(link: Arc<Link>) {
 /// Looks after a link by means of one of its sessions, until that one is over.
 async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
     let id = session.id;
+    let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());
     peer.mark_changed();
     own.mark_changed();
@@ -79,7 +80,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             }
             clock = next(&mut peer) => link.cloud_says(clock),
             Some(result) = arriving.recv() => {
-                link.probed(&result);
+                link.probed(&result, authenticated);
                 answers.note(&result, link);
             }
             () = second => link.turn(),
@@ -88,11 +89,11 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
     }
     // The session is over: probes that are not answered count as lost: each that was sent is answered or lost.
     while let Ok(result) = arriving.try_recv() {
-        link.probed(&result);
+        link.probed(&result, authenticated);
         answers.note(&result, link);
     }
     for _ in 0..answers.under_way {
-        link.probed(&ProbeResult::Lost);
+        link.probed(&ProbeResult::Lost, authenticated);
     }
 }
 

@@ -16,6 +16,8 @@ pub(super) struct Second {
     /// Seconds since the Unix epoch.
     pub(super) at: i64,
     pub(super) probes: ProbeCounts,
+    /// Whether these are authenticated, all of them; `None` without probes.
+    pub(super) authenticated: Option<bool>,
     /// The exchange that bounds the offset best from above, and the one that does from below.
     pub(super) upper: Option<Exchange>,
     pub(super) lower: Option<Exchange>,
@@ -45,6 +47,7 @@ impl Second {
         Self {
             at,
             probes: ProbeCounts::default(),
+            authenticated: None,
             upper: None,
             lower: None,
             trips: Thinned::default(),

@@ -82,8 +82,8 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
         }
     }
-    let _ = knowledge.probed(&ProbeResult::Sent, now(700));
-    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), now(704));
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(700));
+    let _ = knowledge.probed(&ProbeResult::Answered(exchange(700, 5000)), true, now(704));
     assert_eq!(
         knowledge.now(&network(), now(800)).up.map(|up| up.count),
         Some(3),
@@ -94,6 +94,7 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
     let [sample] = &news.samples[..] else { panic!("{news:?}") };
     assert_eq!(sample.at, at(1000));
     assert_eq!((sample.probes.sent, sample.probes.answered, sample.probes.lost), (1, 1, 0));
+    assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
     assert_eq!(sample.round_trip.map(|trip| trip.min), Some(Span::from_millis(2)));
     assert_eq!((sample.up.map(|up| up.count), sample.down.map(|down| down.count)), (Some(3), Some(3)));
     assert_eq!(sample.exchanges.taken, 4);
@@ -183,10 +184,10 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
         let _ = knowledge.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
     }
     assert!(knowledge.now(&network(), now(300)).offset.is_some());
-    let _ = knowledge.probed(&ProbeResult::Sent, now(300));
-    let _ = knowledge.probed(&ProbeResult::Stepped(1), now(304));
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(300));
+    let _ = knowledge.probed(&ProbeResult::Stepped(1), true, now(304));
     assert_eq!(knowledge.now(&network(), now(305)).offset, None);
-    let news = knowledge.probed(&ProbeResult::Stepped(1), now(306));
+    let news = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
     assert!(news.restart.is_none(), "{news:?}");
     let after = |millis| Witnessed { edge_epoch: 1, ..exchange(millis, -3000) };
     // It may have been under way, for all the relation knows.
@@ -228,7 +229,7 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     let _ = knowledge.judge(&other, &exchange(300, 0), WAYS, now(304));
-    let _ = knowledge.probed(&ProbeResult::Sent, now(310));
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(310));
     let of_now = |network| knowledge.now(network, now(400)).up.map(|up| up.count);
     assert_eq!((of_now(&network()), of_now(&other)), (Some(3), Some(1)));
 
@@ -248,7 +249,7 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
     assert_eq!(networks(knowledge.turn(now(2001))), [network(), other.clone()]);
-    let _ = knowledge.probed(&ProbeResult::Sent, now(2100));
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
     knowledge.leave(&other);
     assert_eq!(networks(knowledge.finish(now(2200))), [other]);
 }
