@@ -126,9 +126,9 @@ const EXCLUDE: (&str, &str) = (
 /// Of exchanges that contradict each other.
 const DOUBT: (&str, &str) = (
     "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
-     allows, or one of the hosts does not tell the truth.",
-    "see on both hosts whether a time daemon slews the clock hard, and raise [clock] max_drift_ppm above what the clocks \
-     really drift",
+     allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts does not tell the truth.",
+    "read the incidents of the link, which name the limit that is broken, and raise it on the edge above what the clocks \
+     really do",
 );
 
 fn why(offset: &Offset, course: &Course) -> Vec<String> {
