@@ -97,7 +97,8 @@ fn iterations_over_bad_path_are_answered_or_lost() {
             let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };
             let truth = raw - ahead;
             assert!(truth >= delay - 0.004, "{name}: {truth}");
-            assert!(lo - 1e-7 <= truth && truth <= hi + 1e-7, "{name}: {truth} is not in [{lo}, {hi}]");
+            // The interval is of the free-running clocks; the wall clocks are read up to 3 µs later.
+            assert!(lo - 3e-6 <= truth && truth <= hi + 3e-6, "{name}: {truth} is not in [{lo}, {hi}]");
             compared += 1;
         }
         assert!(compared > 50, "{name}: {compared}");

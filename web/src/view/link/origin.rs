@@ -127,8 +127,8 @@ const EXCLUDE: (&str, &str) = (
 const DOUBT: (&str, &str) = (
     "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
      allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts does not tell the truth.",
-    "read the incidents of the link, which name the limit that is broken, and raise it on the edge above what the clocks \
-     really do",
+    "read the incidents of the link, which name the limit that is broken, and raise it on the edge ([clock] max_drift_ppm or \
+     max_drift_change_ppm_per_s) above what the clocks really do",
 );
 
 fn why(offset: &Offset, course: &Course) -> Vec<String> {
