@@ -4,6 +4,7 @@
 //! ```text
 //! watch        ten times a second: do the clocks still go as they should?
 //! clocksource  what the kernel reads them from
+//! vmclock      what the hypervisor says of that, where it says something
 //! sources      every few seconds: chronyc and kernel are asked, claim merges what they say
 //! ```
 
@@ -17,6 +18,7 @@ mod sources;
 #[cfg(test)]
 mod tests;
 mod timex;
+mod vmclock;
 mod watch;
 
 use std::path::Path;
@@ -34,6 +36,7 @@ use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
 use sources::Sources;
+use vmclock::Vmclock;
 use watch::Watchman;
 
 /// How often the clocks are looked at.
@@ -77,7 +80,8 @@ pub(crate) async fn run(
     stop: CancellationToken,
 ) {
     let clocksource = Clocksource::below(Path::new("/sys"));
-    let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone(), clocksource);
+    let vmclock = Vmclock::below(Path::new("/dev"));
+    let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
     let looking = async {
         let mut ticks = interval(LOOK);
         let mut looks = 0_u32;

@@ -3,7 +3,7 @@
 use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
 use peernet_stream::IncidentKind;
 
-use super::Clocksource;
+use super::{Clocksource, Vmclock};
 use crate::incidents::{Concerning, Incidents, far_in_words};
 
 /// A clock that runs off goes on doing so: it is told at most so often.
@@ -26,13 +26,28 @@ pub(super) struct Watchman {
     clocksource: Clocksource,
     /// Its name at the last look.
     clocksource_name: String,
+    vmclock: Vmclock,
 }
 
 impl Watchman {
-    pub(super) fn new(max_drift_ppm: f64, clock: SharedClock, clocksource: Clocksource) -> Self {
+    pub(super) fn new(
+        max_drift_ppm: f64,
+        clock: SharedClock,
+        clocksource: Clocksource,
+        vmclock: Vmclock,
+    ) -> Self {
         let (watch, wall_epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
         let clocksource_name = clocksource.name();
-        Self { clock, watch, max_drift_ppm, wall_epoch, slew_told: None, clocksource, clocksource_name }
+        Self {
+            clock,
+            watch,
+            max_drift_ppm,
+            wall_epoch,
+            slew_told: None,
+            clocksource,
+            clocksource_name,
+            vmclock,
+        }
     }
 
     /// What the kernel read the time from at the last look.
@@ -58,6 +73,7 @@ impl Watchman {
         let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
         let mut texts: Vec<String> = all.filter_map(|odd| self.in_words(odd, readings.mono)).collect();
         texts.extend(self.look_at_clocksource());
+        texts.extend(self.look_at_vmclock());
         for text in texts {
             incidents.report(IncidentKind::ClockStep, Concerning::default(), text);
         }
@@ -69,11 +85,26 @@ impl Watchman {
         if name == self.clocksource_name {
             return None;
         }
+        self.begin_epochs();
+        let before = std::mem::replace(&mut self.clocksource_name, name);
+        Some(format!("this host's clocksource changed from {before} to {}; {OF_RAW}", self.clocksource_name))
+    }
+
+    /// The hypervisor says that the counter went on differently, as no clock of the machine itself can tell.
+    fn look_at_vmclock(&mut self) -> Option<String> {
+        let device = self.vmclock.disrupted()?.display().to_string();
+        self.begin_epochs();
+        Some(format!(
+            "the hypervisor disrupted this host's clocks, by the word of {device}, as when a virtual machine is paused or moved; \
+             {OF_RAW}"
+        ))
+    }
+
+    /// What was stamped before says nothing about what is stamped from now on, by either clock.
+    fn begin_epochs(&mut self) {
         self.clock.begin_epoch();
         self.clock.begin_wall_epoch();
         self.wall_epoch = self.clock.wall_epoch();
-        let before = std::mem::replace(&mut self.clocksource_name, name);
-        Some(format!("this host's clocksource changed from {before} to {}; {OF_RAW}", self.clocksource_name))
     }
 
     /// `None` when it was told often enough.
@@ -105,12 +136,14 @@ impl Watchman {
 
 #[cfg(test)]
 mod tests {
+    use std::fs::File;
     use std::sync::Arc;
 
     use peernet_clock::{ClockIdentity, ManualClock, RehearsalDescription, RehearsedClock, WallTime};
     use peernet_stream::Event;
     use tokio::sync::mpsc;
 
+    use super::super::vmclock::tests::{disrupt, make};
     use super::*;
     use crate::feed::{Feed, Tap};
 
@@ -123,6 +156,8 @@ mod tests {
         told: mpsc::Receiver<Event>,
         /// Its sysfs.
         sys: tempfile::TempDir,
+        /// Its vmclock device.
+        vmclock: File,
     }
 
     impl Scene {
@@ -138,9 +173,11 @@ mod tests {
             let incidents = Incidents::new(Arc::clone(&clock), feed);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::below(sys.path());
-            let mut watchman = Watchman::new(50.0, Arc::clone(&clock), clocksource);
+            let vmclock = make(sys.path(), 7);
+            let mut watchman =
+                Watchman::new(50.0, Arc::clone(&clock), clocksource, Vmclock::below(sys.path()));
             watchman.look(&incidents);
-            Self { manual, clock, watchman, incidents, told, sys }
+            Self { manual, clock, watchman, incidents, told, sys, vmclock }
         }
 
         /// Looks ten times a second.
@@ -222,5 +259,20 @@ mod tests {
         let told = scene.told();
         assert!(matches!(&told[..], [text] if text.contains("changed from  to hpet")), "{told:?}");
         assert_eq!((scene.clock.epoch(), scene.clock.wall_epoch()), (2, 2));
+    }
+
+    #[test]
+    fn disruption_by_hypervisor_begins_new_epoch_of_both_clocks() {
+        let mut scene = Scene::new(0.0);
+        scene.look_for(1);
+        assert!(scene.told().is_empty());
+        disrupt(&scene.vmclock, 0, 8);
+        scene.look_for(1);
+        let told = scene.told();
+        assert!(
+            matches!(&told[..], [text] if text.contains("the hypervisor disrupted") && text.contains("vmclock0")),
+            "{told:?}"
+        );
+        assert_eq!((scene.clock.epoch(), scene.clock.wall_epoch()), (1, 1));
     }
 }

@@ -1,0 +1,204 @@
+//! What a hypervisor says of the clocks that it supplies: the devices `vmclock` of Linux (`linux/vmclock-abi.h`).
+
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+/// "VCLK", little-endian as all of it.
+const MAGIC: u32 = 0x4b4c_4356;
+const VERSION: u16 = 1;
+/// Bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes about the counter, the
+/// sequence count (32), the marker (64).
+const BYTES: usize = 24;
+/// A structure that changes for longer is read at the next look.
+const ATTEMPTS: u32 = 8;
+
+/// The devices, and what they said at the last look.
+#[derive(Debug)]
+pub(crate) struct Vmclock {
+    devices: Vec<Device>,
+}
+
+#[derive(Debug)]
+struct Device {
+    path: PathBuf,
+    file: File,
+    /// `None` while it was never read.
+    marker: Option<u64>,
+}
+
+impl Vmclock {
+    /// The devices `vmclock*` of a folder, such as `/dev`. Those that cannot be read are named in the log; most hosts have none.
+    pub(crate) fn below(dev: &Path) -> Self {
+        let entries = std::fs::read_dir(dev).into_iter().flatten().flatten();
+        let named = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("vmclock"));
+        let open = |path: PathBuf| match File::open(&path) {
+            Ok(file) => Some(Device { path, file, marker: None }),
+            Err(error) => {
+                let device = path.display();
+                tracing::warn!(
+                    "cannot read {device}: {error}; disruptions of the clocks that the hypervisor tells there are not \
+                     noticed until this user may read it"
+                );
+                None
+            }
+        };
+        let mut vmclock = Self { devices: named.map(|entry| entry.path()).filter_map(open).collect() };
+        // What was before is nothing that happened since.
+        let _ = vmclock.disrupted();
+        vmclock
+    }
+
+    /// Reads the markers. Returns a device whose marker changed since the last look: the counter that this host reads the time from went
+    /// on differently, as when a virtual machine was moved.
+    pub(crate) fn disrupted(&mut self) -> Option<&Path> {
+        let mut disrupted = None;
+        for device in &mut self.devices {
+            match read(&device.file) {
+                Ok(Some(marker)) => {
+                    let before = device.marker.replace(marker);
+                    if before.is_some_and(|before| before != marker) {
+                        disrupted = Some(device.path.as_path());
+                    }
+                }
+                Ok(None) => {}
+                // It goes on to be asked: what cannot be read for once may be read later.
+                Err(error) => tracing::debug!("cannot read {}: {error}", device.path.display()),
+            }
+        }
+        disrupted
+    }
+}
+
+/// Returns the marker; `None` while the structure is being changed.
+///
+/// Linux copies it consistently for a reader. The sequence count is compared all the same, before and after, so that this also holds where
+/// whoever provides the file does not.
+fn read(file: &File) -> io::Result<Option<u64>> {
+    let mut before = structure(file)?;
+    for _ in 0..ATTEMPTS {
+        let after = structure(file)?;
+        if before == after && sequence(&after).is_multiple_of(2) {
+            let [.., a, b, c, d, e, f, g, h] = after;
+            return Ok(Some(u64::from_le_bytes([a, b, c, d, e, f, g, h])));
+        }
+        before = after;
+    }
+    Ok(None)
+}
+
+fn structure(file: &File) -> io::Result<[u8; BYTES]> {
+    let mut bytes = [0; BYTES];
+    file.read_exact_at(&mut bytes, 0)?;
+    let magic = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    let version = u16::from_le_bytes([bytes[8], bytes[9]]);
+    if (magic, version) != (MAGIC, VERSION) {
+        let text = format!("magic {magic:#x} and version {version} are not those of a vmclock device");
+        return Err(io::Error::new(io::ErrorKind::InvalidData, text));
+    }
+    Ok(bytes)
+}
+
+const fn sequence(bytes: &[u8; BYTES]) -> u32 {
+    u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]])
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::fs::OpenOptions;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::*;
+
+    /// Bytes of a whole structure: `clock_status` and what else follows the marker does not concern us.
+    const WHOLE: usize = 104;
+
+    /// Makes a device as a folder has it.
+    pub(in crate::host_clock) fn make(folder: &Path, marker: u64) -> File {
+        let path = folder.join("vmclock0");
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path);
+        let file = file.expect("made");
+        let mut bytes = [0; WHOLE];
+        bytes[..4].copy_from_slice(&MAGIC.to_le_bytes());
+        bytes[4..8].copy_from_slice(&4096_u32.to_le_bytes());
+        bytes[8..10].copy_from_slice(&VERSION.to_le_bytes());
+        bytes[10] = 1; // VMCLOCK_COUNTER_X86_TSC
+        bytes[16..24].copy_from_slice(&marker.to_le_bytes());
+        file.write_all_at(&bytes, 0).expect("written");
+        file
+    }
+
+    /// Changes the marker as a hypervisor does.
+    pub(in crate::host_clock) fn disrupt(file: &File, sequence: u32, marker: u64) {
+        let write = |bytes: &[u8], at| file.write_all_at(bytes, at).expect("written");
+        write(&(sequence + 1).to_le_bytes(), 12);
+        for (at, byte) in (16..).zip(marker.to_le_bytes()) {
+            write(&[byte], at);
+        }
+        write(&(sequence + 2).to_le_bytes(), 12);
+    }
+
+    #[test]
+    fn changed_marker_is_told_once() {
+        let dev = tempfile::tempdir().expect("a folder");
+        assert_eq!(Vmclock::below(dev.path()).disrupted(), None, "there is none");
+        let file = make(dev.path(), 7);
+        let mut vmclock = Vmclock::below(dev.path());
+        assert_eq!(vmclock.disrupted(), None);
+        disrupt(&file, 0, 8);
+        assert_eq!(vmclock.disrupted(), Some(dev.path().join("vmclock0").as_path()));
+        assert_eq!(vmclock.disrupted(), None);
+    }
+
+    #[test]
+    fn marker_that_is_being_changed_is_told_afterwards() {
+        let dev = tempfile::tempdir().expect("a folder");
+        let file = make(dev.path(), 7);
+        let mut vmclock = Vmclock::below(dev.path());
+        disrupt(&file, 0, 8);
+        file.write_all_at(&3_u32.to_le_bytes(), 12).expect("written");
+        assert_eq!(vmclock.disrupted(), None);
+        file.write_all_at(&4_u32.to_le_bytes(), 12).expect("written");
+        assert!(vmclock.disrupted().is_some());
+    }
+
+    #[test]
+    fn file_that_is_no_vmclock_says_nothing() {
+        for (at, byte) in [(0, b'X'), (8, 2)] {
+            let dev = tempfile::tempdir().expect("a folder");
+            let file = make(dev.path(), 7);
+            file.write_all_at(&[byte], at).expect("written");
+            let mut vmclock = Vmclock::below(dev.path());
+            disrupt(&file, 0, 8);
+            assert_eq!(vmclock.disrupted(), None);
+        }
+        let dev = tempfile::tempdir().expect("a folder");
+        std::fs::write(dev.path().join("vmclock0"), [0; BYTES - 1]).expect("written");
+        assert_eq!(Vmclock::below(dev.path()).disrupted(), None);
+    }
+
+    #[test]
+    fn torn_marker_is_never_read() {
+        let dev = tempfile::tempdir().expect("a folder");
+        let file = make(dev.path(), 0);
+        let is_over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut changes = 0_u32;
+                while !is_over.load(Ordering::Relaxed) {
+                    changes += 1;
+                    let byte = u64::from(changes % 256);
+                    disrupt(&file, 2 * changes, byte * 0x0101_0101_0101_0101);
+                }
+            });
+            let device = File::open(dev.path().join("vmclock0")).expect("it is there");
+            for _ in 0..5_000 {
+                if let Some(marker) = read(&device).expect("it is one") {
+                    assert_eq!(marker, (marker & 0xff) * 0x0101_0101_0101_0101, "{marker:x}");
+                }
+            }
+            is_over.store(true, Ordering::Relaxed);
+        });
+    }
+}
