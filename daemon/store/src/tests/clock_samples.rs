@@ -1,8 +1,8 @@
 //! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
 
-use peernet_clock::{DelaySource, RawTime, Span, Verdict, WallTime};
+use peernet_clock::{DelaySource, RawTime, RelatedClocks, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{ClockSample, Event, HostDescription, Iteration, NetworkName};
+use peernet_stream::{ClockSample, EstimateBasis, Event, HostDescription, Iteration, NetworkName};
 
 use super::clocks::{link, micros, sample};
 use super::{Bed, NOW, generate};
@@ -130,6 +130,29 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
     bed.commit(&[work]).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(bed.count("SELECT events FROM host WHERE name = 'edge'").await, 3);
+}
+
+#[tokio::test]
+async fn seconds_of_one_raw_window_are_all_kept_when_wall_clock_is_set_back() {
+    let mut bed = Bed::new().await;
+    let cloud = bed.cloud;
+    // The raw clock goes on, and the wall clock shows seconds 6 to 10 three times.
+    let raw = |raw: i64, second: i64| {
+        let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
+        let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };
+        ClockSample { window: 1, basis: Some(basis), ..sample(cloud, second, 40) }
+    };
+    let shown = (1..=10).chain(6..=10).chain(6..=10);
+    let samples: Vec<_> = shown.zip(1..).map(|(second, at)| raw(at, second)).collect();
+    store(&mut bed, samples.clone()).await;
+    assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
+    // A second that comes again replaces itself alone.
+    store(&mut bed, samples).await;
+    assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
+    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 20);
+    let told = series(&bed, 1_000).await.points;
+    let sent: Vec<u32> = told.iter().map(|point| point.probes.sent).collect();
+    assert_eq!(sent, [[10; 5], [30; 5]].concat(), "they are of the same seconds");
 }
 
 #[tokio::test]

@@ -35,6 +35,13 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
+/// The time that a second of a window is stored at. A wall clock that was set back shows the same times again, while the window of raw
+/// clocks goes on: each further second of such a time is stored a nanosecond before the last one, in the same second all the same.
+/// ?1 link, ?2 its time, ?3 window, ?4 the raw clock then.
+const FREE_TIME: &str = "SELECT coalesce( \
+     (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
+     ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
+
 /// What the bounds rest on is that of the newest sample; probes count as authenticated where those of all samples are.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
@@ -69,12 +76,13 @@ impl Links {
     ) -> Result<(), Refusal> {
         let link = self.link(connection, entities, edge, sample, now).await?;
         let basis = sample.basis.map(plausible::basis);
-        let values = values(link, sample, basis).map_err(sqlx::Error::Encode)?;
+        let at = free_time(connection, link, sample, basis.as_ref()).await?;
+        let values = values(link, at, sample, basis).map_err(sqlx::Error::Encode)?;
         sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
         sqlx::query(WINDOW)
             .bind(link)
             .bind(sample.window.cast_signed())
-            .bind(sample.at.unix_nanos())
+            .bind(at)
             .bind(basis.and_then(|basis| position(RelatedClocks::ALL, basis.clocks)))
             .bind(sample.max_drift_ppm)
             .bind(basis.and_then(|basis| basis.max_drift_change_ppm_per_s))
@@ -82,7 +90,7 @@ impl Links {
             .bind(basis.and_then(|basis| basis.probes_authenticated))
             .execute(connection)
             .await?;
-        let at = Extent::of(sample.at.unix_nanos());
+        let at = Extent::of(at);
         self.arrived.entry(link).and_modify(|known| *known = known.hull(at)).or_insert(at);
         Ok(())
     }
@@ -144,15 +152,34 @@ impl Links {
     }
 }
 
+/// Returns the time at which a sample is stored, in nanoseconds of the edge's wall clock.
+async fn free_time(
+    connection: &mut SqliteConnection,
+    link: i64,
+    sample: &ClockSample,
+    basis: Option<&EstimateBasis>,
+) -> Result<i64, sqlx::Error> {
+    let at = sample.at.unix_nanos();
+    let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
+    sqlx::query_scalar(FREE_TIME)
+        .bind(link)
+        .bind(at)
+        .bind(sample.window.cast_signed())
+        .bind(raw.nanos())
+        .fetch_one(connection)
+        .await
+}
+
 /// The values of a row. SQLite keeps not-a-number as NULL.
 fn values(
     link: i64,
+    at: i64,
     sample: &ClockSample,
     basis: Option<EstimateBasis>,
 ) -> Result<SqliteArguments, BoxDynError> {
     let mut to = SqliteArguments::default();
     to.add(link)?;
-    to.add(sample.at.unix_nanos())?;
+    to.add(at)?;
     // SQLite's integers are signed: the bits are kept.
     to.add(sample.window.cast_signed())?;
     to.add(sample.max_drift_ppm)?;
