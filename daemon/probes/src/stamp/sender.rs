@@ -18,7 +18,7 @@ use super::uncertainty::{self, AGREEMENT};
 const MAX_PENDING: usize = 1024;
 
 /// Random octets of one request.
-type Nonce = [u8; NONCE_BYTES];
+pub type Nonce = [u8; NONCE_BYTES];
 const NONCE_BYTES: usize = 16;
 
 /// Longest time between the program's stamp and the kernel's that is believed.
@@ -130,6 +130,8 @@ struct Told {
     origin: Option<Origin>,
     raw: Option<RawStamps>,
     nonce: Option<Nonce>,
+    /// Why nothing of it is believed, where the TLVs are not as they were written.
+    altered: Option<&'static str>,
 }
 
 /// What a reply tells of the reflector's related clock.
@@ -170,12 +172,16 @@ impl Sending {
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
+        self.request_with(clock, rand::random())
+    }
+
+    /// The same with octets that are given, where requests carry them; nobody else may know them before it is sent.
+    pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let mode = Mode::of(self.key.as_ref());
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
         let nonce = self.nonce.clone().map(|place| {
-            let nonce: Nonce = rand::random();
-            self.packet[place].copy_from_slice(&nonce);
-            nonce
+            self.packet[place].copy_from_slice(&octets);
+            octets
         });
         if let Some(key) = &self.key {
             tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
@@ -260,7 +266,10 @@ impl Sending {
         let told = told(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
         match (self.instance, told.origin) {
             (Some(expected), Some(origin)) if origin.instance != expected => return Err(ANOTHER_PROCESS),
-            (Some(_), None) => return Err(NOT_OURS),
+            (Some(_), None) => {
+                let found = if self.key.is_some() { UNNAMED } else { NOT_OURS };
+                return Err(told.altered.unwrap_or(found));
+            }
             _ => {}
         }
         let there = self.there(&reply, &told, returned.read.wall)?;
@@ -336,6 +345,15 @@ pub const ANOTHER_PROCESS: &str = "another process answers the probes than serve
 /// Of a reply by no reflector of ours where one was expected.
 pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
 
+/// Of an authentic reply with TLVs that do not fit their code (RFC 8972, section 4.8).
+pub const ALTERED_ANSWER: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
+                                  does not know them";
+/// Of an authentic reply with flag I: its reflector found that of the request.
+pub const ALTERED_PROBE: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
+/// Of an authentic reply without the TLV that names its reflector.
+pub const UNNAMED: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
+                           reflector is not of PEERNet";
+
 /// Of a reply by a reflector of ours that lacks the stamps of its free-running clock where they are asked for.
 const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
 
@@ -370,9 +388,12 @@ fn refine(
 /// What the TLVs tell, as far as they may be believed (RFC 8972, section 4).
 fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
     let mut told = Told::default();
-    let doubted = tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0);
-    if doubted || !tlv::are_intact(key, sequence, tlvs) {
-        return told;
+    // A reflector that says so gives them back as they came: their code does not fit then.
+    if tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0) {
+        return Told { altered: Some(ALTERED_PROBE), ..told };
+    }
+    if !tlv::are_intact(key, sequence, tlvs) {
+        return Told { altered: Some(ALTERED_ANSWER), ..told };
     }
     for place in tlv::places(tlvs) {
         // What follows it is not authenticated.

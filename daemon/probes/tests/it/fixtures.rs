@@ -61,7 +61,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
     let mut sender = Sending::new(SendingConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
-        bound: false,
+        bound: mode.bound,
         clocks: mode.clocks,
         ssid: 0xBEEF,
         first: 0x0102_0304,
@@ -73,7 +73,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
     let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
     let mut heard = Vec::new();
     for number in 0..2 {
-        let (departure, request) = sender.request(&edge);
+        let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
         sender.sent(departure);
         edge.advance(WAY);
@@ -109,20 +109,23 @@ struct Mode {
     name: &'static str,
     with_key: bool,
     clocks: RelatedClocks,
+    /// Octets tie an answer to its request. They are random elsewhere.
+    bound: bool,
 }
 
 impl Mode {
     const fn new(name: &'static str, with_key: bool, clocks: RelatedClocks) -> Self {
-        Self { name, with_key, clocks }
+        Self { name, with_key, clocks, bound: false }
     }
 }
 
 /// The first two are those of releases before 0.3.0.
-const MODES: [Mode; 4] = [
+const MODES: [Mode; 5] = [
     Mode::new("open", false, RelatedClocks::RawToWall),
     Mode::new("authenticated", true, RelatedClocks::RawToWall),
     Mode::new("open-raw", false, RelatedClocks::Raw),
     Mode::new("authenticated-raw", true, RelatedClocks::Raw),
+    Mode { bound: true, ..Mode::new("bound-raw", true, RelatedClocks::Raw) },
 ];
 
 #[test]

@@ -379,6 +379,33 @@ fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
 }
 
 #[test]
+fn authentic_reply_with_damaged_tlvs_is_refused_by_what_was_found() {
+    let mut pair = Pair::raw(true);
+    let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
+    pair.sender = Sending::new(SendingConfig { key, instance, bound: true, clocks, ..config() });
+    let (_, packet) = pair.send();
+    let mut altered_request = packet.clone();
+    altered_request[112 + tlv::HEADER_BYTES] ^= 1;
+    let reply = pair.reflect(altered_request);
+    let said = pair.hear(&reply).expect_err("the probe was altered");
+    assert!(said.contains("HMAC of the probe's TLVs does not fit"), "{said}");
+    let reply = pair.reflect(packet);
+    let code = tlv::places(&reply[112..]).find(|place| place.kind == tlv::HMAC).expect("authenticated");
+    for at in 112..112 + code.at {
+        let mut altered = reply.clone();
+        altered[at] ^= 1;
+        let said = pair.hear(&altered).expect_err("the reply was altered");
+        assert!(!said.contains("something else answers"), "octet {at}: {said}");
+    }
+    let mut altered = reply.clone();
+    *altered.last_mut().expect("not empty") ^= 1;
+    assert!(pair.hear(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
+    let said = pair.hear(&reply[..112]).expect_err("cut off");
+    assert!(said.contains("does not say which process wrote it"), "{said}");
+    assert!(pair.hear(&reply).is_ok());
+}
+
+#[test]
 fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
     let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
     let there_and_back = WAY + WAY + Span::from_micros(55);
