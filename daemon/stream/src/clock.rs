@@ -123,6 +123,14 @@ pub struct ProbeCounts {
     pub answered: u32,
     /// Did not come back in time.
     pub lost: u32,
+    /// Packets that arrived and were refused as answers, and probes that could not be sent. Since version 7 of the event stream.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub refused: u32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+const fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Round trips of probes.
@@ -136,7 +144,7 @@ pub struct RoundTrip {
 
 /// A link of an agent, now: one cloud over one network. The relation of the clocks is that of the pair of hosts, fed by all
 /// of the agent's pipelines and probes to the cloud.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct LinkLive {
     /// The cloud.
     pub peer: HostId,
@@ -160,13 +168,52 @@ pub struct LinkLive {
     pub now: ClockSample,
     /// Open connections, one for each pipeline, at most [`MAX_PIPELINES`]; since version 6 of the event
     /// stream.
-    // Older versions cannot read this field.
-    #[serde(
-        default,
-        skip_serializing_if = "Vec::is_empty",
-        deserialize_with = "at_most::<MAX_PIPELINES, _, _>"
-    )]
+    #[serde(default, deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
     pub connections: Vec<Connection>,
+    /// The reflector that the edge's configuration names for the cloud; since version 7 of the event stream.
+    #[serde(default)]
+    pub reflector: Option<ReflectorLive>,
+}
+
+impl Serialize for LinkLive {
+    /// Leaves out the last values where they say nothing: older versions cannot read them.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let has_connections = self.reflector.is_some() || !self.connections.is_empty();
+        let fields = 9 + usize::from(has_connections) + usize::from(self.reflector.is_some());
+        let mut to = serializer.serialize_struct("LinkLive", fields)?;
+        to.serialize_field("peer", &self.peer)?;
+        to.serialize_field("peer_name", &self.peer_name)?;
+        to.serialize_field("networks", &self.networks)?;
+        to.serialize_field("pipelines", &self.pipelines)?;
+        to.serialize_field("same_clock", &self.same_clock)?;
+        to.serialize_field("probing", &self.probing)?;
+        to.serialize_field("edge", &self.edge)?;
+        to.serialize_field("cloud", &self.cloud)?;
+        to.serialize_field("now", &self.now)?;
+        if has_connections {
+            to.serialize_field("connections", &self.connections)?;
+        }
+        if let Some(reflector) = &self.reflector {
+            to.serialize_field("reflector", reflector)?;
+        }
+        to.end()
+    }
+}
+
+/// A STAMP reflector that an edge's configuration names for a cloud, now. Its clock is its own: nothing says that it is the clock of the
+/// cloud, and no delay of data rests on it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReflectorLive {
+    /// As it is configured: `udp://host:port`.
+    pub address: String,
+    /// How it is probed.
+    pub probing: Probing,
+    /// Probes since the link was opened.
+    pub probes: ProbeCounts,
+    /// Round trips of the newest hundred answers; `None` before the first.
+    pub round_trip: Option<RoundTrip>,
+    /// The reflector's wall clock minus that of the edge; `None` while nothing is known.
+    pub offset: Option<Offset>,
 }
 
 impl LinkLive {

@@ -38,7 +38,9 @@ mod unresolved;
 mod versions;
 
 pub use chain::Chain;
-pub use clock::{ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, RoundTrip};
+pub use clock::{
+    ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, ReflectorLive, RoundTrip,
+};
 pub use connection::{
     Connection, ConnectionStatistics, DirectionStatistics, NetworkInterface, TransportRoundTrip,
 };

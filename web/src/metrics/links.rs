@@ -37,6 +37,14 @@ pub(super) fn loss(link: &LinkPicture) -> Option<Sample> {
     (all > 0).then(|| Sample::Value(lost as f64 / all as f64))
 }
 
+/// Number of packets that were refused as answers to probes.
+pub(super) fn refused(link: &LinkPicture) -> Option<Sample> {
+    let newest = link.history.last()?.at;
+    let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
+    let refused: u64 = recent.map(|point| u64::from(point.probes.refused)).sum();
+    Some(Sample::Value(refused as f64))
+}
+
 /// A total of each direction of each connection that knows it.
 pub(super) fn directions(scrape: &Scrape, to: &mut Sink<'_>, of: fn(&DirectionStatistics) -> Option<u64>) {
     for (link, connection) in scrape.connections() {

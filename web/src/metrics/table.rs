@@ -117,6 +117,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "link_connected", "bool"), LINK, "1 while the edge reports the link, else 0.", |s, to| links::each(s, to, |link| Some(Sample::truth(link.connected)))),
     metric((Gauge, "link_offset_half_width", "seconds"), LINK, "Half the width of the interval that contains the offset of the two clocks; absent while nothing is known.", |s, to| links::each(s, to, links::half_width)),
     metric((Gauge, "link_probe_loss", "ratio"), LINK, "Share of probes without an answer over 60 s, 0 to 1; absent while none is sent.", |s, to| links::each(s, to, links::loss)),
+    metric((Gauge, "link_refused", "probes"), LINK, "Packets that were refused as answers to probes, and probes that could not be sent, over 60 s.", |s, to| links::each(s, to, links::refused)),
     metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without what the transport adds.", |s, to| links::directions(s, to, |one| Some(one.bytes))),
     metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, to| links::directions(s, to, |one| Some(one.messages))),
     metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, to| links::directions(s, to, |one| one.datagrams)),

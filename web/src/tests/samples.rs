@@ -257,7 +257,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         upper: None,
         lower: None,
         offset,
-        probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
+        probes: ProbeCounts { sent: 10, answered: 10, lost: 0, refused: 0 },
         exchanges: half.map_or_else(ExchangeCounts::default, |_| ExchangeCounts {
             taken: 6_120,
             outliers: 4,
@@ -312,6 +312,7 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkPicture {
             cloud: None,
             now: clock_sample(second(0), 1, half),
             connections: vec![connection()],
+            reflector: None,
         },
         history: known.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
     }

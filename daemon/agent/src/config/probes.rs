@@ -1,8 +1,12 @@
 //! `[probes]`
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
+
+use super::ReflectorAddress;
 
 /// `[probes]`: small packets that relate two hosts' clocks (STAMP, RFC 8762, over UDP).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +34,10 @@ pub struct ProbesConfig {
     /// Probes per second that are answered for one address (of IPv6: for one network of 64 bits); 1 to 10000. All addresses
     /// without a session on this host together get ten times as many. Default: 100.
     pub max_per_source_hz: u32,
+    /// Reflectors of STAMP, of any make, that are probed beside those of the peers, by the name of the peer whose link shows them:
+    /// `udp://HOST:PORT`, without a port at 862. Their clocks are not tied to the peer's: no delay rests on them. Default: none.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub reflectors: BTreeMap<Slug, ReflectorAddress>,
 }
 
 impl ProbesConfig {
@@ -48,6 +56,7 @@ impl Default for ProbesConfig {
             key_file: None,
             padding_bytes: 0,
             max_per_source_hz: 100,
+            reflectors: BTreeMap::new(),
         }
     }
 }

@@ -1,66 +1,87 @@
-//! Whether probes come back, and what is known when they do not.
+//! Whether probes come back, and what is known when they do not. No I/O.
 
+use peernet_clock::{LogThrottle, MonoTime};
+use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
-use peernet_probes::stamp::sender::{ANOTHER_PROCESS, NOT_OURS};
+use peernet_probes::stamp::sender::{ALTERED_ANSWER, ALTERED_PROBE, ANOTHER_PROCESS, NOT_OURS, UNNAMED};
 use peernet_stream::Probing;
-
-use super::pair::Link;
 
 /// So many probes lost in a row, and the link counts as one whose probes are not answered.
 const SILENCE: u32 = 3;
 
-/// What became of the probes to one cloud.
-#[derive(Debug, Default)]
+/// Decides from what became of the probes to one reflector whether they are shown as answered.
+#[derive(Debug)]
 pub(super) struct Answers {
+    /// The name of the cloud, for the log.
+    peer: Slug,
+    /// This end has a key of its own.
+    keyed: bool,
     /// Sent, and neither answered nor lost.
-    pub(super) under_way: u32,
+    under_way: u32,
     /// Lost in a row.
     lost: u32,
     /// How it was probed while they came back.
     before: Option<Probing>,
-    /// What was refused last: said once, not at each packet.
+    /// What was refused last since one was taken.
     refused: Option<&'static str>,
     /// So many were refused since one was taken.
     refusals: u32,
+    /// Whoever sends garbage does not fill the log.
+    log: LogThrottle,
 }
 
 impl Answers {
-    pub(super) fn note(&mut self, result: &ProbeResult, link: &Link) {
+    /// Of a reflector that was asked nothing.
+    pub(super) fn new(peer: Slug, keyed: bool) -> Self {
+        let log = LogThrottle::default();
+        Self { peer, keyed, under_way: 0, lost: 0, before: None, refused: None, refusals: 0, log }
+    }
+
+    /// Number of probes that were sent and neither answered nor lost.
+    pub(super) const fn under_way(&self) -> u32 {
+        self.under_way
+    }
+
+    /// Takes what became of a probe by now, and changes what is shown.
+    pub(super) fn note(&mut self, result: &ProbeResult, now: MonoTime, shown: &mut Probing) {
         match result {
             ProbeResult::Sent => self.under_way = self.under_way.saturating_add(1),
             ProbeResult::Lost => {
                 self.under_way = self.under_way.saturating_sub(1);
                 self.lost = self.lost.saturating_add(1);
-                let now = link.probing();
                 if self.lost >= SILENCE
-                    && let Probing::On { address, .. } = &now
+                    && let Probing::On { address, .. } = &*shown
                 {
-                    link.set_probing(self.unanswered(address.clone(), link));
-                    self.before = Some(now);
+                    let unanswered = self.unanswered(address.clone());
+                    self.before = Some(std::mem::replace(shown, unanswered));
                 }
             }
             ProbeResult::Answered(_) | ProbeResult::Stepped(_) => {
                 self.under_way = self.under_way.saturating_sub(1);
                 (self.lost, self.refused, self.refusals) = (0, None, 0);
                 if let Some(on) = self.before.take() {
-                    link.set_probing(on);
+                    *shown = on;
                 }
             }
             ProbeResult::Refused(why) => {
                 self.refusals = self.refusals.saturating_add(1);
-                if self.refused.replace(why) != Some(why) {
-                    tracing::warn!(peer = %link.name, "probes go wrong: {why}");
+                self.refused = Some(why);
+                if let Some(times) = self.log.count(why, None, now) {
+                    tracing::warn!(
+                        peer = %self.peer, times,
+                        "probes go wrong: {why} (told once a minute at most, with the number since then)"
+                    );
                 }
-                if let Probing::Unanswered { address, .. } = link.probing() {
-                    link.set_probing(self.unanswered(address, link));
+                if let Probing::Unanswered { address, .. } = &*shown {
+                    *shown = self.unanswered(address.clone());
                 }
             }
             ProbeResult::Refined(_) => {}
         }
     }
 
-    fn unanswered(&self, address: String, link: &Link) -> Probing {
-        let reason = why_unanswered(link.shared.probes.key.is_some(), self.refused);
+    fn unanswered(&self, address: String) -> Probing {
+        let reason = why_unanswered(self.keyed, self.refused);
         let counted = |reason| match self.refusals {
             0 => reason,
             refusals => format!("{reason} ({refusals} refused)"),
@@ -77,6 +98,9 @@ fn why_unanswered(key: bool, refused: Option<&str>) -> Option<String> {
         (_, Some(why @ (ANOTHER_PROCESS | NOT_OURS))) => Some(format!(
             "{why}; the data's address must lead to one machine, for UDP too: see forwarded ports and load balancers"
         )),
+        (_, Some(why @ (ALTERED_ANSWER | ALTERED_PROBE | UNNAMED))) => {
+            Some(format!("what comes back is {why}"))
+        }
         (false, None) => None,
         (true, None) => Some("no answer; with [probes] key_file both ends need the same key".to_owned()),
         (true, Some(why)) => Some(format!(
@@ -89,7 +113,7 @@ fn why_unanswered(key: bool, refused: Option<&str>) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::why_unanswered;
+    use super::*;
 
     #[test]
     fn a_key_is_named_where_it_can_be_the_matter() {
@@ -99,8 +123,9 @@ mod tests {
             assert!(reason.contains("both ends need the same key"), "{reason}");
             assert!(refused.is_none_or(|refused| reason.contains(refused)), "{reason}");
         }
-        for another in [super::ANOTHER_PROCESS, super::NOT_OURS] {
-            assert!(why_unanswered(true, Some(another)).is_some_and(|reason| !reason.contains("key")));
+        for another in [ANOTHER_PROCESS, NOT_OURS, ALTERED_ANSWER, ALTERED_PROBE, UNNAMED] {
+            let reason = why_unanswered(true, Some(another)).expect("something is known");
+            assert!(reason.contains(another) && !reason.contains("key"), "{reason}");
         }
         assert!(
             why_unanswered(false, Some("not from the target")).is_some_and(|reason| !reason.contains("key"))

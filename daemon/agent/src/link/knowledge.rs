@@ -269,7 +269,7 @@ impl Knowledge {
             ProbeResult::Refined(witnessed) => {
                 self.learn(witnessed, now, &mut news);
             }
-            ProbeResult::Refused(_) => {}
+            ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
         }
         news
     }

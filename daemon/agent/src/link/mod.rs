@@ -3,14 +3,16 @@
 //! A [`Link`](pair::Link) stands for one cloud; all pipelines that have a session with it share it, because the
 //! relation of two clocks belongs to the pair of hosts. [`Knowledge`](knowledge::Knowledge) is its logic without I/O;
 //! `probing` is the task beside it, which probes, listens to what both hosts tell of their clocks and closes each
-//! second.
+//! second. A [`NamedReflector`](named_reflector::NamedReflector) of the configuration has a relation of its own.
 
 mod answers;
 mod connections;
 mod correction;
 mod judged_stamps;
 mod knowledge;
+mod named_reflector;
 mod pair;
+mod probe_target;
 mod probing;
 mod registry;
 mod second;

@@ -1,6 +1,7 @@
 //! This host and a cloud.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::sync::{Arc, Mutex};
 
 use peernet_clock::{
@@ -17,6 +18,7 @@ use super::connections::Connections;
 use super::correction::{bits, correct};
 use super::judged_stamps::Crossing;
 use super::knowledge::{Knowledge, News, Way};
+use super::named_reflector::NamedReflector;
 use super::shared::{Session, Shared, lock};
 use super::words::{excess_in_words, jump_in_words, restart_in_words, wall_set_in_words};
 use crate::incidents::Concerning;
@@ -41,7 +43,9 @@ pub(crate) struct Link {
     /// Probes per second.
     pub(super) rate_hz: watch::Sender<f64>,
     knowledge: Mutex<Knowledge>,
-    probing: Mutex<Probing>,
+    pub(super) probing: Mutex<Probing>,
+    /// The reflector that the configuration names for the cloud.
+    reflector: Option<NamedReflector>,
     connections: Mutex<Connections>,
     /// When data last came back.
     used: Mutex<MonoTime>,
@@ -58,6 +62,9 @@ impl Link {
         let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
         // The announcement of the latest interruption may still be on its way.
         knowledge.begin_epoch_of_edge(clock.epoch());
+        let named = shared.probes.reflectors.get(&accepted.name);
+        let reflector =
+            named.map(|address| NamedReflector::new(address.clone(), clock.identity(), shared.relation));
         let link = Self {
             shared: Arc::clone(shared),
             peer: accepted.host,
@@ -69,6 +76,7 @@ impl Link {
             rate_hz: watch::Sender::new(0.0),
             knowledge: Mutex::new(knowledge),
             probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            reflector,
             connections: Mutex::default(),
             used: Mutex::new(now.mono),
         };
@@ -156,12 +164,12 @@ impl Link {
         &self.name
     }
 
-    pub(super) fn set_probing(&self, probing: Probing) {
-        *lock(&self.probing) = probing;
-    }
-
-    pub(super) fn probing(&self) -> Probing {
-        lock(&self.probing).clone()
+    /// Probes the reflector that the configuration names for the cloud, if it names one, as long as it is polled.
+    pub(super) async fn probe_named_reflector(&self) -> Infallible {
+        match &self.reflector {
+            Some(reflector) => reflector.probe(&self.shared, &self.name, &self.rate_hz).await,
+            None => std::future::pending().await,
+        }
     }
 
     /// A session was opened.
@@ -192,6 +200,8 @@ impl Link {
         let clock = &self.shared.host.clock;
         let connections = lock(&self.connections).of(&sessions, clock.mono());
         let now = clock.stamp();
+        let rate_hz = *self.rate_hz.borrow();
+        let reflector = self.reflector.as_ref().map(|it| it.live(rate_hz, now, clock.wall_ahead()));
         let knowledge = lock(&self.knowledge);
         let (edge, cloud) = knowledge.clocks();
         let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
@@ -211,6 +221,7 @@ impl Link {
                     .filter(|connection| connection.network == network)
                     .cloned()
                     .collect(),
+                reflector: reflector.clone(),
             }
         };
         networks.into_iter().map(link).collect()

@@ -1,5 +1,6 @@
 //! What the links of an agent have in common, and the sessions that they stand for.
 
+use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::{RelationSettings, SharedClock};
@@ -9,7 +10,7 @@ use peernet_probes::{Key, KeyError, Stamps};
 use peernet_stream::NetworkName;
 use tokio::sync::watch;
 
-use crate::config::{ClockConfig, ProbesConfig, Timestamps};
+use crate::config::{ClockConfig, ProbesConfig, ReflectorAddress, Timestamps};
 use crate::feed::Feed;
 use crate::incidents::Incidents;
 
@@ -41,6 +42,8 @@ pub(crate) struct ProbeSettings {
     pub(crate) key: Option<Key>,
     pub(super) padding_bytes: u16,
     pub(crate) stamps: Stamps,
+    /// Reflectors that are named for clouds, by their names.
+    pub(super) reflectors: BTreeMap<Slug, ReflectorAddress>,
 }
 
 impl ProbeSettings {
@@ -61,6 +64,7 @@ impl ProbeSettings {
             key,
             padding_bytes: probes.padding_bytes,
             stamps,
+            reflectors: probes.reflectors.clone(),
         })
     }
 

@@ -120,6 +120,7 @@ mod tests {
             cloud: None,
             now,
             connections,
+            reflector: None,
         };
         let (edge, history) = (HostId::from_bytes([1; 16]), Vec::new());
         let link = LinkPicture { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };

@@ -2,7 +2,7 @@
 
 use peernet_stream::{
     Accounting, Connection, HostClock, HostDescription, LinkLive, NetworkInterface, PipelineState, Placement,
-    Probing,
+    Probing, ReflectorLive,
 };
 
 use peernet_store::plausible;
@@ -19,10 +19,9 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     list(&mut live.networks, MOST_LISTED, left_out);
     live.networks.iter_mut().for_each(text);
     list(&mut live.pipelines, MOST_LISTED, left_out);
-    match &mut live.probing {
-        Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
-        Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
-        Probing::Off(reason) => text(reason),
+    probing(&mut live.probing);
+    if let Some(named) = &mut live.reflector {
+        reflector(named, left_out);
     }
     list(&mut live.connections, MOST_LISTED, left_out);
     live.connections.iter_mut().for_each(connection);
@@ -36,6 +35,24 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     let basis = now.basis.map(plausible::basis);
     *left_out += u64::from((&offset, up, down, basis) != (&now.offset, now.up, now.down, now.basis));
     (now.offset, now.up, now.down, now.basis) = (offset, up, down, basis);
+}
+
+/// How a reflector is probed.
+fn probing(probing: &mut Probing) {
+    match probing {
+        Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
+        Probing::Unanswered { address, reason } => [address].into_iter().chain(reason).for_each(text),
+        Probing::Off(reason) => text(reason),
+    }
+}
+
+/// A reflector that is named for a link.
+fn reflector(reflector: &mut ReflectorLive, left_out: &mut u64) {
+    text(&mut reflector.address);
+    probing(&mut reflector.probing);
+    let offset = reflector.offset.as_ref().and_then(plausible::offset);
+    *left_out += u64::from(offset != reflector.offset);
+    reflector.offset = offset;
 }
 
 /// A connection of a link.

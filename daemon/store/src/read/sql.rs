@@ -37,7 +37,7 @@ macro_rules! clock_columns {
     ($before:literal, $after:literal) => {
         concat!(
             "at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, \
-             skew_ppm, exchanges, age_ns, probes_sent, probes_answered, probes_lost, round_trip_min_ns, \
+             skew_ppm, exchanges, age_ns, probes_sent, probes_answered, probes_lost, probes_refused, round_trip_min_ns, \
              round_trip_median_ns, up_count, up_ns, up_lo_ns, up_hi_ns, ",
             $before,
             "up_bits_per_second",

@@ -233,7 +233,7 @@ impl Simulation {
             upper,
             lower,
             offset: self.relation.offset(at_raw, at),
-            probes: ProbeCounts { sent: 10, answered: 10, lost: 0 },
+            probes: ProbeCounts { sent: 10, answered: 10, lost: 0, refused: 0 },
             exchanges: self.relation.counts(),
             round_trip: None,
             up: None,

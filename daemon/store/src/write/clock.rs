@@ -27,13 +27,13 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
      offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, skew_ppm, exchanges, age_ns, \
-     probes_sent, probes_answered, probes_lost, round_trip_min_ns, round_trip_median_ns, \
+     probes_sent, probes_answered, probes_lost, probes_refused, round_trip_min_ns, round_trip_median_ns, \
      up_count, up_ns, up_lo_ns, up_hi_ns, up_bits_per_second, up_verdict, \
      down_count, down_ns, down_lo_ns, down_hi_ns, down_bits_per_second, down_verdict, \
      taken, impossible, outliers, stepped, restarts, \
      clocks, at_raw_ns, proven_skew_min_ppm, proven_skew_max_ppm, grown_window_ns) \
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
-     ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+     ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
 /// The time that a second of a window is stored at. A wall clock that was set back shows the same times again, while the window of raw
 /// clocks goes on: each further second of such a time is stored a nanosecond before the last one, in the same second all the same.
@@ -189,6 +189,7 @@ fn values(
     to.add(sample.probes.sent)?;
     to.add(sample.probes.answered)?;
     to.add(sample.probes.lost)?;
+    to.add(sample.probes.refused)?;
     to.add(sample.round_trip.map(|trip| trip.min.nanos()))?;
     to.add(sample.round_trip.map(|trip| trip.median.nanos()))?;
     delay(sample.up, &mut to)?;

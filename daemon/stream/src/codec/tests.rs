@@ -55,7 +55,7 @@ fn clock() -> ClockSample {
             exchanges: 17,
             age: Some(Span::from_millis(80)),
         }),
-        probes: ProbeCounts { sent: 10, answered: 9, lost: 1 },
+        probes: ProbeCounts { sent: 10, answered: 9, lost: 1, refused: 0 },
         exchanges: ExchangeCounts { taken: 9, impossible: 1, outliers: 2, stepped: 3, restarts: 4 },
         round_trip: Some(RoundTrip { min: Span::from_micros(2), median: Span::from_micros(3) }),
         up: Some(delays),
@@ -219,6 +219,7 @@ fn what_is_told_of_clocks_arrives_as_it_was_sent() {
         cloud: None,
         now: clock(),
         connections: Vec::new(),
+        reflector: None,
     };
     let update = ToAggregator::Live(LiveUpdate {
         host: HostId::random(),

@@ -1,7 +1,7 @@
 //! The clock relation of a link and what its probes and delays say, in numbers.
 
 use peernet_clock::{DelaySource, Offset, Span};
-use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts};
+use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -66,11 +66,13 @@ pub(crate) struct Probes {
     pub answered: u32,
     /// Did not come back in time.
     pub lost: u32,
+    /// Packets that arrived and were refused as answers, and probes that could not be sent.
+    pub refused: u32,
 }
 
 impl From<ProbeCounts> for Probes {
-    fn from(ProbeCounts { sent, answered, lost }: ProbeCounts) -> Self {
-        Self { sent, answered, lost }
+    fn from(ProbeCounts { sent, answered, lost, refused }: ProbeCounts) -> Self {
+        Self { sent, answered, lost, refused }
     }
 }
 
@@ -79,6 +81,12 @@ impl From<ProbeCounts> for Probes {
 pub(crate) struct RoundTrip {
     pub min_s: f64,
     pub median_s: f64,
+}
+
+impl From<stream::RoundTrip> for RoundTrip {
+    fn from(trip: stream::RoundTrip) -> Self {
+        Self { min_s: trip.min.seconds(), median_s: trip.median.seconds() }
+    }
 }
 
 /// The delays of data in one direction.

@@ -2,6 +2,7 @@
 
 mod clock;
 mod connections;
+mod probing;
 mod schema;
 
 use axum::Json;

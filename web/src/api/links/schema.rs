@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 
 use super::clock::{ClockOffset, Delay, Probes, RoundTrip};
 use super::connections::LinkConnection;
+use super::probing::{Probing, Reflector};
 use crate::api::schema::{Assumptions, HostClock, time};
 use crate::view::link::Subject;
 use crate::view::link::basis::promise;
@@ -61,42 +62,11 @@ pub(crate) struct LinkNow {
     pub exchanges: Exchanges,
     /// Open connections, one for each pipeline.
     pub connections: Vec<LinkConnection>,
+    /// The reflector that the edge's configuration names for the cloud (`[probes] reflectors`); null where it names none.
+    pub reflector: Option<Reflector>,
     /// The last second.
     #[serde(flatten)]
     pub second: LinkPoint,
-}
-
-/// How a link is probed.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Probing {
-    /// `on`, `unanswered` or `off`.
-    pub state: &'static str,
-    /// Where to: `udp://host:port`; null when off.
-    pub address: Option<String>,
-    pub rate_hz: Option<f64>,
-    /// Where the stamps are made, in words.
-    pub stamps: Option<String>,
-    /// Why there are no probes, or what is known of why none is answered.
-    pub reason: Option<String>,
-}
-
-impl From<&stream::Probing> for Probing {
-    fn from(probing: &stream::Probing) -> Self {
-        let none = Self { state: "off", address: None, rate_hz: None, stamps: None, reason: None };
-        match probing {
-            stream::Probing::On { address, rate_hz, stamps } => Self {
-                state: "on",
-                address: Some(address.clone()),
-                rate_hz: Some(*rate_hz),
-                stamps: Some(stamps.clone()),
-                ..none
-            },
-            stream::Probing::Unanswered { address, reason } => {
-                Self { state: "unanswered", address: Some(address.clone()), reason: reason.clone(), ..none }
-            }
-            stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..none },
-        }
-    }
 }
 
 /// What became of all exchanges so far.
@@ -175,10 +145,6 @@ pub(crate) struct TimedPoint {
     pub point: LinkPoint,
 }
 
-fn round_trip(trip: stream::RoundTrip) -> RoundTrip {
-    RoundTrip { min_s: trip.min.seconds(), median_s: trip.median.seconds() }
-}
-
 impl From<&ClockPoint> for TimedPoint {
     fn from(point: &ClockPoint) -> Self {
         Self {
@@ -187,7 +153,7 @@ impl From<&ClockPoint> for TimedPoint {
                 at: time(point.at),
                 offset: point.offset.as_ref().map(ClockOffset::from),
                 probes: point.probes.into(),
-                round_trip: point.round_trip.map(round_trip),
+                round_trip: point.round_trip.map(RoundTrip::from),
                 up: point.up.as_ref().map(Delay::from),
                 down: point.down.as_ref().map(Delay::from),
                 clocks: point.clocks.name(),
@@ -230,11 +196,12 @@ impl From<&LinkPicture> for Link {
                 max_drift_ppm: live.now.max_drift_ppm,
                 exchanges: live.now.exchanges.into(),
                 connections: live.connections.iter().map(LinkConnection::from).collect(),
+                reflector: live.reflector.as_ref().map(Reflector::from),
                 second: LinkPoint {
                     at: time(live.now.at),
                     offset: live.now.offset.as_ref().map(ClockOffset::from),
                     probes: live.now.probes.into(),
-                    round_trip: live.now.round_trip.map(round_trip),
+                    round_trip: live.now.round_trip.map(RoundTrip::from),
                     up: live.now.up.as_ref().map(Delay::from),
                     down: live.now.down.as_ref().map(Delay::from),
                     clocks: live.now.clocks().name(),

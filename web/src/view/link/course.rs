@@ -95,6 +95,7 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
         sent: sum.sent.saturating_add(one.sent),
         answered: sum.answered.saturating_add(one.answered),
         lost: sum.lost.saturating_add(one.lost),
+        refused: sum.refused.saturating_add(one.refused),
     })
 }
 

@@ -1,11 +1,12 @@
 //! How a link is probed, what its hosts' time daemons say, what was refused.
 
+use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
-use peernet_stream::{HostClock, Probing};
+use peernet_stream::{HostClock, ProbeCounts, Probing};
 
 use super::super::{counted, rehearsal};
-use super::Subject;
 use super::course::Course;
+use super::{CONTRADICTION, Subject, known};
 
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;
@@ -96,14 +97,63 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
         None => vec![("Now", "the edge does not report".to_owned())],
     };
     let counts = course.probes();
-    if counts.sent > 0 {
-        let shown = [counts.sent, counts.answered, counts.lost].map(|one| count(one.into()));
-        pairs.push(("In this time", format!("{} sent, {} answered, {} lost", shown[0], shown[1], shown[2])));
+    if counts != ProbeCounts::default() {
+        pairs.push(("In this time", counts_in_words(&counts)));
     }
     if let Some((min, median)) = course.round_trips() {
-        let words = format!("{}{SPACE}ms at least, {}{SPACE}ms median", trip_ms(min), trip_ms(median));
-        pairs.push(("Round trip", words));
+        pairs.push(("Round trip", trip_in_words(min, median)));
     }
+    pairs
+}
+
+/// `1,200 sent, 1,198 answered, 2 lost`; refused ones where there are any.
+fn counts_in_words(counts: &ProbeCounts) -> String {
+    let [sent, answered, lost, refused] =
+        [counts.sent, counts.answered, counts.lost, counts.refused].map(|one| count(one.into()));
+    let refused = if counts.refused > 0 { format!(", {refused} refused") } else { String::new() };
+    format!("{sent} sent, {answered} answered, {lost} lost{refused}")
+}
+
+fn trip_in_words(min: f64, median: f64) -> String {
+    format!("{}{SPACE}ms at least, {}{SPACE}ms median", trip_ms(min), trip_ms(median))
+}
+
+/// The panel about the reflector that the configuration names; nothing where it names none.
+pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
+    let Some(reflector) = subject.live.and_then(|link| link.live.reflector.as_ref()) else {
+        return Vec::new();
+    };
+    let state = match &reflector.probing {
+        Probing::On { address, rate_hz, stamps } => {
+            ("Sent to", format!("{address}, {}{SPACE}/s, stamps: {stamps}", rate(*rate_hz)))
+        }
+        Probing::Unanswered { address, reason } => {
+            let why = reason.as_deref().unwrap_or("the port is blocked, or no reflector is there");
+            ("Answers", format!("none lately from {address}: {why}"))
+        }
+        Probing::Off(reason) => ("Off", reason.clone()),
+    };
+    let mut pairs = vec![("Configured", reflector.address.clone()), state];
+    pairs.push(("In all", counts_in_words(&reflector.probes)));
+    if let Some(trip) = reflector.round_trip {
+        pairs.push(("Round trip", trip_in_words(trip.min.seconds(), trip.median.seconds())));
+    }
+    let offset = reflector.offset.as_ref().map(|offset| match known(offset) {
+        Some((estimate, half)) => {
+            let words = format!("{}{SPACE}ms, {}", offset_ms(estimate, half), bound(half));
+            if offset.verdict == Verdict::Stale { format!("{words}, stale") } else { words }
+        }
+        None => CONTRADICTION.to_owned(),
+    });
+    let words = offset.map_or_else(
+        || "not known yet".to_owned(),
+        |words| format!("{words}: its wall clock minus {}'s", subject.edge),
+    );
+    pairs.push(("Offset", words));
+    pairs.push((
+        "Tied to",
+        format!("nothing says that its clock is {}'s: no delay rests on it", subject.cloud),
+    ));
     pairs
 }
 

@@ -132,7 +132,7 @@ pub(super) fn sample(
         upper: exchange,
         lower: exchange,
         offset,
-        probes: ProbeCounts { sent, answered: sent - lost, lost },
+        probes: ProbeCounts { sent, answered: sent - lost, lost, refused: 0 },
         exchanges: match line.clocks {
             Clocks::Unrelated => ExchangeCounts::default(),
             _ => ExchangeCounts { taken: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
@@ -215,6 +215,7 @@ pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
         edge: Some(clock),
         cloud: Some(host_clock(false, now.at)),
         connections: vec![connection(line.name, now.at)],
+        reflector: None,
         now,
     }
 }

@@ -8,6 +8,7 @@ mod forged;
 mod instances;
 mod links;
 mod probes;
+mod reflectors;
 mod steps;
 
 use peernet_clock::{OneWayDelay, RehearsalDescription, Span, WallTime};

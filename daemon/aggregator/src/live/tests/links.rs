@@ -29,7 +29,7 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
             upper: None,
             lower: None,
             offset: None,
-            probes: ProbeCounts { sent: 10, answered: 10 - lost, lost },
+            probes: ProbeCounts { sent: 10, answered: 10 - lost, lost, refused: 0 },
             exchanges: ExchangeCounts::default(),
             round_trip: None,
             up: None,
@@ -38,6 +38,7 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
             basis: None,
         },
         connections: Vec::new(),
+        reflector: None,
     }
 }
 

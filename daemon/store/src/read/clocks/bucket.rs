@@ -71,6 +71,7 @@ impl Bucket {
         self.probes.sent = self.probes.sent.saturating_add(row.probes_sent);
         self.probes.answered = self.probes.answered.saturating_add(row.probes_answered);
         self.probes.lost = self.probes.lost.saturating_add(row.probes_lost);
+        self.probes.refused = self.probes.refused.saturating_add(row.probes_refused);
         if let Some(trip) = row.round_trip() {
             self.shortest = Some(self.shortest.map_or(trip.min, |shortest| shortest.min(trip.min)));
             self.round_trips.push(trip.median);

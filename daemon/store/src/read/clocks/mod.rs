@@ -57,6 +57,7 @@ struct Row {
     probes_sent: u32,
     probes_answered: u32,
     probes_lost: u32,
+    probes_refused: u32,
     round_trip_min_ns: Option<i64>,
     round_trip_median_ns: Option<i64>,
     up_count: Option<u32>,

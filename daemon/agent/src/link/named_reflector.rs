@@ -1,0 +1,206 @@
+//! The reflector that the configuration names for a cloud. Its clock is its own, so that it gets a relation of its own: between this
+//! host's free-running clock and its wall clock.
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::pin::pin;
+use std::sync::Mutex;
+
+use peernet_clock::{
+    ClockIdentity, Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, Witnessed,
+};
+use peernet_logger::Slug;
+use peernet_probes::ProbeResult;
+use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
+use tokio::sync::{mpsc, watch};
+
+use super::answers::Answers;
+use super::probe_target::{ProbeTarget, RESULTS};
+use super::shared::{Shared, lock};
+use crate::config::ReflectorAddress;
+
+/// Round trips of so many answers are kept.
+const MOST_TRIPS: usize = 100;
+
+/// A reflector that the configuration names for a cloud.
+#[derive(Debug)]
+pub(super) struct NamedReflector {
+    address: ReflectorAddress,
+    probing: Mutex<Probing>,
+    answered: Mutex<ReflectorAnswers>,
+}
+
+impl NamedReflector {
+    /// A reflector that was asked nothing; `edge` is the clock of this host.
+    pub(super) fn new(address: ReflectorAddress, edge: &ClockIdentity, settings: RelationSettings) -> Self {
+        Self {
+            address,
+            probing: Mutex::new(Probing::Off("about to begin".to_owned())),
+            answered: Mutex::new(ReflectorAnswers::new(edge, settings)),
+        }
+    }
+
+    /// Probes it as long as it is polled.
+    pub(super) async fn probe(
+        &self,
+        shared: &Shared,
+        peer: &Slug,
+        rate_hz: &watch::Sender<f64>,
+    ) -> Infallible {
+        let target = ProbeTarget {
+            peer: peer.clone(),
+            host: self.address.host.clone(),
+            port: self.address.port,
+            // The keys there are, are those of the peers.
+            key: None,
+            instance: None,
+            clocks: RelatedClocks::RawToWall,
+        };
+        let (results, mut arriving) = mpsc::channel(RESULTS);
+        let mut probing = pin!(target.probe(shared, rate_hz, &self.probing, results));
+        let mut answers = Answers::new(peer.clone(), false);
+        loop {
+            tokio::select! {
+                Some(result) = arriving.recv() => {
+                    lock(&self.answered).take(&result);
+                    answers.note(&result, shared.host.clock.mono(), &mut lock(&self.probing));
+                }
+                never = &mut probing => match never {},
+            }
+        }
+    }
+
+    /// As it is shown at a time, when this host's wall clock was `ahead` of its free-running one.
+    pub(super) fn live(&self, rate_hz: f64, now: Stamp, ahead: Interval) -> ReflectorLive {
+        let mut probing = lock(&self.probing).clone();
+        if let Probing::On { rate_hz: shown, .. } = &mut probing {
+            *shown = rate_hz;
+        }
+        let answered = lock(&self.answered);
+        ReflectorLive {
+            address: self.address.to_string(),
+            probing,
+            probes: answered.probes,
+            round_trip: answered.round_trip(),
+            offset: answered.wall_offset(now, ahead),
+        }
+    }
+}
+
+/// What the probes to a reflector told. No I/O.
+#[derive(Debug)]
+struct ReflectorAnswers {
+    relation: Relation,
+    probes: ProbeCounts,
+    /// The newest round trips.
+    trips: VecDeque<Span>,
+}
+
+impl ReflectorAnswers {
+    fn new(edge: &ClockIdentity, settings: RelationSettings) -> Self {
+        let clocks = RelatedClocks::RawToWall;
+        // Nobody claims anything about a clock that belongs to no host of ours.
+        let settings = RelationSettings { clocks, trust_time_daemons: false, ..settings };
+        let relation = Relation::new(edge, &ClockIdentity::new("", "reflector"), settings);
+        Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
+    }
+
+    fn take(&mut self, result: &ProbeResult) {
+        let probes = &mut self.probes;
+        match result {
+            ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
+            ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
+            ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
+            ProbeResult::Stepped(epoch) => {
+                probes.answered = probes.answered.saturating_add(1);
+                self.relation.edge_stepped(*epoch);
+            }
+            ProbeResult::Answered(witnessed) => {
+                probes.answered = probes.answered.saturating_add(1);
+                self.learn(witnessed);
+                if self.trips.len() >= MOST_TRIPS {
+                    self.trips.pop_front();
+                }
+                self.trips.push_back(witnessed.exchange.round_trip());
+            }
+            ProbeResult::Refined(witnessed) => self.learn(witnessed),
+        }
+    }
+
+    /// What is refused shows in the offset, which is stale or contradicts itself then.
+    fn learn(&mut self, witnessed: &Witnessed) {
+        let _ = self.relation.learn(witnessed);
+    }
+
+    fn round_trip(&self) -> Option<RoundTrip> {
+        let mut trips: Vec<Span> = self.trips.iter().copied().collect();
+        trips.sort_unstable();
+        Some(RoundTrip { min: *trips.first()?, median: *trips.get(trips.len() / 2)? })
+    }
+
+    /// The reflector's wall clock minus this host's: the relation less how far this host's wall clock is `ahead` of its free-running one.
+    fn wall_offset(&self, now: Stamp, ahead: Interval) -> Option<Offset> {
+        let offset = self.relation.offset(now.raw, now.wall)?;
+        let of_walls = |from: Interval| Interval { lo: from.lo - ahead.hi, hi: from.hi - ahead.lo };
+        Some(Offset {
+            estimate: offset.estimate - ahead.middle(),
+            bounds: of_walls(offset.bounds),
+            sources: offset.sources.iter().map(|(source, interval)| (*source, of_walls(*interval))).collect(),
+            // The rate against the wall clock is another one, which changes when that is slewed.
+            skew_ppm: None,
+            ..offset
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Exchange, RawTime, Verdict, WallTime};
+
+    use super::*;
+
+    /// An exchange at a time with a clock that is `ahead`, over a path of 2 ms there and 1 ms back; milliseconds.
+    fn exchange(at: i64, ahead: i64) -> ProbeResult {
+        let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
+        ProbeResult::Answered(Witnessed {
+            exchange: Exchange {
+                sent: raw(at),
+                received: raw(at + ahead + 2),
+                replied: raw(at + ahead + 2),
+                returned: raw(at + 3),
+                uncertainty: Span::ZERO,
+            },
+            edge_elapsed: None,
+            cloud_elapsed: None,
+            edge_epoch: 0,
+            cloud_epoch: None,
+        })
+    }
+
+    #[test]
+    fn offset_of_wall_clocks_is_relation_less_how_far_own_wall_clock_is_ahead() {
+        let edge = ClockIdentity::new("boot", "clock");
+        let mut answers = ReflectorAnswers::new(&edge, RelationSettings::default());
+        let millis = Span::from_millis;
+        let now = Stamp {
+            raw: RawTime::from_nanos(0) + millis(1_000),
+            wall: WallTime::from_unix_nanos(0) + millis(5_000 + 1_000),
+            ..Stamp::default()
+        };
+        // This host's wall clock is 5 s ahead of its free-running one, to a millisecond.
+        let ahead = Interval { lo: millis(5_000), hi: millis(5_001) };
+        assert_eq!(answers.wall_offset(now, ahead), None);
+        for at in [100, 400, 700, 990] {
+            answers.take(&ProbeResult::Sent);
+            answers.take(&exchange(at, 5_000 + 70));
+        }
+        answers.take(&ProbeResult::Refused("shorter than a reply"));
+        answers.take(&ProbeResult::Lost);
+        let offset = answers.wall_offset(now, ahead).expect("known");
+        assert_eq!(offset.verdict, Verdict::Ok);
+        assert!(offset.bounds.contains(millis(70)) && offset.bounds.contains(offset.estimate), "{offset:?}");
+        assert!(offset.bounds.width() < millis(5), "{offset:?}");
+        assert_eq!(answers.probes, ProbeCounts { sent: 4, answered: 4, lost: 1, refused: 1 });
+        assert_eq!(answers.round_trip(), Some(RoundTrip { min: millis(3), median: millis(3) }));
+    }
+}

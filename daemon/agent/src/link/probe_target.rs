@@ -1,0 +1,102 @@
+//! A reflector to probe, and the task that probes it.
+
+use std::convert::Infallible;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use peernet_clock::RelatedClocks;
+use peernet_logger::Slug;
+use peernet_probes::{Key, OpenError, ProbeResult, Prober, ProberConfig};
+use peernet_stream::Probing;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::shared::{Shared, lock};
+
+/// A probe without an answer for so long is lost.
+const TIMEOUT: Duration = Duration::from_secs(2);
+/// Pause before the prober is opened again.
+const RETRY: Duration = Duration::from_secs(10);
+/// Results that may wait; they are taken at once.
+pub(super) const RESULTS: usize = 64;
+
+/// A reflector, and whose answers are believed.
+#[derive(Clone, Debug)]
+pub(super) struct ProbeTarget {
+    /// The name of the cloud, for the log.
+    pub(super) peer: Slug,
+    pub(super) host: String,
+    pub(super) port: u16,
+    pub(super) key: Option<Key>,
+    /// The process that must answer; any at `None`.
+    pub(super) instance: Option<u64>,
+    pub(super) clocks: RelatedClocks,
+}
+
+/// The reason why a reflector is not probed.
+#[derive(Debug, thiserror::Error)]
+enum ProbingError {
+    #[error("this host sends no probes: [probes] send = false")]
+    NotSent,
+    #[error("cannot find {host}: {source}")]
+    Lookup { host: String, source: io::Error },
+    #[error("cannot find {host}: the name has no address")]
+    NoAddress { host: String },
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    #[error("the prober ended by itself")]
+    Ended,
+}
+
+impl ProbeTarget {
+    /// Probes as long as it is polled, at a rate that may change. Says in `shown` how, or why it does not.
+    pub(super) async fn probe(
+        &self,
+        shared: &Shared,
+        rate_hz: &watch::Sender<f64>,
+        shown: &Mutex<Probing>,
+        results: mpsc::Sender<ProbeResult>,
+    ) -> Infallible {
+        if !shared.probes.send {
+            *lock(shown) = Probing::Off(ProbingError::NotSent.to_string());
+            return std::future::pending().await;
+        }
+        loop {
+            match self.open(shared).await {
+                Ok((prober, target)) => {
+                    let stamps = prober.stamps_in_words().to_owned();
+                    let rate = *rate_hz.borrow();
+                    *lock(shown) = Probing::On { address: format!("udp://{target}"), rate_hz: rate, stamps };
+                    prober.run(rate_hz.subscribe(), results.clone(), CancellationToken::new()).await;
+                    *lock(shown) = Probing::Off(ProbingError::Ended.to_string());
+                }
+                Err(error) => {
+                    tracing::warn!(peer = %self.peer, "no probes: {error}");
+                    *lock(shown) = Probing::Off(error.to_string());
+                }
+            }
+            tokio::time::sleep(RETRY).await;
+        }
+    }
+
+    async fn open(&self, shared: &Shared) -> Result<(Prober, SocketAddr), ProbingError> {
+        let host = &self.host;
+        let found = tokio::net::lookup_host((host.as_str(), self.port)).await;
+        let mut found = found.map_err(|source| ProbingError::Lookup { host: host.clone(), source })?;
+        let target = found.next().ok_or_else(|| ProbingError::NoAddress { host: host.clone() })?;
+        let config = ProberConfig {
+            target,
+            key: self.key.clone(),
+            instance: self.instance,
+            clocks: self.clocks,
+            padding_bytes: shared.probes.padding_bytes,
+            stamps: shared.probes.stamps,
+            timeout: TIMEOUT,
+        };
+        let mut prober = Prober::open(config, Arc::clone(&shared.host.clock))?;
+        prober.check_stamps().await;
+        Ok((prober, target))
+    }
+}

@@ -1,0 +1,112 @@
+//! Reflectors of others that the configuration names: accepted, and believed of their own clock alone.
+
+use std::net::SocketAddr;
+use std::process::{Child, Command, Stdio};
+
+use peernet_clock::{RelatedClocks, Span, Verdict};
+use peernet_stream::{LiveUpdate, Probing, ReflectorLive};
+use tokio::net::UdpSocket;
+
+use super::{CLOUD, line};
+use crate::harness::{TestAgent, config};
+
+/// A process that ends with the test.
+struct Foreign(Child);
+
+impl Drop for Foreign {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// stamp-suite's reflector at an address. Its clock is this machine's.
+fn stamp_suite(address: SocketAddr) -> Foreign {
+    let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
+    let mut command = Command::new(&program);
+    command
+        .args(["--is-reflector", "--local-addr", &address.ip().to_string()])
+        .args(["--local-port", &address.port().to_string()])
+        .env_remove("STAMP_HMAC_KEY")
+        .env("RUST_LOG", "warn")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null());
+    let child = command.spawn();
+    Foreign(child.unwrap_or_else(|error| {
+        panic!("{} does not run: {error}; deploy/install-tools.sh test installs it", program.display())
+    }))
+}
+
+/// An edge that names a reflector for its cloud, and the cloud.
+async fn naming(reflector: SocketAddr) -> (TestAgent, TestAgent) {
+    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let load = "load = { mode = 'rate', hz = 20.0 }\nlimit = { iterations = 100000 }";
+    let tables =
+        format!("[probes]\nreflectors = {{ cloud = 'udp://{reflector}' }}\n{}", line("line", &cloud, load));
+    let edge = TestAgent::start_with("edge", None, config(&tables), "edge").await;
+    (edge, cloud)
+}
+
+fn of_reflector(wanted: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate) -> bool {
+    move |live| live.links.iter().any(|link| link.reflector.as_ref().is_some_and(&wanted))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn named_foreign_reflector_gets_relation_of_its_own() {
+    // Out of the range from which the system gives ports away, on an address that only this test uses.
+    let address: SocketAddr = "127.86.21.1:18620".parse().expect("an address");
+    let _foreign = stamp_suite(address);
+    let (edge, cloud) = naming(address).await;
+    let is_known = |reflector: &ReflectorLive| {
+        let offset = reflector.offset.as_ref();
+        reflector.probes.answered >= 10 && offset.is_some_and(|offset| offset.verdict == Verdict::Ok)
+    };
+    let live = edge.until(of_reflector(is_known)).await;
+    let link = &live.links[0];
+    let reflector = link.reflector.as_ref().expect("it is named");
+    assert_eq!(reflector.address, format!("udp://{address}"));
+    assert!(
+        matches!(&reflector.probing, Probing::On { address: to, .. } if *to == reflector.address),
+        "{reflector:?}"
+    );
+    // It reads the wall clock that the edge reads.
+    let offset = reflector.offset.as_ref().expect("known");
+    assert!(offset.bounds.contains(Span::ZERO), "{offset:?}");
+    assert!(offset.bounds.width() < Span::from_millis(100), "{offset:?}");
+    assert!(reflector.round_trip.is_some_and(|trip| trip.min > Span::ZERO), "{reflector:?}");
+    assert_eq!(reflector.probes.refused, 0, "{reflector:?}");
+    // The relation of the data's two hosts is another one, and is of their own clocks.
+    assert_eq!(link.now.clocks(), RelatedClocks::Raw);
+    assert!(matches!(&link.probing, Probing::On { address: to, .. } if *to != reflector.address), "{link:?}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn garbage_of_named_reflector_is_counted_and_not_believed() {
+    let socket = UdpSocket::bind("127.0.0.1:0").await.expect("a port");
+    let address = socket.local_addr().expect("bound");
+    let garbage = tokio::spawn(async move {
+        let mut buffer = [0; 2048];
+        while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+            // Too short, the request itself, and noise as long as a reply.
+            for answer in [&buffer[..3], &buffer[..length], &[0x5A; 200][..]] {
+                socket.send_to(answer, from).await.expect("loopback takes it");
+            }
+        }
+    });
+    let (edge, cloud) = naming(address).await;
+    let is_unanswered = |reflector: &ReflectorLive| matches!(&reflector.probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("refused"));
+    let live = edge.until(of_reflector(is_unanswered)).await;
+    let link = &live.links[0];
+    let reflector = link.reflector.as_ref().expect("it is named");
+    assert!(reflector.probes.refused > 0 && reflector.probes.lost > 0, "{reflector:?}");
+    assert_eq!((reflector.probes.answered, &reflector.offset), (0, &None));
+    // Beside it the cloud's own reflector is probed as ever.
+    assert!(link.now.offset.is_some() && matches!(link.probing, Probing::On { .. }), "{link:?}");
+    assert_eq!(link.now.probes.refused, 0);
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+    garbage.abort();
+}

@@ -1,0 +1,69 @@
+//! How a link is probed, and the reflector that is named for it.
+
+use peernet_stream as stream;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::clock::{ClockOffset, Probes, RoundTrip};
+
+/// How a link is probed.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Probing {
+    /// `on`, `unanswered` or `off`.
+    pub state: &'static str,
+    /// Where to: `udp://host:port`; null when off.
+    pub address: Option<String>,
+    pub rate_hz: Option<f64>,
+    /// Where the stamps are made, in words.
+    pub stamps: Option<String>,
+    /// Why there are no probes, or what is known of why none is answered.
+    pub reason: Option<String>,
+}
+
+impl From<&stream::Probing> for Probing {
+    fn from(probing: &stream::Probing) -> Self {
+        let none = Self { state: "off", address: None, rate_hz: None, stamps: None, reason: None };
+        match probing {
+            stream::Probing::On { address, rate_hz, stamps } => Self {
+                state: "on",
+                address: Some(address.clone()),
+                rate_hz: Some(*rate_hz),
+                stamps: Some(stamps.clone()),
+                ..none
+            },
+            stream::Probing::Unanswered { address, reason } => {
+                Self { state: "unanswered", address: Some(address.clone()), reason: reason.clone(), ..none }
+            }
+            stream::Probing::Off(reason) => Self { reason: Some(reason.clone()), ..none },
+        }
+    }
+}
+
+/// A STAMP reflector that the edge's configuration names for the cloud.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Reflector {
+    /// As it is configured: `udp://host:port`.
+    pub address: String,
+    /// Always false: nothing says that the reflector's clock is the cloud's. No delay of data rests on it.
+    pub tied_to_cloud: bool,
+    pub probing: Probing,
+    /// Since the link was opened.
+    pub probes: Probes,
+    /// Of the newest hundred answers; null before the first.
+    pub round_trip: Option<RoundTrip>,
+    /// The reflector's wall clock minus the edge's; null while nothing is known.
+    pub offset: Option<ClockOffset>,
+}
+
+impl From<&stream::ReflectorLive> for Reflector {
+    fn from(reflector: &stream::ReflectorLive) -> Self {
+        Self {
+            address: reflector.address.clone(),
+            tied_to_cloud: false,
+            probing: Probing::from(&reflector.probing),
+            probes: reflector.probes.into(),
+            round_trip: reflector.round_trip.map(RoundTrip::from),
+            offset: reflector.offset.as_ref().map(ClockOffset::from),
+        }
+    }
+}
