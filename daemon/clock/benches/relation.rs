@@ -113,7 +113,7 @@ impl Traffic {
             returned: RawTime::from_nanos(back),
             uncertainty: Span::ZERO,
         };
-        Witnessed { exchange, edge_elapsed: None, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+        Witnessed { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
     }
 }
 

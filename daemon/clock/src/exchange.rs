@@ -54,11 +54,9 @@ impl Exchange {
 pub struct Witnessed {
     /// The stamps.
     pub exchange: Exchange,
-    /// From `sent` to `returned` by the edge's monotonic clock, where it was read; a step of the wall clock in
-    /// between shows as a difference. Read together with both stamps, or it is `None`: a kernel's stamp is earlier than
-    /// the program's look at another clock by as much as the program was kept waiting.
-    pub edge_elapsed: Option<Span>,
-    /// From `received` to `replied` by the cloud's monotonic clock, likewise.
+    /// From `received` to `replied` by the cloud's monotonic clock, where these two are of its wall clock: a step of that in between shows
+    /// as a difference. Read together with both stamps, or it is `None`: a kernel's stamp is earlier than the program's look at another
+    /// clock by as much as the program was kept waiting.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,

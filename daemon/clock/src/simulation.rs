@@ -167,13 +167,7 @@ pub(crate) struct Trip {
 
 impl Trip {
     pub(crate) fn witnessed(&self) -> Witnessed {
-        Witnessed {
-            exchange: self.exchange,
-            edge_elapsed: None,
-            cloud_elapsed: None,
-            edge_epoch: 0,
-            cloud_epoch: Some(0),
-        }
+        Witnessed { exchange: self.exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
     }
 }
 

@@ -170,7 +170,6 @@ mod tests {
                 returned: raw(at + 3),
                 uncertainty: Span::ZERO,
             },
-            edge_elapsed: None,
             cloud_elapsed: None,
             edge_epoch: 0,
             cloud_epoch: None,

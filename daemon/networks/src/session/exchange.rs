@@ -198,7 +198,6 @@ fn witnessed(
     };
     Some(Witnessed {
         exchange,
-        edge_elapsed: None,
         // A free-running clock is not stepped, and may run otherwise than the monotonic one, which is slewed.
         cloud_elapsed: (!raw).then_some(departure.start),
         edge_epoch: arrived.epoch,

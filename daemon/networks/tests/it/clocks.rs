@@ -146,7 +146,7 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
         (up.received.expect("arrived") - up.sent, down.received.expect("arrived") - down.sent);
     assert!(there >= DAY && back <= Span::ZERO - DAY + Span::from_seconds(60), "{there} {back}");
     assert_eq!((witnessed.edge_epoch, witnessed.cloud_epoch), (0, Some(0)));
-    assert_eq!((witnessed.edge_elapsed, witnessed.cloud_elapsed), (None, None), "nothing to compare");
+    assert_eq!(witnessed.cloud_elapsed, None, "nothing to compare");
 }
 
 #[tokio::test]

@@ -307,13 +307,8 @@ impl Sending {
             returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
             uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
-        let answered = Witnessed {
-            exchange,
-            edge_elapsed: None,
-            cloud_elapsed: None,
-            edge_epoch: returned.epoch,
-            cloud_epoch: there.epoch,
-        };
+        let answered =
+            Witnessed { exchange, cloud_elapsed: None, edge_epoch: returned.epoch, cloud_epoch: there.epoch };
         pending.answer = Some(Answered { sequence: reply.sequence, witnessed: Some(answered) });
         let refined = there.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)

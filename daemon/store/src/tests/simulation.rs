@@ -157,13 +157,7 @@ impl Simulation {
 
     fn witnessed(&self, exchange: Exchange) -> Witnessed {
         let (edge_epoch, cloud_epoch) = self.epochs;
-        Witnessed {
-            exchange,
-            edge_elapsed: None,
-            cloud_elapsed: None,
-            edge_epoch,
-            cloud_epoch: Some(cloud_epoch),
-        }
+        Witnessed { exchange, cloud_elapsed: None, edge_epoch, cloud_epoch: Some(cloud_epoch) }
     }
 
     /// What the edge's clock of the two that are related shows.

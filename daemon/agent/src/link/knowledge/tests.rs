@@ -34,7 +34,7 @@ fn exchange(sent: i64, ahead: i64) -> Witnessed {
         returned: RawTime::of_wall(at(sent + 4)),
         uncertainty: Span::ZERO,
     };
-    Witnessed { exchange, edge_elapsed: None, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+    Witnessed { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
 }
 
 fn knowledge() -> Knowledge {
@@ -378,7 +378,6 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
         // Twelve milliseconds on the way, so that no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
-        witnessed.edge_elapsed = None;
         let (_, news) = knowledge.judge(&network(), &witnessed, WAYS, now(sent + 9));
         jumps.extend(news.jump);
         assert!(news.restart.is_none() && news.excess.is_none(), "{news:?}");

@@ -35,8 +35,7 @@ proptest! {
         let uncertainty = Span::from_nanos(uncertainty);
         let witnessed = Witnessed {
             exchange: Exchange { sent, received, replied, returned, uncertainty },
-            edge_elapsed: elapsed.map(Span::from_nanos),
-            cloud_elapsed: None,
+            cloud_elapsed: elapsed.map(Span::from_nanos),
             edge_epoch: epoch,
             cloud_epoch: Some(epoch),
         };
