@@ -84,7 +84,7 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let left = up.start.seconds();
     let back = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
-    // By the edge's raw clock, which nobody sets, where it was stamped by it; else by its wall clock.
+    // By the edge's free-running clock, which nobody sets, where it was stamped by it; else by its wall clock.
     let answered = back.and_then(|(node, transit)| {
         let (there, back) = (sent.raw_stamps, transit.raw_stamps);
         let waited = there.zip(back).map(|(there, back)| left + (back.received - there.sent).seconds());

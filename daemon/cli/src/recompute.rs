@@ -142,7 +142,7 @@ fn wall_clocks() -> Vec<String> {
 /// By which clocks delays were judged again, in words.
 fn by(clocks: &[String]) -> String {
     let words = clocks.iter().map(|clocks| match clocks.as_str() {
-        "raw" => "by raw clocks",
+        "raw" => "by free-running clocks",
         "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
         _ => "by wall clocks, whose steps and slews reach these delays,",
     });
@@ -206,7 +206,7 @@ delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
          after   6.310 ± 0.400    6.200       —    ±0.060   39 ok, 1 limited
 
-run 7: computed again by raw clocks with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
+run 7: computed again by free-running clocks with 60 seconds of what was learnt of the two clocks, during the run and after it; nothing stored was changed";
         let squeeze = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(squeeze(&describe(7, &recomputed)), squeeze(expected));
 

@@ -437,7 +437,7 @@ pub struct Recomputed {
     pub number: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
-    /// The clocks by whose stamps delays were judged again. Wall clocks are those of runs that were recorded before raw clocks were
+    /// The clocks by whose stamps delays were judged again. Wall clocks are those of runs that were recorded before free-running clocks were
     /// stamped: their steps and slews reach these delays. Empty where all delays stay as they were judged.
     pub clocks: Vec<RelatedClocks>,
     /// `upload`, `download`.

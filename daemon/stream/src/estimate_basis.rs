@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub struct EstimateBasis {
     /// The clocks that the stamps of the exchanges are of.
     pub clocks: RelatedClocks,
-    /// The edge's raw clock at the end of the second, when its wall clock showed the sample's time; `None` where it was not read.
+    /// The edge's free-running clock at the end of the second, when its wall clock showed the sample's time; `None` where it was not read.
     pub at_raw: Option<RawTime>,
     /// The limit of how fast the rate between the two clocks changes, parts per million per second; `None` where none is assumed:
     /// then an exchange bounds other times by the limit of drift alone.

@@ -357,7 +357,7 @@ mod tests {
             }),
         }];
         let row = &delays(&Timeline::of(&detail), &detail.row.delays)[0];
-        let basis = format!("by raw clocks, ρ 200{SPACE}ppm, probes not authenticated");
+        let basis = format!("by free-running clocks, ρ 200{SPACE}ppm, probes not authenticated");
         assert_eq!((row.source, row.basis.as_str()), ("in-band", basis.as_str()));
         let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);
         assert_eq!(texts, ["1,204.043", "\u{2212}1,204.000", "0.043", "0.039", "0.048"]);

@@ -8,7 +8,7 @@ use crate::Span;
 pub enum Disturbance {
     /// The wall clock was set forward (positive) or back.
     Step(Span),
-    /// It runs faster (positive) or slower than it used to, against the raw clock, by more than the limit: parts per
+    /// It runs faster (positive) or slower than it used to, against the free-running clock, by more than the limit: parts per
     /// million.
     Slew(f64),
     /// The machine slept.

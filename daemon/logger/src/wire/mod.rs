@@ -8,7 +8,7 @@
 //! | node | `[parent or nil, name, host, start, kind, …]`, the rest as below |
 //! | 0 container | |
 //! | 1 timer | duration or nil |
-//! | 2 transit | sent, received or nil, delay or nil; where they are known, sent and received by the raw clocks |
+//! | 2 transit | sent, received or nil, delay or nil; where they are known, sent and received by the free-running clocks |
 //! | 3 value | number, unit |
 //! | 4 throughput | number or nil, lower and upper bound or nil and nil |
 //! | 5 token rate | number or nil |

@@ -295,7 +295,7 @@ statements! {
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");
-    /// The same of a window of the edge's raw clock, in the order of its time: its wall clock may have been set back meanwhile.
+    /// The same of a window of the edge's free-running clock, in the order of its time: its wall clock may have been set back meanwhile.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
          AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");

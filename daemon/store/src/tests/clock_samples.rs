@@ -133,10 +133,10 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
 }
 
 #[tokio::test]
-async fn seconds_of_one_raw_window_are_all_kept_when_wall_clock_is_set_back() {
+async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
-    // The raw clock goes on, and the wall clock shows seconds 6 to 10 three times.
+    // The free-running clock goes on, and the wall clock shows seconds 6 to 10 three times.
     let raw = |raw: i64, second: i64| {
         let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
         let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };

@@ -64,7 +64,7 @@ async fn steps_of_wall_clocks_do_not_reach_delays_by_raw_stamps() {
     }
 }
 
-/// A world in which both machines were started again: so long after the first one's begin, with raw clocks that show the same times.
+/// A world in which both machines were started again: so long after the first one's begin, with free-running clocks that show the same times.
 fn started_again(bed: &Bed, after: Span) -> Simulation {
     let mut again = Simulation::new(bed.hosts(), RelatedClocks::Raw);
     again.now = after;
@@ -111,7 +111,7 @@ async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
         "UPDATE clock_sample SET at_raw_ns = NULL",
-        // The edge's wall clock stood otherwise when its raw clock showed these times.
+        // The edge's wall clock stood otherwise when its free-running clock showed these times.
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
         let mut bed = Bed::new().await;

@@ -20,7 +20,7 @@ const JITTER: Span = Span::from_micros(100);
 pub(super) struct Simulation {
     hosts: (HostId, HostId),
     clocks: RelatedClocks,
-    /// The true time at which the raw clock of the edge, and that of the cloud, showed zero.
+    /// The true time at which the free-running clock of the edge, and that of the cloud, showed zero.
     pub(super) raw_zeros: (Span, Span),
     numbers: Numbers,
     relation: Relation,
@@ -170,7 +170,7 @@ impl Simulation {
         }
     }
 
-    /// What the cloud's shows. Its raw clock drifts as its wall clock does.
+    /// What the cloud's shows. Its free-running clock drifts as its wall clock does.
     fn cloud_stamp(&self, truth: Span) -> RawTime {
         match self.clocks {
             RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::of_wall(self.cloud(truth)),

@@ -35,9 +35,10 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// The time that a second of a window is stored at. A wall clock that was set back shows the same times again, while the window of raw
-/// clocks goes on: each further second of such a time is stored a nanosecond before the last one, in the same second all the same.
-/// ?1 link, ?2 its time, ?3 window, ?4 the raw clock then.
+/// The time that a second of a window is stored at. A wall clock that was set back shows the same times again, while the window of
+/// free-running clocks goes on: each further second of such a time is stored a nanosecond before the last one, in the same second all the
+/// same.
+/// ?1 link, ?2 its time, ?3 window, ?4 the free-running clock then.
 const FREE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";

@@ -104,7 +104,7 @@ pub(crate) struct LinkPoint {
     pub up: Option<Delay>,
     /// Cloud to edge.
     pub down: Option<Delay>,
-    /// The clocks that the offset is between: `raw`, `raw-to-wall` or `wall`. A raw clock counts from the start of its machine.
+    /// The clocks that the offset is between: `raw`, `raw-to-wall` or `wall`. A free-running clock counts from the start of its machine.
     pub clocks: &'static str,
     /// Rates between the two clocks that the exchanges allow; null while they prove nothing.
     pub proven_skew: Option<ProvenSkew>,

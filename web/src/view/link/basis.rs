@@ -12,8 +12,8 @@ use super::stats::ppm;
 /// The clocks that are related, as the subject of a sentence.
 const fn both(clocks: RelatedClocks) -> &'static str {
     match clocks {
-        RelatedClocks::Raw => "the raw clocks of both hosts",
-        RelatedClocks::RawToWall => "the raw clock of the edge and the wall clock of the cloud",
+        RelatedClocks::Raw => "the free-running clocks of both hosts",
+        RelatedClocks::RawToWall => "the free-running clock of the edge and the wall clock of the cloud",
         RelatedClocks::Wall => "the wall clocks of both hosts",
     }
 }
@@ -72,10 +72,10 @@ pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     facts
 }
 
-/// The assumptions in a few words beside a delay: `by raw clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
+/// The assumptions in a few words beside a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
 pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
     let by = match assumptions.clocks {
-        RelatedClocks::Raw => "by raw clocks",
+        RelatedClocks::Raw => "by free-running clocks",
         RelatedClocks::RawToWall => "by the edge's raw and the cloud's wall clock",
         RelatedClocks::Wall => "by wall clocks",
     };
@@ -199,7 +199,7 @@ mod tests {
         let text = promise(&RAW).replace(SPACE, " ");
         assert_eq!(
             text,
-            "Each bound contains the true delay as long as the raw clocks of both hosts drift apart by at most 200 ppm and this \
+            "Each bound contains the true delay as long as the free-running clocks of both hosts drift apart by at most 200 ppm and this \
              rate changes by at most 1.00 ppm per second."
         );
         let weakest = DelayAssumptions {
@@ -221,7 +221,7 @@ mod tests {
     fn few_words_name_clocks_limits_and_authentication() {
         assert_eq!(
             brief(&RAW).replace(SPACE, " "),
-            "by raw clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"
+            "by free-running clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"
         );
         let earlier = DelayAssumptions {
             clocks: RelatedClocks::Wall,

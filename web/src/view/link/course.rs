@@ -67,7 +67,7 @@ impl Course {
         between.chain(last).filter(|(from, to)| *to - *from > usual).collect()
     }
 
-    /// What the edge's wall clock showed when the cloud's showed `at`, by the offset known nearest to that moment. An offset of raw clocks
+    /// What the edge's wall clock showed when the cloud's showed `at`, by the offset known nearest to that moment. An offset of free-running clocks
     /// tells nothing of it: then the two are taken to show the same.
     pub(crate) fn on_the_edge(&self, at: WallTime) -> WallTime {
         let of_wall_clocks = self.points.iter().filter(|point| point.clocks == RelatedClocks::Wall);

@@ -68,8 +68,8 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
 
     let what = if view == OffsetView::Removed { ", drift removed" } else { "" };
     let of = match points.last().map(|point| point.clocks) {
-        Some(RelatedClocks::Raw) => "offset of the raw clock of",
-        Some(RelatedClocks::RawToWall) => "offset, raw clock to wall clock of",
+        Some(RelatedClocks::Raw) => "offset of the free-running clock of",
+        Some(RelatedClocks::RawToWall) => "offset, free-running clock to wall clock of",
         Some(RelatedClocks::Wall) | None => "clock offset of",
     };
     let mut track = Track::new(format!("{of} {cloud}{what}, ms"), &ruler);

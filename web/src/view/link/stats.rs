@@ -69,16 +69,16 @@ fn delay(subject: &Subject<'_>, way: Way) -> Stat {
 fn offset(subject: &Subject<'_>) -> Stat {
     let name = match subject.clocks() {
         RelatedClocks::Wall => "Clock offset",
-        RelatedClocks::Raw => "Offset of the raw clocks",
-        RelatedClocks::RawToWall => "Offset, raw to wall clock",
+        RelatedClocks::Raw => "Offset of the free-running clocks",
+        RelatedClocks::RawToWall => "Offset, free-running to wall clock",
     };
     let Some((estimate, half)) = subject.offset().and_then(known) else {
         return Stat::new(name, None, "ms", no_offset(subject).to_owned());
     };
     let then = if subject.connected { "" } else { ", when last told" };
     if subject.clocks() != RelatedClocks::Wall {
-        // A raw clock counts from the start of its machine: which one is ahead says nothing of the time of day.
-        let line = format!("raw clocks count from the machine's start, {}{then}", bound(half));
+        // A free-running clock counts from the start of its machine: which one is ahead says nothing of the time of day.
+        let line = format!("free-running clocks count from the machine's start, {}{then}", bound(half));
         return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
     }
     // Within its bound an offset may be none at all.

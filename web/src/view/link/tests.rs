@@ -1,5 +1,7 @@
 use peernet_clock::{DelaySource, Discipline, Interval};
-use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis, HostClock, NetworkName, Probing};
+use peernet_stream::{
+    DelayPoint, DelaySecond, EstimateBasis, HostClock, NetworkName, ProbeCounts, Probing, ReflectorLive,
+};
 
 use super::chart::{OffsetView, tracks};
 use super::course::Course;
@@ -421,6 +423,40 @@ fn name_of_a_link_leaves_zmq_tcp_out() {
 }
 
 #[test]
+fn named_reflector_is_shown_as_tied_to_no_host() {
+    let mut link = link(Some(0.00065), &[]);
+    assert!(panels::reflector(&Subject::live(&link)).is_empty());
+    let known = link.live.now.offset.clone().expect("known");
+    let silent = ReflectorLive {
+        address: "udp://192.0.2.7:862".into(),
+        probing: Probing::Unanswered { address: "udp://192.0.2.7:862".into(), reason: None },
+        probes: ProbeCounts { sent: 12, answered: 0, lost: 9, refused: 3 },
+        round_trip: None,
+        offset: None,
+    };
+    let answering =
+        ReflectorLive { round_trip: link.live.now.round_trip, offset: Some(known), ..silent.clone() };
+    let mut shown = |reflector: ReflectorLive| {
+        link.live.reflector = Some(reflector);
+        let pairs = panels::reflector(&Subject::live(&link));
+        let text = pairs.into_iter().map(|(name, text)| format!("{name}: {text}\n")).collect::<String>();
+        text.replace('\u{202f}', " ")
+    };
+    let text = shown(silent);
+    for part in
+        ["12 sent, 0 answered, 9 lost, 3 refused", "none lately", "not known yet", "no delay rests on it"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let text = shown(answering);
+    for part in
+        ["Configured: udp://192.0.2.7:862", "Round trip: 1.30 ms at least", "its wall clock minus cam-1's"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
 fn a_placement_uses_the_link_over_its_network() {
     let mut shown = crate::tests::samples::picture(Vec::new(), Vec::new());
     shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
@@ -455,7 +491,7 @@ fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
         found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
     };
     assert!(
-        of("Clocks related").starts_with("the raw clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
+        of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
         "{pairs:?}"
     );
     assert_eq!(of("Assumed drift"), "at most 50.0 ppm (ρ)");
@@ -466,7 +502,7 @@ fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
     assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
     assert_eq!(of("Claims of time daemons"), "shown for comparison only");
     assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
-    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the raw clocks");
+    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the free-running clocks");
     // The offset of this link is narrowed by a claim.
     assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 

@@ -1,6 +1,6 @@
 //! What the stored samples say of the clocks of a run's edge and of each cloud that it met.
 //!
-//! A window relates one pair of clocks: the times of raw clocks and those of wall clocks are looked up apart.
+//! A window relates one pair of clocks: the times of free-running clocks and those of wall clocks are looked up apart.
 
 use std::collections::{BTreeSet, HashMap};
 

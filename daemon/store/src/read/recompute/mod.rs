@@ -204,7 +204,7 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// The stamps by which the delay is judged, and the clocks that they are of: the raw clocks where both ends stamped by them, else the
+    /// The stamps by which the delay is judged, and the clocks that they are of: the free-running clocks where both ends stamped by them, else the
     /// wall clocks. A cloud that has no raw stamps gave its wall clock's instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let by_wall = RawStamps { sent: RawTime::of_wall(sent), received: RawTime::of_wall(received) };

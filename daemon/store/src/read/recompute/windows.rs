@@ -25,7 +25,7 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge cut into pieces, each with the only window that it can belong to, if there is one. Raw clocks count
+/// The time of a clock of the edge cut into pieces, each with the only window that it can belong to, if there is one. Free-running clocks count
 /// from the start of their machine: a time that two starts have belongs to neither.
 ///
 /// Near a step two windows may overlap, when the edge's clock was set back, or leave a hole between them, in which the

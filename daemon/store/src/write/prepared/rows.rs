@@ -52,6 +52,6 @@ pub(in crate::write) struct TransitRow {
     pub(in crate::write) raw_ns: Option<i64>,
     pub(in crate::write) source: Option<u8>,
     pub(in crate::write) verdict: Option<u8>,
-    /// By the raw clocks: sent, received.
+    /// By the free-running clocks: sent, received.
     pub(in crate::write) raw_stamps: Option<(i64, i64)>,
 }
