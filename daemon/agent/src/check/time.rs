@@ -106,6 +106,9 @@ pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Op
         report.add("probes.max_per_source_hz", "0 would answer nobody; say reflect = false for that");
     }
     report.at_most("probes.max_per_source_hz", probes.max_per_source_hz.into(), MAX_PER_SOURCE_HZ);
+    if !probes.send && !probes.reflectors.is_empty() {
+        report.add("probes.reflectors", "none of them is probed: remove probes.send = false, or remove them");
+    }
     if let Some(path) = &probes.key_file {
         report.unless_ok("probes.key_file", Key::read(path));
     }
@@ -228,6 +231,13 @@ mod tests {
             assert_eq!(probes(&table).len(), expected, "{content:?}");
         }
         assert_eq!(probes("key_file = \"/nowhere/key\""), ["probes.key_file"]);
+    }
+
+    #[test]
+    fn reflectors_of_host_that_sends_no_probes_are_named() {
+        let named = "reflectors = { cloud = 'udp://[::1]' }\n";
+        assert!(probes(named).is_empty());
+        assert_eq!(probes(&format!("{named}send = false")), ["probes.reflectors"]);
     }
 
     #[test]

@@ -131,6 +131,7 @@ async fn forged_answers_to_probes_reach_no_delay() {
         (answered + sample.probes.answered, lost + sample.probes.lost)
     });
     assert!(counts.0 == 0 && counts.1 > 0, "{counts:?}");
+    assert!(seen.clocks().iter().any(|sample| sample.probes.refused > 0), "each is counted in its second");
     let probed = seen.clocks().into_iter().filter(|sample| sample.probes.sent > 0);
     for sample in probed {
         assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
