@@ -34,6 +34,7 @@ mod pauses;
 mod pipeline;
 mod random;
 mod runs;
+mod same_clock;
 mod serve;
 mod tasks;
 mod telemetry;

@@ -95,8 +95,7 @@ fn reads(clock: &SystemClock) {
 
 fn relation(clocks: RelatedClocks) -> Relation {
     let settings = RelationSettings { clocks, ..RelationSettings::default() };
-    let (edge, cloud) = (ClockIdentity::new("bench", "edge"), ClockIdentity::new("bench", "cloud"));
-    Relation::new(&edge, &cloud, settings)
+    Relation::new(settings)
 }
 
 impl Traffic {

@@ -1,20 +1,26 @@
 //! Which clock a host reads.
 
+use std::hash::{BuildHasher, RandomState};
 use std::io;
-use std::sync::Arc;
+use std::os::unix::fs::MetadataExt;
+use std::sync::{Arc, OnceLock};
 
 use serde::{Deserialize, Serialize};
 
-/// Identifies the clocks of a process: equal identities mean one and the same clock, so that the offset is exactly zero.
+/// Identifies the clocks of a process.
 ///
-/// Every process of one machine since one boot reads one clock, containers included, unless a time namespace shifts what it
-/// reads. The second part tells apart clocks that a test or a rehearsal sets up on one machine.
+/// The processes of one machine since one boot read one clock, containers included, unless a time namespace or a preloaded library
+/// shifts what one of them reads; and clones of one snapshot of a virtual machine tell one boot id. So no two identities prove that
+/// two processes read one clock: [`may_be_one_with`](Self::may_be_one_with) tells whether it is worth asking for a proof.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ClockIdentity {
     /// The kernel's boot id, a UUID in text form; in a time namespace followed by `/` and the namespace, as `time:[4026532280]`.
     pub boot: Arc<str>,
-    /// `system` unless configured otherwise.
+    /// `system` unless configured otherwise: tells apart clocks that a test or a rehearsal sets up on one machine.
     pub clock: Arc<str>,
+    /// Random number of the process that reads the clocks; `None` in releases before 0.3.0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub process: Option<u64>,
 }
 
 impl ClockIdentity {
@@ -26,9 +32,14 @@ impl ClockIdentity {
     /// The namespace that every process is in which was put into no other one (`PROC_TIME_INIT_INO` of Linux).
     const INITIAL_TIME_NAMESPACE: &'static str = "time:[4026531834]";
 
-    /// An identity of two given parts.
+    /// An identity of two given parts, of no known process.
     pub fn new(boot: &str, clock: &str) -> Self {
-        Self { boot: boot.into(), clock: clock.into() }
+        Self { boot: boot.into(), clock: clock.into(), process: None }
+    }
+
+    /// Whether processes of these identities may read one clock: they tell one boot, one time namespace and one name.
+    pub fn may_be_one_with(&self, other: &Self) -> bool {
+        self.boot == other.boot && self.clock == other.clock
     }
 
     /// The identity of this process's clocks; `clock` is [`Self::SYSTEM`] or a name of one's own.
@@ -46,7 +57,8 @@ impl ClockIdentity {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Self::INITIAL_TIME_NAMESPACE.to_owned(),
             Err(error) => return Err(unreadable(Self::TIME_NAMESPACE)(error)),
         };
-        Ok(Self::in_namespace(boot.trim(), &namespace, clock))
+        let identity = Self::in_namespace(boot.trim(), &namespace, clock);
+        Ok(Self { process: Some(process()), ..identity })
     }
 
     /// The initial namespace is left out, so that releases which do not look at namespaces tell the same of it.
@@ -55,6 +67,27 @@ impl ClockIdentity {
             Self::new(boot, clock)
         } else {
             Self::new(&format!("{boot}/{namespace}"), clock)
+        }
+    }
+}
+
+/// The number of this process, drawn at random when it is asked for first.
+fn process() -> u64 {
+    static PROCESS: OnceLock<u64> = OnceLock::new();
+    *PROCESS.get_or_init(|| RandomState::new().hash_one(std::process::id()))
+}
+
+/// Returns the inode of the time namespace of this process; 0 where the kernel has no time namespaces.
+///
+/// # Errors
+/// When the namespace cannot be looked at; the error names the file.
+pub fn time_namespace() -> io::Result<u64> {
+    match std::fs::metadata(ClockIdentity::TIME_NAMESPACE) {
+        Ok(namespace) => Ok(namespace.ino()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(0),
+        Err(error) => {
+            let text = format!("cannot look at {}: {error}", ClockIdentity::TIME_NAMESPACE);
+            Err(io::Error::new(error.kind(), text))
         }
     }
 }
@@ -79,5 +112,23 @@ mod tests {
         let other = ClockIdentity::of_this_machine("rehearsal").expect("linux has a boot id");
         assert_eq!(a, b);
         assert_ne!(a, other);
+        assert!(a.may_be_one_with(&b) && !a.may_be_one_with(&other));
+    }
+
+    #[test]
+    fn another_process_has_another_identity_and_perhaps_the_same_clock() {
+        let ours = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+        let theirs = ClockIdentity { process: ours.process.map(|process| process ^ 1), ..ours.clone() };
+        assert_ne!(ours, theirs);
+        assert!(ours.may_be_one_with(&theirs));
+        assert!(ours.may_be_one_with(&ClockIdentity { process: None, ..theirs }), "an earlier release");
+    }
+
+    #[test]
+    fn time_namespace_is_that_of_the_identity() {
+        let link =
+            std::fs::read_link(ClockIdentity::TIME_NAMESPACE).expect("this kernel has time namespaces");
+        let inode = time_namespace().expect("it was just read");
+        assert_eq!(link.display().to_string(), format!("time:[{inode}]"));
     }
 }

@@ -40,7 +40,7 @@ pub use band::ProvenSkew;
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
 pub use discipline::Discipline;
 pub use exchange::{Exchange, Witnessed};
-pub use identity::ClockIdentity;
+pub use identity::{ClockIdentity, time_namespace};
 pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
 pub use rehearsal::{RehearsalDescription, RehearsedStep, SteppedClock};

@@ -5,7 +5,7 @@ use std::ops::{Add, Sub};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::steps::{Paired, StepWatch};
-use crate::system::{BOOT, MONO, RAW, WALL, read};
+use crate::system::{BOOT, MONO, RAW, WALL, is_kernels, read};
 use crate::{ClockIdentity, Interval, MonoTime, RawTime, Readings, RehearsalDescription, Span, WallTime};
 
 /// The clocks of a host, read together.
@@ -46,7 +46,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Now on the free-running clock, by which clocks of two hosts are related.
     fn raw(&self) -> RawTime;
 
-    /// Which clock this is: two hosts with equal identities read the same clock.
+    /// Which clock this is.
     fn identity(&self) -> &ClockIdentity;
 
     /// The clocks, read one right after the other: whoever is interrupted in between reads again, because that would
@@ -100,6 +100,12 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// stamp is made by the kernel, which knows nothing of a rehearsal.
     fn adopt(&self, system: WallTime) -> WallTime {
         system
+    }
+
+    /// Whether the clocks show at this moment what the kernel shows by a direct system call: not where a preloaded library shows this
+    /// process other times, nor where they are wrong on purpose.
+    fn shows_kernel_time(&self) -> bool {
+        false
     }
 
     /// How the clock is made wrong on purpose, if it is.
@@ -190,11 +196,18 @@ impl Clock for SystemClock {
     fn last_step(&self) -> Option<Span> {
         lock(&self.steps).last_step()
     }
+
+    fn shows_kernel_time(&self) -> bool {
+        use rustix::time::ClockId;
+        let clocks = [(WALL, ClockId::Realtime), (MONO, ClockId::Monotonic), (RAW, ClockId::MonotonicRaw)];
+        clocks.into_iter().all(|(clock, direct)| is_kernels(clock, direct))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RehearsedClock;
 
     #[test]
     fn the_monotonic_clock_never_runs_backwards() {
@@ -205,6 +218,21 @@ mod tests {
             assert!(now >= last);
             last = now;
         }
+    }
+
+    #[test]
+    fn only_the_system_clock_shows_kernel_time() {
+        let system = SystemClock::new(ClockIdentity::new("boot", "system"));
+        assert!((0..10_000).all(|_| system.shows_kernel_time()));
+        let wrong = RehearsalDescription {
+            offset: Span::ZERO,
+            drift_ppm: 0.0,
+            steps: Vec::new(),
+            since: system.wall(),
+        };
+        let identity = system.identity().clone();
+        let rehearsed = RehearsedClock::new(Arc::new(system), identity, wrong);
+        assert!(!rehearsed.shows_kernel_time());
     }
 
     #[test]

@@ -20,3 +20,18 @@ pub(crate) fn read(clock: ClockId) -> i64 {
     let time = clock_gettime(clock).expect("Linux has had these four clocks since version 2.6.39");
     time.tv_sec().saturating_mul(1_000_000_000).saturating_add(time.tv_nsec())
 }
+
+/// Whether the C library shows of a clock what the kernel shows by a direct call, which no preloaded library reaches.
+pub(crate) fn is_kernels(clock: ClockId, direct: rustix::time::ClockId) -> bool {
+    // Again, because the wall clock may be set between two reads.
+    (0..4).any(|_| {
+        let before = read_directly(direct);
+        let shown = read(clock);
+        before <= shown && shown <= read_directly(direct)
+    })
+}
+
+fn read_directly(clock: rustix::time::ClockId) -> i64 {
+    let time = rustix::time::clock_gettime(clock);
+    time.tv_sec.saturating_mul(1_000_000_000).saturating_add(time.tv_nsec)
+}

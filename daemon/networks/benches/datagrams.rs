@@ -194,6 +194,7 @@ async fn open(address: Address, settings: SessionSettings) -> Anyhow<Session> {
         pipeline: "bench".parse()?,
         model: None,
         device: None,
+        clock_socket: None,
     };
     Ok(Session::open(&address, hello, settings, clock()).await?)
 }

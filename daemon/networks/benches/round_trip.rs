@@ -226,6 +226,7 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
         pipeline: "bench".parse()?,
         model: Some("echo".parse::<Slug>()?),
         device: None,
+        clock_socket: None,
     };
     let opening = Session::open(address, hello, SessionSettings::default(), clock());
     let session = runtime.block_on(opening)?;

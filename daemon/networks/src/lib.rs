@@ -15,8 +15,8 @@ mod transport;
 
 pub use interface::{UnknownInterface, check_interfaces, interface_of};
 pub use message::{
-    MAX_CONDITIONS, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted,
-    SessionHello, SessionId,
+    ClockSocketName, MAX_CONDITIONS, NoClockSocketName, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock,
+    SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
 };
 pub use session::{
     Announcer, BindError, CloseReason, Exchange, Failure, Incoming, IncomingRequest, Listener, OpenError,

@@ -274,6 +274,11 @@ impl Knowledge {
         news
     }
 
+    /// It is proven that both processes read one clock, or it no longer is.
+    pub(super) fn set_same_clock(&mut self, is_proven: bool) {
+        self.relation.set_same_clock(is_proven);
+    }
+
     /// The own free-running clock is in this epoch already.
     pub(super) fn begin_epoch_of_edge(&mut self, epoch: u32) {
         self.edge.begin_epoch(epoch);

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use peernet_clock::{
     ClockIdentity, Direction, MonoTime, OneWayDelay, RelatedClocks, Relation, RelationSettings, Span, Stamp,
@@ -22,9 +23,13 @@ use super::named_reflector::NamedReflector;
 use super::shared::{Session, Shared, lock};
 use super::words::{excess_in_words, jump_in_words, restart_in_words, wall_set_in_words};
 use crate::incidents::Concerning;
+use crate::same_clock::NotProven;
 
 /// Data this long ago does not keep the probes at their full rate.
 const IN_USE: Span = Span::from_seconds(3);
+
+/// A session waits no longer for the proof that both ends read one clock: a cloud that has connected answers within a millisecond.
+const FIRST_PROOF: Duration = Duration::from_millis(500);
 
 /// What this host has to do with one cloud, over whatever networks. Locks are held for microseconds, never while waiting;
 /// that of the connections is taken by live updates alone.
@@ -33,9 +38,10 @@ pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
     pub(super) peer: HostId,
     pub(super) name: Slug,
-    /// The cloud's clock, and whether it is this host's, too.
+    /// The cloud's clock.
     pub(super) clock: ClockIdentity,
-    same_clock: bool,
+    /// Whether it is proven that both processes read one clock; `None` until the first attempt is over.
+    same_clock: watch::Sender<Option<bool>>,
     /// Which clocks of the two hosts are related.
     pub(super) clocks: RelatedClocks,
     /// Sessions with the cloud, the oldest first; none any more when the link is over.
@@ -56,8 +62,7 @@ impl Link {
         let clock = &shared.host.clock;
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
-        let relation = Relation::new(clock.identity(), &accepted.clock, settings);
-        let same_clock = relation.is_same_clock();
+        let relation = Relation::new(settings);
         let told = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
         let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
         // The announcement of the latest interruption may still be on its way.
@@ -70,7 +75,7 @@ impl Link {
             peer: accepted.host,
             name: accepted.name.clone(),
             clock: accepted.clock.clone(),
-            same_clock,
+            same_clock: watch::Sender::new(None),
             clocks,
             sessions: watch::Sender::new(Vec::new()),
             rate_hz: watch::Sender::new(0.0),
@@ -159,6 +164,37 @@ impl Link {
         self.tell(news);
     }
 
+    /// It is proven that both processes read one clock, or it no longer is.
+    pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
+        let is_proven = proof.is_ok();
+        lock(&self.knowledge).set_same_clock(is_proven);
+        let before = self.same_clock.send_replace(Some(is_proven));
+        if before == Some(is_proven) {
+            return;
+        }
+        self.pace(self.shared.host.clock.mono());
+        match proof {
+            Ok(()) => tracing::info!(peer = %self.name, "both processes read one clock: delays are exact"),
+            Err(why) if before == Some(true) => {
+                tracing::warn!(peer = %self.name, "delays are measured from now on: {why}");
+            }
+            Err(why) => tracing::debug!(peer = %self.name, "delays are measured: {why}"),
+        }
+    }
+
+    /// Waits until it is known whether both processes read one clock, no longer than [`FIRST_PROOF`].
+    pub(crate) async fn first_proof(&self) {
+        let mut same_clock = self.same_clock.subscribe();
+        let known = same_clock.wait_for(Option::is_some);
+        if tokio::time::timeout(FIRST_PROOF, known).await.is_err() {
+            tracing::debug!(peer = %self.name, "not known yet whether both processes read one clock");
+        }
+    }
+
+    fn is_same_clock(&self) -> bool {
+        *self.same_clock.borrow() == Some(true)
+    }
+
     /// The cloud's name.
     pub(crate) const fn name(&self) -> &Slug {
         &self.name
@@ -211,7 +247,7 @@ impl Link {
                 peer_name: self.name.clone(),
                 networks: vec![network.to_string()],
                 pipelines,
-                same_clock: self.same_clock,
+                same_clock: self.is_same_clock(),
                 probing: probing.clone(),
                 edge: Some(edge.clone()),
                 cloud: Some(cloud.clone()),
@@ -232,7 +268,7 @@ impl Link {
     fn pace(&self, now: MonoTime) {
         let probes = &self.shared.probes;
         let busy = now - *lock(&self.used) < IN_USE;
-        let wanted = if busy && !self.same_clock { probes.rate_hz } else { probes.idle_rate_hz };
+        let wanted = if busy && !self.is_same_clock() { probes.rate_hz } else { probes.idle_rate_hz };
         self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
     }
 

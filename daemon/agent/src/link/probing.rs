@@ -1,4 +1,4 @@
-//! The task of a link: probes, what both hosts tell of their clocks, the end of each second.
+//! The task of a link: probes, what both hosts tell of their clocks, the proof that these are one, the end of each second.
 
 use std::convert::Infallible;
 use std::pin::pin;
@@ -14,6 +14,7 @@ use super::answers::Answers;
 use super::pair::Link;
 use super::probe_target::{ProbeTarget, RESULTS};
 use super::shared::{Session, lock};
+use crate::same_clock::prove;
 
 /// Looks after a link until its last session is over.
 pub(super) async fn tend(link: Arc<Link>) {
@@ -39,9 +40,10 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
     own.mark_changed();
     let (results, mut arriving) = mpsc::channel(RESULTS);
     let mut probing = pin!(probe(link, &session, results));
+    let clock = &link.shared.host.clock;
+    let mut proving = pin!(prove(&session.clock_peers, clock, |proof| link.set_same_clock(proof)));
     let mut answers = Answers::new(link.name.clone(), link.shared.probes.key.is_some());
     loop {
-        let clock = &link.shared.host.clock;
         let second = pin!(tokio::time::sleep(until_next_second(clock.wall().unix_nanos())));
         tokio::select! {
             biased;
@@ -61,6 +63,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
                 answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
             }
             () = second => link.turn(),
+            never = &mut proving => match never {},
             never = &mut probing => match never {},
         }
     }

@@ -18,6 +18,7 @@ use super::pair::Link;
 use super::probing;
 use super::shared::{Near, ProbeSettings, Session, Shared, lock};
 use crate::config::ClockConfig;
+use crate::same_clock::ClockSocket;
 
 /// The links by cloud; clones are the same.
 #[derive(Clone, Debug)]
@@ -77,12 +78,14 @@ impl Links {
         }))
     }
 
-    /// A session of `pipeline` with the cloud at `address` was opened: it joins the link there is, or begins one.
+    /// A session of `pipeline` with the cloud at `address` was opened, whose hello named this clock socket: it joins the link there is, or
+    /// begins one.
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
         address: &Address,
         pipeline: &Slug,
+        clock_socket: Option<ClockSocket>,
     ) -> Attached {
         let accepted = session.accepted();
         let cloud = Cloud {
@@ -91,6 +94,11 @@ impl Links {
             hardware: accepted.hardware.clone(),
         };
         lock(&self.0.served_by).insert(pipeline.clone(), cloud);
+        let clocks = session.clocks();
+        let own = self.0.shared.host.clock.identity();
+        // A wall clock is no free-running clock, and clocks of two names are not to be one.
+        let may_be_one = clocks == RelatedClocks::Raw && own.may_be_one_with(&accepted.clock);
+        let clock_socket = clock_socket.filter(|_| may_be_one);
         let joining = Session {
             id: self.0.sessions.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
@@ -100,11 +108,11 @@ impl Links {
             instance: accepted.instance,
             probe_key: accepted.probe_key,
             clock: session.peer_clock(),
+            clock_peers: clock_socket.map(|socket| socket.connected(session.id())).unwrap_or_default(),
             statistics: session.statistics_reader(),
         };
         let (id, network) = (joining.id, joining.network.clone());
         let mut open = self.open();
-        let clocks = session.clocks();
         let known = open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
         let link = match known {
             Some(link) => {

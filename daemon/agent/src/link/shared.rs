@@ -13,6 +13,7 @@ use tokio::sync::watch;
 use crate::config::{ClockConfig, ProbesConfig, ReflectorAddress, Timestamps};
 use crate::feed::Feed;
 use crate::incidents::Incidents;
+use crate::same_clock::ClockPeers;
 
 /// What links need of their host.
 #[derive(Clone, Debug)]
@@ -91,6 +92,8 @@ pub(super) struct Session {
     pub(super) probe_key: Option<ProbeKey>,
     /// What it tells of its clock.
     pub(super) clock: watch::Receiver<PeerClock>,
+    /// Who may prove that the process which serves it reads this host's clock.
+    pub(super) clock_peers: ClockPeers,
     /// What was sent and received on its connection.
     pub(super) statistics: StatisticsReader,
 }

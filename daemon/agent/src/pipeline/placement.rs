@@ -17,6 +17,7 @@ use super::context::PipelineContext;
 use crate::conditions::{Places, look_soon};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::link::{Attached, Crossing};
+use crate::same_clock::ClockSocket;
 
 /// An open placement: a loaded model, a session with a peer that has one, or nothing.
 #[derive(Debug)]
@@ -86,6 +87,7 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
+        let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
             host: context.host.id,
@@ -94,10 +96,13 @@ impl Placement {
             pipeline: pipeline.clone(),
             model: remote.model.clone(),
             device: remote.device.clone(),
+            clock_socket: clock_socket.as_ref().map(ClockSocket::name),
         };
         let clock = Arc::clone(&context.host.clock);
         let session = Session::open(&remote.peer, hello, settings, clock).await?;
-        let link = context.links.attach(&session, &remote.peer, pipeline);
+        let link = context.links.attach(&session, &remote.peer, pipeline, clock_socket);
+        // Or the delays of the first iterations would be measured without an exchange to measure them by.
+        link.first_proof().await;
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }
 

@@ -26,6 +26,7 @@ use peernet_stream::{Condition, Hardware, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 
 use self::asked::Asked;
 use self::listeners::Listeners;
@@ -34,6 +35,7 @@ use crate::conditions::Places;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents, remark};
 use crate::observed::ObservedPipelines;
+use crate::same_clock::ClockWitness;
 use crate::telemetry;
 
 /// What serving needs of the rest of the agent.
@@ -205,6 +207,8 @@ struct Peer {
     service: Service,
     /// Where its requests and their answers are counted, if they are.
     counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
+    /// Proves to it that both processes read one clock, where they do; goes with the session. If it ends before, the peer notices.
+    _witness: Option<AbortOnDropHandle<()>>,
 }
 
 struct Server {
@@ -236,6 +240,9 @@ impl Server {
                 );
                 let (session, accepted) = (wish.session, self.accepted(listener, &service, conditions));
                 let address = wish.address.map(|address| address.ip());
+                // Before the edge knows that it has the session: it closes its socket then.
+                let witness = ClockWitness::connect(hello, session, &self.context.host.clock);
+                let witness = witness.map(|it| AbortOnDropHandle::new(tokio::spawn(it.answer())));
                 // Before the peer knows where to send its probes.
                 self.tell_reflectors(address);
                 if wish.accept(accepted) {
@@ -244,7 +251,8 @@ impl Server {
                         Service::Stamps(..) => false,
                     };
                     let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
-                    self.peers.insert(session, Peer { host, name, pipeline, address, service, counted });
+                    let peer = Peer { host, name, pipeline, address, service, counted, _witness: witness };
+                    self.peers.insert(session, peer);
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 } else {

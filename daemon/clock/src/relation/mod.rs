@@ -1,5 +1,5 @@
 //! What is known of the offset between two hosts' clocks: from the exchanges between them, from what their time
-//! daemons claim, and from their identities.
+//! daemons claim, and from a proof that they read one clock.
 
 mod judging;
 mod jumps;
@@ -13,7 +13,7 @@ mod types;
 mod windows;
 
 use crate::band::{Bounds, Contradiction, ProvenSkew};
-use crate::{ClockIdentity, Discipline, Exchange, RawTime, RelatedClocks, Span, WallTime, Witnessed};
+use crate::{Discipline, Exchange, RawTime, RelatedClocks, Span, WallTime, Witnessed};
 use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
@@ -46,11 +46,10 @@ pub struct Relation {
 }
 
 impl Relation {
-    /// What two identities alone tell, ready to learn more.
-    pub fn new(edge: &ClockIdentity, cloud: &ClockIdentity, settings: RelationSettings) -> Self {
+    /// A relation of which nothing is known yet.
+    pub fn new(settings: RelationSettings) -> Self {
         Self {
-            // The wall clock of a host is not its free-running clock.
-            same_clock: edge == cloud && settings.clocks != RelatedClocks::RawToWall,
+            same_clock: false,
             settings,
             windows: Windows::new(&settings),
             presence: Presence::new(settings.fresh, settings.window.max(settings.retention)),
@@ -65,6 +64,13 @@ impl Relation {
     /// Whether both hosts read one clock, so that the offset is exactly zero.
     pub const fn is_same_clock(&self) -> bool {
         self.same_clock
+    }
+
+    /// From now on it is proven that both processes read one clock, or it no longer is. Exchanges are learnt in either case: they check
+    /// the proof, and bound the offset when it is gone.
+    pub fn set_same_clock(&mut self, is_proven: bool) {
+        // The wall clock of a host is not its free-running clock.
+        self.same_clock = is_proven && self.settings.clocks != RelatedClocks::RawToWall;
     }
 
     /// What the estimate rests on.

@@ -24,7 +24,7 @@ pub(super) struct Knowledge {
     pub(super) in_band: Option<(Interval, Span)>,
     /// Whether the exchanges have an offset in common that keeps all assumptions.
     pub(super) is_consistent: bool,
-    /// The identities, or both hosts' time daemons together.
+    /// A proof of one clock, or both hosts' time daemons together.
     pub(super) other: Option<(DelaySource, Interval)>,
 }
 

@@ -9,6 +9,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use uuid::Uuid;
 
+use super::clock_socket::{ClockSocketName, well_formed};
 use super::probe_key::ProbeKey;
 use super::{printable, words};
 
@@ -34,6 +35,12 @@ impl SessionId {
     /// A new random id.
     pub(crate) fn random() -> Self {
         Self(Uuid::new_v4())
+    }
+
+    /// What it is made of.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &[u8; 16] {
+        self.0.as_bytes()
     }
 }
 
@@ -62,6 +69,10 @@ pub struct SessionHello {
     /// The device it must run on, such as `cuda:0`; `None` leaves it to the cloud.
     #[serde(default, deserialize_with = "perhaps_words")]
     pub device: Option<String>,
+    /// Where the edge lets the cloud prove that both read one clock; `None` where that cannot be, and in edges before 0.3.0. On the wire
+    /// a name of another form is none.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "well_formed")]
+    pub clock_socket: Option<ClockSocketName>,
 }
 
 /// Who serves a session, and with what.

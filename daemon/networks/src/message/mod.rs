@@ -13,6 +13,7 @@
 //! The tree is encoded before the departure is stamped, and the header after: the transit node itself is not in
 //! either tree, the receiver puts it there from the header. `tests/it/wire.rs` writes the form down a second time.
 
+mod clock_socket;
 mod header;
 mod hello;
 mod probe_key;
@@ -23,6 +24,7 @@ mod fixtures;
 #[cfg(test)]
 pub(crate) mod strategies;
 
+pub use clock_socket::{ClockSocketName, NoClockSocketName};
 pub(crate) use header::{
     Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
     Refused, Reply, Request, SampleHeader, UnknownSession,

@@ -10,8 +10,8 @@ use peernet_stream::{Condition, Grade, Hardware, Release, VersionRange};
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey, RawClock,
-    RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    Accepted, ClockNews, ClockSocketName, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
+    RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
     UnknownSession,
 };
 
@@ -24,13 +24,15 @@ fn host() -> impl Strategy<Value = HostId> {
 }
 
 fn clock() -> impl Strategy<Value = ClockIdentity> {
-    (".{0,40}", ".{0,10}").prop_map(|(boot, clock)| ClockIdentity::new(&boot, &clock))
+    (".{0,40}", ".{0,10}", any::<Option<u64>>())
+        .prop_map(|(boot, clock, process)| ClockIdentity { process, ..ClockIdentity::new(&boot, &clock) })
 }
 
 pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
     let device = proptest::option::of(words());
-    (versions(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device).prop_map(
-        |(versions, host, name, clock, pipeline, model, device)| SessionHello {
+    let socket = any::<Option<[u8; ClockSocketName::BYTES]>>();
+    (versions(), host(), slug(), clock(), slug(), proptest::option::of(slug()), device, socket).prop_map(
+        |(versions, host, name, clock, pipeline, model, device, socket)| SessionHello {
             versions,
             host,
             name,
@@ -38,6 +40,7 @@ pub(crate) fn hello() -> impl Strategy<Value = SessionHello> {
             pipeline,
             model,
             device,
+            clock_socket: socket.map(ClockSocketName::new),
         },
     )
 }

@@ -132,6 +132,11 @@ impl Session {
         &self.inner.accepted
     }
 
+    /// Its id, which nobody but its two ends knows as long as nobody reads the connection.
+    pub fn id(&self) -> SessionId {
+        self.inner.shared.session
+    }
+
     /// Which clocks the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
     pub fn clocks(&self) -> RelatedClocks {
         if self.inner.shared.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }

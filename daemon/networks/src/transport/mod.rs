@@ -432,6 +432,7 @@ mod tests {
             pipeline: "line".parse().expect("a name"),
             model: None,
             device: None,
+            clock_socket: None,
         };
         let dialler = Dialler { hello: &hello, clock: &clock };
         let dialled = NetworkKind::Robot.dial(&address, &settings, &dialler).await;

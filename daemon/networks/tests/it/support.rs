@@ -137,6 +137,7 @@ pub(crate) fn hello() -> SessionHello {
         pipeline: format!("line-{}", next_number()).parse().expect("a name"),
         model: Some("echo".parse().expect("a name")),
         device: None,
+        clock_socket: None,
     }
 }
 

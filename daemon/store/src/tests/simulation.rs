@@ -2,8 +2,8 @@
 //! what is stored was judged by the same code that judges it again.
 
 use peernet_clock::{
-    ClockIdentity, Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, RelatedClocks,
-    Relation, RelationSettings, Span, WallTime, Witnessed,
+    Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, RelatedClocks, Relation,
+    RelationSettings, Span, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
 use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, ProbeCounts};
@@ -47,7 +47,6 @@ pub(super) struct Simulation {
 impl Simulation {
     /// Both hosts, related by these clocks.
     pub(super) fn new(hosts: (HostId, HostId), clocks: RelatedClocks) -> Self {
-        let clock = |name| ClockIdentity::new("boot", name);
         let settings = RelationSettings {
             clocks,
             max_drift_ppm: 50.0,
@@ -59,7 +58,7 @@ impl Simulation {
             clocks,
             raw_zeros: (Span::from_seconds(-3_600), Span::from_seconds(-777_000)),
             numbers: Numbers(11),
-            relation: Relation::new(&clock("edge"), &clock("cloud"), settings),
+            relation: Relation::new(settings),
             now: Span::ZERO,
             cloud_ahead: Span::from_millis(1_250),
             edge_ahead: Span::ZERO,

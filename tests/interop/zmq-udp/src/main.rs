@@ -134,6 +134,7 @@ async fn run(datagram_bytes: u64) -> Result<()> {
         pipeline: "interop".parse()?,
         model: None,
         device: None,
+        clock_socket: None,
     };
     let session = Session::open(&address, hello, settings, clock()).await?;
     println!("datagrams of {datagram_bytes} bytes through libzmq's RADIO and DISH, both ways");

@@ -1,6 +1,6 @@
 //! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
 
-use peernet_clock::{ClockIdentity, DelaySource, Discipline, Exchange, Interval, RelationSettings};
+use peernet_clock::{DelaySource, Discipline, Exchange, Interval, RelationSettings};
 use peernet_networks::RawClock;
 
 use super::*;
@@ -42,9 +42,8 @@ fn knowledge() -> Knowledge {
 }
 
 fn knowledge_of(clocks: RelatedClocks) -> Knowledge {
-    let identity = |name| ClockIdentity::new("boot", name);
     let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
-    let relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let relation = Relation::new(settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
     let mut knowledge = Knowledge::new(peer, relation, (told(0, None), told(0, None)), now(0));
     knowledge.join(&network());

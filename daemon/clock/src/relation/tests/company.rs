@@ -10,7 +10,8 @@ fn nothing_is_known_of_two_strangers() {
 
 #[test]
 fn one_clock_gives_exact_delays_and_sees_through_a_step() {
-    let mut relation = Relation::new(&identity("a"), &identity("a"), RelationSettings::default());
+    let mut relation = Relation::new(RelationSettings::default());
+    relation.set_same_clock(true);
     assert!(relation.is_same_clock());
     let delay = relation.delay(Direction::Down, at(3), at(3) + Span::from_nanos(250));
     assert_eq!((delay.value, delay.source), (Some(Span::from_nanos(250)), DelaySource::SameClock));
@@ -32,8 +33,9 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
 }
 
 #[test]
-fn identities_that_claim_one_clock_are_checked() {
-    let mut relation = Relation::new(&identity("a"), &identity("a"), RelationSettings::default());
+fn exchanges_check_proof_of_one_clock() {
+    let mut relation = Relation::new(RelationSettings::default());
+    relation.set_same_clock(true);
     for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice(2)) {
         let judged = relation.judge(&trip.witnessed());
         assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
@@ -42,6 +44,30 @@ fn identities_that_claim_one_clock_are_checked() {
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     assert_eq!(offset.sources.len(), 2);
     assert!(offset.bounds.contains(Span::ZERO) && offset.bounds.contains(Span::from_millis(5)));
+}
+
+#[test]
+fn pair_is_measured_before_and_after_proof_of_one_clock() {
+    let one = || Wall::drifting(Span::ZERO, 0.0);
+    let world = World { edge: one(), cloud: one() };
+    let mut relation = acquainted(&world);
+    let mut sources = Vec::new();
+    for (second, is_proven) in [(11.0, false), (12.0, true), (13.0, false)] {
+        relation.set_same_clock(is_proven);
+        let trip = world.trip(second * 1e9, 40e3, 100e3, 30e3);
+        let judged = relation.judge(&trip.witnessed());
+        assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
+        sources.push(judged.up.source);
+    }
+    assert_eq!(sources, [DelaySource::InBand, DelaySource::SameClock, DelaySource::InBand]);
+}
+
+#[test]
+fn free_running_clock_and_wall_clock_are_never_one() {
+    let settings = RelationSettings { clocks: RelatedClocks::RawToWall, ..RelationSettings::default() };
+    let mut relation = Relation::new(settings);
+    relation.set_same_clock(true);
+    assert!(!relation.is_same_clock());
 }
 
 #[test]

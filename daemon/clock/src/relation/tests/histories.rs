@@ -104,7 +104,7 @@ fn delays_of_generated_histories_contain_the_truth() {
     for seed in 0..histories() {
         let history = History::generate(&mut Dice(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
         let settings = RelationSettings { retention: Span::from_seconds(30), ..settings() };
-        let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+        let mut relation = Relation::new(settings);
         let mut newest_epoch = 0;
         for (n, (trip, epoch)) in history.trips.iter().enumerate() {
             newest_epoch = newest_epoch.max(*epoch);

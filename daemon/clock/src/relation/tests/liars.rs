@@ -41,7 +41,7 @@ proptest! {
         };
         for clocks in [RelatedClocks::Wall, RelatedClocks::Raw] {
             let settings = RelationSettings { clocks, ..RelationSettings::default() };
-            let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+            let mut relation = Relation::new(settings);
             for apart in apart.map(|nanos| Span::from_nanos(i64::from(nanos) << 28)) {
                 let exchange = Exchange { sent: sent + apart, returned: returned + apart, ..witnessed.exchange };
                 relation.judge(&witnessed);

@@ -11,10 +11,6 @@ use super::*;
 use crate::simulation::{Dice, Path, Trip, Wall, World};
 use crate::{DelaySource, Interval, OneWayDelay, Verdict};
 
-fn identity(clock: &str) -> ClockIdentity {
-    ClockIdentity::new("boot", clock)
-}
-
 /// A relation of wall clocks that trusts the claims of time daemons, where a test makes any.
 fn relation() -> Relation {
     let settings = RelationSettings {
@@ -22,7 +18,7 @@ fn relation() -> Relation {
         trust_time_daemons: true,
         ..RelationSettings::default()
     };
-    Relation::new(&identity("edge"), &identity("cloud"), settings)
+    Relation::new(settings)
 }
 
 fn world(offset: Span) -> World {

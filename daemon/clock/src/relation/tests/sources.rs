@@ -49,7 +49,7 @@ fn two_claims_alone_relate_two_clocks() {
 fn claims_that_are_not_trusted_change_nothing() {
     let world = world(Span::from_millis(5));
     let settings = RelationSettings::default();
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let mut relation = Relation::new(settings);
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
     relation.set_disciplines(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);

@@ -49,7 +49,7 @@ proptest! {
         };
         let trips = Path { loss: 0.3, ..Path::VETH }.trips(&world, (0.0, 60.0), 2.0, &mut dice);
         let settings = RelationSettings { clocks: RelatedClocks::Wall, retention: length, ..RelationSettings::default() };
-        let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+        let mut relation = Relation::new(settings);
         let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.witnessed())).collect();
         for (trip, first) in trips.iter().zip(first) {
             let exchange = &trip.exchange;

@@ -23,7 +23,7 @@ struct Seen {
 
 /// Judges ten exchanges a second for so many seconds; the assumption is violated from `at` on.
 fn see(world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let mut relation = Relation::new(settings);
     let mut seen = Seen::default();
     for trip in path.trips(world, (0.0, end), 10.0, &mut Dice(12)) {
         let judged = relation.judge(&trip.witnessed());
@@ -133,7 +133,7 @@ fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
 fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     let world = drifting(20.0);
     let (there, back) = (path(10.0, 30.0, 1.0), path(30.0, 10.0, 1.0));
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), free_running(200.0));
+    let mut relation = Relation::new(free_running(200.0));
     let mut dice = Dice(3);
     let (mut widths, mut jumps) = (Vec::new(), 0);
     for n in 0..24 {
@@ -162,7 +162,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let world = drifting(20.0);
     let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
     let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.witnessed()));
     assert_eq!(relation.window(), 1);
@@ -188,7 +188,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
 fn exchange_that_did_not_show_the_jump_bounds_no_delay_before_it() {
     let world = drifting(0.0);
     let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)), ..world };
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), free_running(200.0));
+    let mut relation = Relation::new(free_running(200.0));
     let near = |t: f64| world.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).witnessed()));
     let waited = world.trip(30.02e9, 60e6, 1e5, 20e6);

@@ -4,7 +4,7 @@ use super::*;
 
 /// Returns of the delays of one path, in milliseconds: median width, mean distance of the estimate from the truth; jumps suspected.
 fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, u32) {
-    let mut relation = Relation::new(&identity("edge"), &identity("cloud"), settings);
+    let mut relation = Relation::new(settings);
     let (mut widths, mut errors) = (Vec::new(), 0.0);
     for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice(9)) {
         let judged = relation.judge(&trip.witnessed());

@@ -21,6 +21,7 @@ fn hello() -> Header {
         pipeline: "p".parse().expect("a name"),
         model: Some("m".parse().expect("a name")),
         device: None,
+        clock_socket: None,
     };
     Header::Open(Box::new(Open { hello, max_message_bytes: 1_000 }))
 }

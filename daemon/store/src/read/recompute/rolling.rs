@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{
-    ClockIdentity, DelaySource, Discipline, Exchange, Interval, RawTime, RelatedClocks, Relation,
-    RelationSettings, Span, Witnessed,
+    DelaySource, Discipline, Exchange, Interval, RawTime, RelatedClocks, Relation, RelationSettings, Span,
+    Witnessed,
 };
 use sqlx::FromRow;
 
@@ -137,8 +137,8 @@ impl Rolling {
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // Delays of hosts that read one clock are not judged again.
-            Relation::new(&ClockIdentity::new("", "edge"), &ClockIdentity::new("", "cloud"), settings)
+            // Each delay is stored with the proof that its hosts read one clock, and is not judged again then.
+            Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];
         // In the order of time: a jump that nobody noticed lies between two of them.

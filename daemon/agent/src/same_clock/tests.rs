@@ -1,0 +1,204 @@
+use std::io::{ErrorKind, Read, Write};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{
+    ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, Span, SystemClock, time_namespace,
+};
+use peernet_logger::HostId;
+use peernet_networks::{ClockSocketName, SESSION_VERSIONS, SessionHello, SessionId};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::mpsc;
+use tokio_util::task::AbortOnDropHandle;
+
+use super::messages::{Answer, Question};
+use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn system() -> SharedClock {
+    let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
+    Arc::new(SystemClock::new(identity))
+}
+
+/// The system's clock, rehearsed without any error.
+fn rehearsed() -> SharedClock {
+    let clock = system();
+    let (identity, since) = (clock.identity().clone(), clock.wall());
+    let wrong = RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
+    Arc::new(RehearsedClock::new(clock, identity, wrong))
+}
+
+fn session(last: u8) -> SessionId {
+    serde_json::from_str(&format!("\"f81d4fae-7dec-11d0-a765-00a0c91e6b{last:02x}\"")).expect("a UUID")
+}
+
+fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionHello {
+    SessionHello {
+        versions: SESSION_VERSIONS,
+        host: HostId::random(),
+        name: "edge".parse().expect("a name"),
+        clock: clock.identity().clone(),
+        pipeline: "line".parse().expect("a name"),
+        model: None,
+        device: None,
+        clock_socket,
+    }
+}
+
+/// Runs the edge's end; what it tells comes out.
+fn proving(
+    peers: ClockPeers,
+    clock: SharedClock,
+) -> (mpsc::Receiver<Result<(), NotProven>>, AbortOnDropHandle<()>) {
+    let (tell, told) = mpsc::channel(64);
+    let task = tokio::spawn(async move {
+        let tell = |proof| tell.try_send(proof).expect("the test takes what it is told");
+        match prove(&peers, &clock, tell).await {}
+    });
+    (told, AbortOnDropHandle::new(task))
+}
+
+async fn next(told: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
+    tokio::time::timeout(PATIENCE, told.recv()).await.expect("in time").expect("the task lives")
+}
+
+fn witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
+    let witness = ClockWitness::connect(hello, session(number), clock)?;
+    Some(AbortOnDropHandle::new(tokio::spawn(witness.answer())))
+}
+
+fn listen(clock: &SharedClock) -> ClockSocket {
+    ClockSocket::listen(&**clock).expect("the kernel's time is shown, and there are abstract sockets")
+}
+
+fn connect(name: ClockSocketName) -> std::io::Result<UnixStream> {
+    UnixStream::connect_addr(&SocketAddr::from_abstract_name(name.to_string())?)
+}
+
+#[tokio::test]
+async fn cloud_of_the_session_proves_one_clock() {
+    let clock = system();
+    let socket = listen(&clock);
+    let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let name = socket.name();
+    let (mut told, _task) = proving(socket.connected(session(1)), clock);
+    assert!(next(&mut told).await.is_ok());
+    assert_eq!(connect(name).expect_err("the socket is closed").kind(), ErrorKind::ConnectionRefused);
+}
+
+#[tokio::test]
+async fn cloud_of_another_session_proves_nothing() {
+    let clock = system();
+    let socket = listen(&clock);
+    let _witness = witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
+    let (mut told, _task) = proving(socket.connected(session(1)), clock);
+    assert!(matches!(next(&mut told).await, Err(NotProven::Foreign)));
+}
+
+#[tokio::test]
+async fn rehearsed_process_neither_listens_nor_connects() {
+    let (right, wrong) = (system(), rehearsed());
+    assert!(ClockSocket::listen(&*wrong).is_none());
+    let socket = listen(&right);
+    assert!(witness(&hello(&right, Some(socket.name())), 1, &wrong).is_none());
+    let (mut told, _task) = proving(socket.connected(session(1)), right);
+    assert!(matches!(next(&mut told).await, Err(NotProven::NotConnected)));
+}
+
+#[tokio::test]
+async fn cloud_connects_to_no_edge_of_another_boot() {
+    let clock = system();
+    let socket = listen(&clock);
+    let other = ClockIdentity::new("another", ClockIdentity::SYSTEM);
+    let hello = SessionHello { clock: other, ..hello(&clock, Some(socket.name())) };
+    assert!(witness(&hello, 1, &clock).is_none());
+}
+
+#[tokio::test]
+async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
+    let clock = system();
+    let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
+    assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());
+    // Somebody listens and accepts nobody: connecting blocks once the queue is full, and must not here.
+    let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
+    let _listener = UnixListener::bind_addr(&address).expect("the name is free");
+    let mut waiting = Vec::new();
+    while let Some(witness) = witness(&hello(&clock, Some(name)), 1, &clock) {
+        waiting.push(witness);
+        assert!(waiting.len() < 10_000, "the queue is bounded");
+    }
+}
+
+#[tokio::test]
+async fn garbage_and_silence_are_passed_over_for_the_cloud() {
+    let clock = system();
+    let socket = listen(&clock);
+    let mut garbage = connect(socket.name()).expect("it listens");
+    garbage.write_all(&[0x55; 4 * Answer::BYTES]).expect("there is room");
+    let mut silent = connect(socket.name()).expect("it listens");
+    let _gone = connect(socket.name()).map(drop);
+    let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let (mut told, _task) = proving(socket.connected(session(1)), clock);
+    assert!(next(&mut told).await.is_ok());
+    for stream in [&mut garbage, &mut silent] {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        let mut question = [0; Question::BYTES];
+        stream.read_exact(&mut question).expect("it was asked");
+        // Closed, with unread bytes as a reset.
+        match stream.read(&mut question) {
+            Ok(bytes) => assert_eq!(bytes, 0),
+            Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
+        }
+    }
+}
+
+#[tokio::test]
+async fn cloud_closes_connection_that_asks_garbage() {
+    let clock = system();
+    let name = ClockSocketName::new([4; ClockSocketName::BYTES]);
+    let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
+    let listener = UnixListener::bind_addr(&address).expect("the name is free");
+    let witness = ClockWitness::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
+    let (mut stream, _) = listener.accept().expect("it connected");
+    stream.write_all(&[0x55; Question::BYTES]).expect("there is room");
+    tokio::time::timeout(PATIENCE, witness.answer()).await.expect("it ends");
+    let mut rest = Vec::new();
+    assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
+}
+
+/// It takes as long as a proof is valid.
+#[tokio::test]
+async fn proof_expires_when_answers_stop_and_returns_with_them() {
+    let clock = system();
+    let socket = listen(&clock);
+    let cloud = connect(socket.name()).expect("it listens");
+    let (mut told, _task) = proving(socket.connected(session(1)), SharedClock::clone(&clock));
+    cloud.set_nonblocking(true).expect("a socket");
+    let mut cloud = tokio::net::UnixStream::from_std(cloud).expect("a socket");
+    answer(&mut cloud, &clock).await;
+    assert!(next(&mut told).await.is_ok());
+    assert!(matches!(next(&mut told).await, Err(NotProven::Expired)));
+    // The question that waited takes too long to prove anything; the next one is asked at once.
+    answer(&mut cloud, &clock).await;
+    answer(&mut cloud, &clock).await;
+    assert!(next(&mut told).await.is_ok());
+    drop(cloud);
+    assert!(matches!(next(&mut told).await, Err(NotProven::Ended(_))));
+}
+
+/// Answers one question as the cloud of the first session does.
+async fn answer(cloud: &mut tokio::net::UnixStream, clock: &SharedClock) {
+    let mut question = [0; Question::BYTES];
+    cloud.read_exact(&mut question).await.expect("it is asked");
+    let answer = Answer {
+        nonce: Question::from_bytes(&question).expect("a question").nonce,
+        session: *session(1).as_bytes(),
+        time_namespace: time_namespace().expect("the kernel tells"),
+        shows_kernel_time: clock.shows_kernel_time(),
+        raw: clock.raw(),
+    };
+    cloud.write_all(&answer.to_bytes()).await.expect("the edge is there");
+}

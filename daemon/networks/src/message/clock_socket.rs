@@ -1,0 +1,114 @@
+//! The name of the socket at which an edge lets a cloud prove that both read one clock.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Name of an abstract Unix socket: `peernet-clock-` and 32 hexadecimal digits.
+///
+/// There is no other form of it, so that a cloud that connects to such a name connects to no socket of another program.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct ClockSocketName([u8; Self::BYTES]);
+
+/// A text that is no such name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not the name of a clock socket: {PREFIX} and 32 hexadecimal digits in lower case")]
+pub struct NoClockSocketName;
+
+const PREFIX: &str = "peernet-clock-";
+
+impl ClockSocketName {
+    /// Bytes that make the digits.
+    pub const BYTES: usize = 16;
+
+    /// The name with these bytes as digits, which are random.
+    #[must_use]
+    pub const fn new(bytes: [u8; Self::BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+impl fmt::Display for ClockSocketName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{PREFIX}{:032x}", u128::from_be_bytes(self.0))
+    }
+}
+
+/// Without its digits: who knows them can connect.
+impl fmt::Debug for ClockSocketName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("ClockSocketName(hidden)")
+    }
+}
+
+impl FromStr for ClockSocketName {
+    type Err = NoClockSocketName;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let digits = text.strip_prefix(PREFIX).ok_or(NoClockSocketName)?;
+        let are_valid = digits.len() == 2 * Self::BYTES
+            && digits.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
+        let number = u128::from_str_radix(digits, 16).map_err(|_| NoClockSocketName)?;
+        if are_valid { Ok(Self(number.to_be_bytes())) } else { Err(NoClockSocketName) }
+    }
+}
+
+impl Serialize for ClockSocketName {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// Reads a peer's name; a text of another form is none, so that nothing connects to it.
+pub(super) fn well_formed<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<ClockSocketName>, D::Error> {
+    let text: Option<String> = Option::deserialize(deserializer)?;
+    Ok(text.and_then(|text| text.parse().ok()))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn only_prefix_and_32_digits_make_a_name() {
+        let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
+        assert_eq!(good.parse::<ClockSocketName>().map(|name| name.to_string()).as_deref(), Ok(good));
+        let bad = [
+            "",
+            "peernet-clock-",
+            "peernet-clock-000102030405060708090a0b0c0d0e0",
+            "peernet-clock-000102030405060708090a0b0c0d0e0f0",
+            "peernet-clock-000102030405060708090A0B0C0D0E0F",
+            "peernet-clock-+00102030405060708090a0b0c0d0e0f",
+            "peernet-clock-000102030405060708090a0b0c0d0e0\0",
+            "peernet-clock-/run/docker.sock",
+            "peernet-probe-000102030405060708090a0b0c0d0e0f",
+            "\0peernet-clock-000102030405060708090a0b0c0d0e0f",
+            "/run/systemd/notify",
+        ];
+        for text in bad {
+            assert_eq!(text.parse::<ClockSocketName>(), Err(NoClockSocketName), "{text:?}");
+        }
+        assert!("x".repeat(60_000).parse::<ClockSocketName>().is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn text_of_a_name_leads_back_to_it(bytes: [u8; ClockSocketName::BYTES]) {
+            let name = ClockSocketName::new(bytes);
+            prop_assert_eq!(name.to_string().parse(), Ok(name));
+        }
+
+        #[test]
+        fn whatever_is_parsed_has_the_one_form(text in "(peernet-clock-)?[0-9a-fA-F/+]{28,34}") {
+            if let Ok(name) = text.parse::<ClockSocketName>() {
+                prop_assert_eq!(name.to_string(), text);
+            }
+        }
+    }
+}
