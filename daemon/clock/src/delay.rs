@@ -53,7 +53,7 @@ impl Interval {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DelaySource {
-    /// Both ends read one clock.
+    /// Both ends are proven to read one clock.
     SameClock,
     /// The band estimated from exchanges between the two hosts.
     InBand,

@@ -156,7 +156,7 @@ pub struct LinkLive {
     /// The pipelines that use it, at most [`MAX_PIPELINES`].
     #[serde(deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
     pub pipelines: Vec<Slug>,
-    /// Whether both hosts read one clock.
+    /// Whether it is proven that the processes of both hosts read one clock.
     pub same_clock: bool,
     /// How it is probed.
     pub probing: Probing,

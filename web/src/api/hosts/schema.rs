@@ -62,7 +62,8 @@ pub(crate) struct Host {
 pub(crate) struct Description {
     /// Version of its agent.
     pub version: String,
-    /// The kernel's boot id and the clock's name: two hosts with equal ones read one clock.
+    /// The kernel's boot id and the clock's name. Hosts with equal ones may read one clock; `same_clock` of a link tells whether that is
+    /// proven.
     pub boot_id: String,
     pub clock: String,
     pub cpu: String,

@@ -49,7 +49,7 @@ pub(crate) struct LinkNow {
     /// Kinds of network in use: that of the link.
     pub networks: Vec<String>,
     pub pipelines: Vec<String>,
-    /// Whether both hosts read one clock: then the offset is exactly zero.
+    /// Whether it is proven at this moment that the processes of both hosts read one clock: then the offset is exactly zero.
     pub same_clock: bool,
     /// That of the offset, or `unsynchronised` without one; `limited` where that is well and delays of the last ten
     /// seconds are too short for its bound.

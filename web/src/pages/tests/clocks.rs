@@ -93,7 +93,10 @@ async fn one_clock_has_no_band_and_says_why_delays_are_exact() {
     let update = link::update(&app, &shown, "cam-1~rack-a/10min/removed").await.expect("renders");
     let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
     check(&html);
-    assert!(html.contains("read one clock: delays between them are exact") && html.contains("same boot id"));
+    assert!(
+        html.contains("read one clock: delays between them are exact")
+            && html.contains("proven to read one clock")
+    );
     assert!(!html.contains("clock offset of"), "{html}");
 }
 
