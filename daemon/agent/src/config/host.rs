@@ -24,7 +24,7 @@ pub struct HostConfig {
     /// the agent measures and serves, and nothing is stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub aggregator: Option<Address>,
-    /// Which clock this agent reads: agents of one machine with equal names share one, so that one-way delays
+    /// Which clock this agent reads: agents of one machine with equal names may prove that they read one, so that one-way delays
     /// between them are exact. Another name makes peers treat it as a clock of its own, which is for tests and
     /// rehearsals. Default: `system`.
     pub clock_identity: String,

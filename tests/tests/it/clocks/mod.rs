@@ -6,6 +6,7 @@ mod calibration;
 mod chrony;
 mod false_time;
 mod networks;
+mod one_clock;
 mod shaped;
 mod slewed;
 mod steps;

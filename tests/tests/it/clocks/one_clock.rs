@@ -1,0 +1,137 @@
+//! Two processes on one machine and in one network namespace: their offset is zero only where they prove it.
+
+use std::path::Path;
+
+use peernet_clock::Span;
+use peernet_tests::truth::{HostClock, Iteration, iterations};
+use peernet_tests::{Api, FalseTime, Process, Site, program};
+use serde_json::Value;
+
+use super::{WARM_UP, hold_to_the_truth};
+
+/// How far ahead the edge is where it reads another clock.
+const AHEAD: Span = Span::from_millis(20);
+const ITERATIONS: u64 = 300;
+
+/// The name that both hosts give their clock: a rehearsal with the default name would have another.
+const NAME: &str = "clock_identity = \"machine\"\n";
+
+const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n\
+    [[model]]\nname = \"echo\"\nkind = \"echo\"\n";
+
+/// An aggregator, a cloud that reads the kernel's clocks, and the folder of an edge.
+struct Hosts {
+    site: Site,
+    api: Api,
+    _aggregator: Process,
+    _cloud: Process,
+}
+
+impl Hosts {
+    /// Starts aggregator and cloud, and writes down the edge, whose pipeline runs `ITERATIONS` or, if it is endless, until it is stopped.
+    fn new(tables: &str, is_endless: bool) -> Self {
+        let site = Site::new();
+        let (aggregator, api) = site.aggregator();
+        let cloud = site.agent("cloud", &format!("{NAME}{CLOUD}"));
+        let limit =
+            if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
+        let edge = format!(
+            "[agent]\nname = \"edge\"\nstate_dir = \"{{folder}}/edge\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n\
+             {NAME}{tables}[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
+             placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
+             load = {{ mode = \"rate\", hz = 50.0 }}\n{limit}"
+        );
+        site.write("edge.toml", &edge);
+        Self { site, api, _aggregator: aggregator, _cloud: cloud }
+    }
+
+    /// The link, as soon as probes were answered on it.
+    fn link(&self) -> Value {
+        self.api.until("/api/v1/links", |links| {
+            let now = &links["links"][0]["now"];
+            (now["same_clock"].is_boolean() && now["offset"].is_object()).then(|| now.clone())
+        })
+    }
+
+    /// All iterations of the run, when it is over.
+    fn iterations(&self) -> Vec<Iteration> {
+        self.api.finished_run();
+        iterations(&self.site.folder().join("aggregator.sqlite"))
+    }
+}
+
+/// Holds the delays of a pair that reads two clocks to the truth; none may claim that there is one clock.
+fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
+    let (up, down) = hold_to_the_truth(what, iterations, edge, &HostClock::kernels());
+    let all = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
+    assert_eq!((up.compared, down.compared), (all, all));
+    for iteration in iterations {
+        for delay in [&iteration.up, &iteration.down] {
+            assert_eq!(delay.source, "in-band", "{delay:?}");
+        }
+    }
+}
+
+#[test]
+fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
+    let hosts = Hosts::new("", false);
+    let _edge = hosts.site.start("edge.toml");
+    let iterations = hosts.iterations();
+    let (up, _) = hold_to_the_truth("one clock", &iterations, &HostClock::kernels(), &HostClock::kernels());
+    assert_eq!(up.compared, usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred"));
+    for iteration in &iterations {
+        for delay in [&iteration.up, &iteration.down] {
+            assert_eq!((delay.source.as_str(), delay.verdict.as_str()), ("same-clock", "ok"), "{delay:?}");
+        }
+    }
+}
+
+/// The boot id is one, and all clocks of the edge are 20 ms ahead, the free-running one, too.
+#[test]
+fn process_shown_false_time_is_measured_and_holds_the_truth() {
+    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
+    let time = FalseTime::new(&hosts.site.folder().join("time"), AHEAD);
+    let environment: Vec<_> =
+        time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
+    let _edge = hosts.site.start_with("edge.toml", &environment);
+    assert_eq!(hosts.link()["same_clock"], false);
+    hold_measured("libfaketime +20 ms, all clocks", &hosts.iterations(), &HostClock::ahead_by(&[AHEAD]));
+}
+
+#[test]
+fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
+    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
+    let time = FalseTime::new(&hosts.site.folder().join("time"), Span::ZERO);
+    let _edge = hosts.site.start_with("edge.toml", &time.environment());
+    let shows = |wanted: bool| {
+        hosts
+            .api
+            .until("/api/v1/links", |links| (links["links"][0]["now"]["same_clock"] == wanted).then_some(()));
+    };
+    shows(true);
+    time.show(AHEAD);
+    shows(false);
+    time.show(Span::ZERO);
+    shows(true);
+}
+
+/// A time namespace shifts the free-running clock by ten seconds, and not the wall clock.
+#[test]
+fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
+    let hosts = Hosts::new("[clock]\ndiscipline = []\n", false);
+    let peernetd = program("peernetd").display().to_string();
+    let arguments =
+        ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
+    let _edge = Process::start(Path::new("unshare"), &arguments, hosts.site.folder(), &[]);
+    assert_eq!(hosts.link()["same_clock"], false);
+    hold_measured("another time namespace", &hosts.iterations(), &HostClock::kernels());
+}
+
+#[test]
+fn rehearsed_process_is_measured_and_holds_the_truth() {
+    let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
+    let _edge = hosts.site.start("edge.toml");
+    assert_eq!(hosts.link()["same_clock"], false);
+    let told = hosts.api.until("/api/v1/hosts/edge", |host| HostClock::told(&host["clock"]["rehearsal"]));
+    hold_measured("rehearsed by 20 ms", &hosts.iterations(), &told);
+}
