@@ -32,6 +32,32 @@ async fn later_edge_is_served_in_common_version() {
     assert_eq!(protocol, NEWEST);
 }
 
+/// Nothing connects to such a socket, and the session is opened all the same.
+#[tokio::test]
+async fn name_of_clock_socket_in_another_form_is_none() {
+    let mut cloud = Cloud::start().await;
+    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
+    let long = format!("{good}{}", "0".repeat(10_000));
+    let names = [
+        good,
+        "",
+        "peernet-clock-",
+        "peernet-clock-/run/docker.sock",
+        "/run/systemd/notify",
+        "\0peernet-clock-000102030405060708090a0b0c0d0e0f",
+        "peernet-probe-000102030405060708090a0b0c0d0e0f",
+        &long,
+    ];
+    for name in names {
+        let hello = wire::Hello { clock_socket: Some(name.to_owned()), ..wire::hello(PROTOCOL) };
+        plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+        let wish = cloud.next_open().await;
+        let taken = wish.hello.clock_socket.map(|name| name.to_string());
+        assert_eq!(taken.as_deref(), (name == good).then_some(good));
+    }
+}
+
 #[tokio::test]
 async fn edge_without_common_version_is_refused_with_release() {
     let mut cloud = Cloud::start().await;

@@ -90,6 +90,9 @@ pub(crate) struct Hello {
     pub(crate) pipeline: String,
     pub(crate) model: Option<String>,
     pub(crate) device: Option<String>,
+    /// Not before release 0.3.0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) clock_socket: Option<String>,
     /// Something a later version adds.
     #[serde(default)]
     pub(crate) colour: Option<String>,
@@ -186,6 +189,7 @@ pub(crate) fn hello(protocol: u16) -> Hello {
         pipeline: "p".into(),
         model: Some("echo".into()),
         device: None,
+        clock_socket: None,
         colour: None,
     }
 }

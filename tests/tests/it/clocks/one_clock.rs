@@ -4,10 +4,10 @@ use std::path::Path;
 
 use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration, iterations};
-use peernet_tests::{Api, FalseTime, Process, Site, program};
+use peernet_tests::{Api, FalseTime, Process, Since, Site, program};
 use serde_json::Value;
 
-use super::{WARM_UP, hold_to_the_truth};
+use super::{WARM_UP, hold_to_the_truth, say};
 
 /// How far ahead the edge is where it reads another clock.
 const AHEAD: Span = Span::from_millis(20);
@@ -109,8 +109,10 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
             .until("/api/v1/links", |links| (links["links"][0]["now"]["same_clock"] == wanted).then_some(()));
     };
     shows(true);
+    let since = Since::now();
     time.show(AHEAD);
     shows(false);
+    say(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
     time.show(Span::ZERO);
     shows(true);
 }
