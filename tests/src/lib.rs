@@ -3,6 +3,7 @@
 mod account;
 mod api;
 mod chance;
+mod clock_shim;
 mod daemon;
 mod desk;
 mod disk;
@@ -26,6 +27,7 @@ pub mod truth;
 pub use account::Account;
 pub use api::Api;
 pub use chance::Chance;
+pub use clock_shim::{ClockErrors, ClockShim};
 pub use daemon::Daemon;
 pub use desk::Desk;
 pub use disk::{ImageDisk, SecondMount, SmallDisk};

@@ -2,10 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
+use peernet_clock::{Clock, ClockIdentity, RawTime, Span, Stamp, SystemClock, WallTime};
+
 use crate::network::Host;
 use crate::site::agent;
 use crate::truth::{HostClock, Iteration, ask, iterations};
 use crate::{Api, Network, Process, Site, program};
+
+/// What the kernel's clocks show.
+fn stamp() -> Stamp {
+    SystemClock::new(ClockIdentity::new("boot", "system")).stamp()
+}
 
 /// Two hosts and an aggregator. The network goes last.
 #[derive(Debug)]
@@ -18,6 +25,8 @@ pub struct Plant {
     scheme: &'static str,
     /// Between the hosts.
     pub network: Network,
+    /// The kernel's clocks before any host started.
+    start: Stamp,
 }
 
 /// The port at which the cloud serves; a namespace has all ports for itself.
@@ -34,7 +43,7 @@ impl Plant {
         let site = Site::new();
         let network = network(site.folder());
         let (aggregator, api) = site.aggregator_for("0.0.0.0");
-        Self { api, aggregator, site, scheme, network }
+        Self { api, aggregator, site, scheme, network, start: stamp() }
     }
 
     /// A folder for this plant's files.
@@ -61,6 +70,15 @@ impl Plant {
     pub fn edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
         self.configure("edge", self.network.edge(), tables);
         self.peernetd("edge", self.network.edge(), environment)
+    }
+
+    /// Starts an edge on the third host, which has the name `third`.
+    ///
+    /// # Panics
+    /// When there is none.
+    pub fn third_edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
+        self.configure("third", self.network.third(), tables);
+        self.peernetd("third", self.network.third(), environment)
     }
 
     /// A pipeline of payloads of one size that the cloud echoes; `more` are further keys.
@@ -97,7 +115,16 @@ impl Plant {
 
     /// What is wrong with a host's clock on purpose, as the host itself tells.
     pub fn clock_of(&self, host: &str) -> HostClock {
-        self.api.until(&format!("/api/v1/hosts/{host}"), |host| HostClock::told(&host["clock"]["rehearsal"]))
+        let path = format!("/api/v1/hosts/{host}");
+        self.api.until(&path, |host| HostClock::told(&host["clock"]["rehearsal"], |wall| self.raw_at(wall)))
+    }
+
+    /// What the kernel's free-running clock showed when its wall clock showed something since the start of this plant. In between a
+    /// time daemon may make the wall clock fast, by parts per million.
+    pub fn raw_at(&self, wall: WallTime) -> RawTime {
+        let (start, now) = (self.start, stamp());
+        let share = (wall - start.wall).nanos() as f64 / (now.wall - start.wall).nanos() as f64;
+        start.raw + Span::from_nanos(((now.raw - start.raw).nanos() as f64 * share).round() as i64)
     }
 
     /// All iterations that came back, as they are stored.

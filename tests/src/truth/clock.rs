@@ -1,20 +1,41 @@
 //! Wrong clocks, turned round.
 
 use chrono::DateTime;
-use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
+use peernet_clock::{RawTime, RehearsalDescription, RehearsedStep, Span, SteppedClock, WallTime};
 use serde_json::Value;
 
-/// What a host's clock shows when the kernel's shows something.
+use crate::clock_shim::ClockErrors;
+
+/// What a host's clocks show when the kernel's show something.
 #[derive(Clone, Debug)]
-pub struct HostClock(Vec<RehearsalDescription>);
+pub struct HostClock {
+    wall: Vec<RehearsalDescription>,
+    raw: RawError,
+}
+
+/// How the free-running clock of a host is wrong.
+#[derive(Clone, Debug)]
+enum RawError {
+    /// It is the kernel's.
+    None,
+    /// As described; what the kernel's showed when the rehearsal began.
+    Rehearsed(RehearsalDescription, RawTime),
+    /// As the shim shows it.
+    Shown(ClockErrors),
+}
 
 impl HostClock {
-    /// A clock that is wrong as described.
-    pub fn new(rehearsal: RehearsalDescription) -> Self {
-        Self(vec![rehearsal])
+    /// Clocks that are wrong as described; `raw_since` is what the kernel's free-running clock showed when the rehearsal began.
+    pub fn new(rehearsal: RehearsalDescription, raw_since: RawTime) -> Self {
+        Self { raw: RawError::Rehearsed(rehearsal.clone(), raw_since), wall: vec![rehearsal] }
     }
 
-    /// A clock that is ahead by one of several offsets, at times that nobody knows.
+    /// Clocks with errors that the shim shows. Wall-clock stamps are not turned round.
+    pub fn shown(errors: ClockErrors) -> Self {
+        Self { wall: Vec::new(), raw: RawError::Shown(errors) }
+    }
+
+    /// A wall clock that is ahead by one of several offsets, at times that nobody knows; the free-running clock is the kernel's.
     pub fn ahead_by(offsets: &[Span]) -> Self {
         let ahead = |offset: &Span| RehearsalDescription {
             offset: *offset,
@@ -22,22 +43,25 @@ impl HostClock {
             steps: Vec::new(),
             since: WallTime::default(),
         };
-        Self(offsets.iter().map(ahead).collect())
+        Self { wall: offsets.iter().map(ahead).collect(), raw: RawError::None }
     }
 
-    /// A clock as a host tells that it is rehearsed, in the API's form; `None` for anything else.
-    pub fn told(rehearsal: &Value) -> Option<Self> {
+    /// Clocks as a host tells that they are rehearsed, in the API's form; `None` for anything else. `raw_at` tells what the kernel's
+    /// free-running clock showed when its wall clock showed something.
+    pub fn told(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
         let span = |value: &Value| value.as_f64().map(Span::from_seconds_f64);
         let since = DateTime::parse_from_rfc3339(rehearsal["since"].as_str()?).ok()?;
+        let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
         let steps = rehearsal["steps"].as_array()?.iter();
         let steps =
             steps.map(|step| Some(RehearsedStep::of_wall(span(&step["at_s"])?, span(&step["by_s"])?)));
-        Some(Self::new(RehearsalDescription {
+        let description = RehearsalDescription {
             offset: span(&rehearsal["offset_s"])?,
             drift_ppm: rehearsal["drift_ppm"].as_f64()?,
             steps: steps.collect::<Option<_>>()?,
-            since: WallTime::from_unix_nanos(since.timestamp_nanos_opt()?),
-        }))
+            since,
+        };
+        Some(Self::new(description, raw_at(since)))
     }
 
     /// The kernel's clock itself.
@@ -47,7 +71,15 @@ impl HostClock {
 
     /// When the rehearsal began, by the kernel's clock.
     pub fn since(&self) -> Option<WallTime> {
-        self.0.first().map(|rehearsal| rehearsal.since)
+        self.wall.first().map(|rehearsal| rehearsal.since)
+    }
+
+    /// When the rehearsal began, by the kernel's free-running clock.
+    pub const fn raw_since(&self) -> Option<RawTime> {
+        match &self.raw {
+            RawError::Rehearsed(_, since) => Some(*since),
+            RawError::None | RawError::Shown(_) => None,
+        }
     }
 
     /// By how much this clock is ahead when the kernel's shows `truth`.
@@ -55,7 +87,7 @@ impl HostClock {
     /// # Panics
     /// When nobody knows, because it is one of several.
     pub fn ahead(&self, truth: WallTime) -> Span {
-        let [rehearsal] = &self.0[..] else { panic!("one of several: {:?}", self.0) };
+        let [rehearsal] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
         rehearsal.error_at(truth)
     }
 
@@ -65,13 +97,30 @@ impl HostClock {
     /// When this clock never showed that, because a step went over it, or showed it twice.
     pub fn truth(&self, shown: WallTime) -> WallTime {
         let truths = self.truths(shown);
-        assert_eq!(truths.len(), 1, "a time that was shown once: {shown:?} by {:?}", self.0);
+        assert_eq!(truths.len(), 1, "a time that was shown once: {shown:?} by {:?}", self.wall);
         truths[0]
     }
 
     /// The same for a clock that may have been set back, which shows some times twice.
     pub fn truths(&self, shown: WallTime) -> Vec<WallTime> {
-        self.0.iter().flat_map(|rehearsal| truths(rehearsal, shown)).collect()
+        self.wall.iter().flat_map(|rehearsal| truths(rehearsal, shown)).collect()
+    }
+
+    /// What the kernel's free-running clock showed when this host's showed `shown`, to the nanosecond or two.
+    pub fn raw_truths(&self, shown: RawTime) -> Vec<RawTime> {
+        match &self.raw {
+            RawError::None => vec![shown],
+            RawError::Shown(errors) => errors.truths(shown),
+            RawError::Rehearsed(description, since) => {
+                // The same formula as for the wall clock, on another scale and with other steps.
+                let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
+                let free_running = RehearsalDescription { steps: steps.collect(), ..description.clone() };
+                let scale = description.since - WallTime::from_unix_nanos(since.nanos());
+                let shown = WallTime::from_unix_nanos(shown.nanos()) + scale;
+                let raw = |truth: WallTime| RawTime::from_nanos((truth - scale).unix_nanos());
+                truths(&free_running, shown).map(raw).collect()
+            }
+        }
     }
 }
 
@@ -104,7 +153,8 @@ mod tests {
             steps: vec![step],
             since,
         };
-        let clock = HostClock::new(rehearsal.clone());
+        let raw_since = RawTime::from_nanos(77_000_000_000);
+        let clock = HostClock::new(rehearsal.clone(), raw_since);
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {
             let truth = since + Span::from_nanos(nanos);
             let found = clock.truth(rehearsal.shown(truth));
@@ -114,7 +164,7 @@ mod tests {
         assert_eq!(HostClock::kernels().truth(since), since);
         let mut back = rehearsal.clone();
         back.steps[0].by = Span::from_seconds(-3);
-        let clock_set_back = HostClock::new(back.clone());
+        let clock_set_back = HostClock::new(back.clone(), raw_since);
         let at = |seconds| since + Span::from_seconds(seconds);
         assert_eq!(clock_set_back.truths(back.shown(at(21))).len(), 2);
         assert_eq!(clock_set_back.truths(back.shown(at(16))), [at(16)]);
@@ -122,8 +172,20 @@ mod tests {
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
-        let told = HostClock::told(&told).expect("the API's form");
+        let told = HostClock::told(&told, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
         assert_eq!(told.truth(rehearsal.shown(later)), clock.truth(rehearsal.shown(later)));
+        let mut jumped = rehearsal.clone();
+        jumped.steps[0].clock = SteppedClock::Raw;
+        let truth = raw_since + Span::from_seconds(25);
+        for (description, times) in [(rehearsal, [1, 1]), (jumped, [1, 0])] {
+            let clock = HostClock::new(description.clone(), raw_since);
+            let shown = description.raw_shown(truth, raw_since);
+            assert!(
+                clock.raw_truths(shown).iter().all(|found| (*found - truth).abs() <= Span::from_nanos(1))
+            );
+            let left_out = raw_since + Span::from_seconds(20);
+            assert_eq!([shown, left_out].map(|shown| clock.raw_truths(shown).len()), times);
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_clock::Span;
+use peernet_clock::{RawTime, Span};
 
 use super::{Delay, HostClock, Iteration};
 
@@ -21,9 +21,8 @@ pub struct Comparison {
     truths: Vec<Span>,
 }
 
-/// By how much the truth is not known. It comes from the wall clocks' stamps, while delays are computed from those of the free-running
-/// clocks, and a stamp reads the two at most 3 µs apart. The inverse of the drift rounds.
-const INEXACT: Span = Span::from_nanos(3_002);
+/// By how much the truth is not known: the inverse of each clock's drift rounds, and so does what is stored.
+const INEXACT: Span = Span::from_nanos(3);
 
 /// Compares the uploads and the downloads.
 pub fn compare(iterations: &[Iteration], edge: &HostClock, cloud: &HostClock) -> (Comparison, Comparison) {
@@ -102,18 +101,29 @@ impl Comparison {
     }
 }
 
-/// How long it really took. A clock that was set back by seconds shows some times twice: no delay is as long as that.
+/// How long it really took, by the stamps of the free-running clocks.
 ///
 /// # Panics
-/// When one of the clocks never showed its stamp.
+/// When one of the clocks never showed its stamp, or there is none.
 pub fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
-    let arrivals = receiver.truths(delay.received);
-    let delays = sender.truths(delay.sent).into_iter().flat_map(|sent| {
+    let (sent, received) = true_times(delay, sender, receiver);
+    received - sent
+}
+
+/// When it was sent and received, by the kernel's free-running clock. A clock that was set back by seconds shows some times twice: no
+/// delay is as long as that.
+///
+/// # Panics
+/// As [`truth`].
+pub fn true_times(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> (RawTime, RawTime) {
+    let (sent, received) = delay.raw.unwrap_or_else(|| panic!("no stamps of free-running clocks: {delay:?}"));
+    let arrivals = receiver.raw_truths(received);
+    let times = sender.raw_truths(sent).into_iter().flat_map(|sent| {
         let arrivals = arrivals.iter();
-        arrivals.map(move |received| *received - sent)
+        arrivals.map(move |received| (sent, *received))
     });
-    delays
-        .min_by_key(|delay| delay.abs())
+    times
+        .min_by_key(|(sent, received)| (*received - *sent).abs())
         .unwrap_or_else(|| panic!("stamps that were never shown: {delay:?}"))
 }
 
@@ -140,6 +150,7 @@ mod tests {
         let delay = |raw: i64, lo, hi| Delay {
             sent: at(1_000),
             received: at(1_000 + raw),
+            raw: Some((RawTime::from_nanos(500), RawTime::from_nanos(500 + raw))),
             value: Some(Span::from_nanos(150)),
             bounds: Some((Span::from_nanos(lo), Span::from_nanos(hi))),
             verdict: "ok".into(),
@@ -149,9 +160,9 @@ mod tests {
         let mut unknown = delay(150, 0, 0);
         unknown.bounds = None;
         let iterations = [
-            one(1, delay(150, 100, 200), delay(3_203, 100, 200)),
-            one(2, delay(110, 100, 200), delay(-2_903, 100, 200)),
-            one(3, unknown, delay(3_202, 100, 200)),
+            one(1, delay(150, 100, 200), delay(204, 100, 200)),
+            one(2, delay(110, 100, 200), delay(96, 100, 200)),
+            one(3, unknown, delay(203, 100, 200)),
         ];
         let kernels = HostClock::kernels();
         let (up, down) = compare(&iterations, &kernels, &kernels);

@@ -8,5 +8,5 @@ mod comparison;
 mod stored;
 
 pub use clock::HostClock;
-pub use comparison::{Comparison, compare, truth};
+pub use comparison::{Comparison, compare, true_times, truth};
 pub use stored::{Delay, Iteration, ask, iterations};

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{RawTime, Span, WallTime};
 
 /// A delay as it is stored.
 #[derive(Clone, Debug)]
@@ -12,6 +12,8 @@ pub struct Delay {
     pub sent: WallTime,
     /// Stamped by the receiver.
     pub received: WallTime,
+    /// Stamped by the free-running clocks of sender and receiver.
+    pub raw: Option<(RawTime, RawTime)>,
     /// Reported.
     pub value: Option<Span>,
     /// Reported lower and upper bound.
@@ -38,7 +40,8 @@ pub struct Iteration {
 const DELAYS: &str = "
 SELECT t.run, t.iteration, name.text, t.sent_ns, t.received_ns,
        CAST(round(node.value * 1e9) AS INTEGER), CAST(round(node.lo * 1e9) AS INTEGER),
-       CAST(round(node.hi * 1e9) AS INTEGER), coalesce(verdict.text, ''), coalesce(source.text, '')
+       CAST(round(node.hi * 1e9) AS INTEGER), t.sent_raw_ns, t.received_raw_ns,
+       coalesce(verdict.text, ''), coalesce(source.text, '')
 FROM transit AS t
 JOIN node USING (run, iteration, node)
 JOIN name ON name.id = node.name
@@ -54,7 +57,7 @@ ORDER BY t.run, t.iteration, name.text DESC";
 pub fn iterations(database: &Path) -> Vec<Iteration> {
     let text = ask(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
-        text.lines().map(|line| row(line).expect("ten columns")).collect();
+        text.lines().map(|line| row(line).expect("twelve columns")).collect();
     let pairs = rows.windows(2).filter_map(|pair| {
         let [(run, number, "upload", up), (_, other, "download", down)] = pair else { return None };
         (number == other).then(|| Iteration {
@@ -89,9 +92,11 @@ fn row(line: &str) -> Option<(u64, u64, &str, Delay)> {
     let mut nanos = || columns.next().map(|text| text.parse::<i64>().ok());
     let (sent, received) = (nanos()??, nanos()??);
     let (value, lo, hi) = (nanos()?, nanos()?, nanos()?);
+    let raw = nanos()?.zip(nanos()?);
     let delay = Delay {
         sent: WallTime::from_unix_nanos(sent),
         received: WallTime::from_unix_nanos(received),
+        raw: raw.map(|(sent, received)| (RawTime::from_nanos(sent), RawTime::from_nanos(received))),
         value: value.map(Span::from_nanos),
         bounds: lo.zip(hi).map(|(lo, hi)| (Span::from_nanos(lo), Span::from_nanos(hi))),
         verdict: columns.next()?.to_owned(),

@@ -52,8 +52,9 @@ fn table(description: &RehearsalDescription) -> String {
 
 /// The clock of a host that runs. The API lists the first steps only.
 fn clock_of(plant: &Plant, host: &str, description: RehearsalDescription) -> HostClock {
-    let since = plant.clock_of(host).since().expect("rehearsed");
-    HostClock::new(RehearsalDescription { since, ..description })
+    let told = plant.clock_of(host);
+    let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
+    HostClock::new(RehearsalDescription { since, ..description }, raw_since)
 }
 
 /// 500 ppm is what a kernel slews at by itself; 40,000 ppm are below chrony's default maximum.

@@ -1,0 +1,213 @@
+//! Clocks of a host whose oscillator is wrong, shown to a process by a preloaded library of the tests' own.
+//!
+//! The process knows nothing of it. The test decides when the error changes, and knows it to the nanosecond at each moment.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::{Clock, ClockIdentity, RawTime, Span, SystemClock};
+
+/// A change is told so long before it begins: no process reads a clock meanwhile that it was to reach.
+const LEAD: Span = Span::from_millis(200);
+
+/// A segment in the file, bytes; the number of segments stands before the first.
+const SEGMENT: usize = 32;
+const COUNT: usize = 8;
+/// Most segments that the library reads.
+const SEGMENTS: usize = 255;
+
+/// An error of a host's clocks from a moment on.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    begin: RawTime,
+    ahead: Span,
+    /// Nanoseconds per nanosecond.
+    rate: f64,
+    /// Of the rate, per nanosecond.
+    change: f64,
+}
+
+impl Segment {
+    fn ahead_at(&self, truth: RawTime) -> Span {
+        let elapsed = (truth - self.begin).nanos() as f64;
+        self.ahead + Span::from_nanos((elapsed * (self.rate + self.change * elapsed / 2.0)).round() as i64)
+    }
+
+    fn bytes(&self) -> [u8; SEGMENT] {
+        let words = [
+            self.begin.nanos().to_ne_bytes(),
+            self.ahead.nanos().to_ne_bytes(),
+            self.rate.to_ne_bytes(),
+            self.change.to_ne_bytes(),
+        ];
+        let mut bytes = [0; SEGMENT];
+        bytes.as_chunks_mut().0.copy_from_slice(&words);
+        bytes
+    }
+}
+
+/// By how much the clocks of a host are wrong at each moment.
+#[derive(Clone, Debug, Default)]
+pub struct ClockErrors(Arc<Mutex<Vec<Segment>>>);
+
+impl ClockErrors {
+    fn segments(&self) -> Vec<Segment> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// What the machine's free-running clock showed when the one with these errors showed `shown`: one that was set back shows some
+    /// times twice.
+    pub fn truths(&self, shown: RawTime) -> Vec<RawTime> {
+        let segments = self.segments();
+        let before =
+            Segment { begin: RawTime::from_nanos(i64::MIN / 2), ahead: Span::ZERO, rate: 0.0, change: 0.0 };
+        let all: Vec<Segment> = std::iter::once(before).chain(segments).collect();
+        let ends = all.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
+        let truth = |(segment, end): (&Segment, RawTime)| {
+            let mut truth = shown - segment.ahead;
+            // The rate is far below one, so that this converges at once.
+            for _ in 0..8 {
+                truth = shown - segment.ahead_at(truth);
+            }
+            (segment.begin <= truth && truth < end).then_some(truth)
+        };
+        all.iter().zip(ends).filter_map(truth).collect()
+    }
+}
+
+/// The clocks that processes are shown which were started with its environment. Right until the first change.
+#[derive(Debug)]
+pub struct ClockShim {
+    library: String,
+    schedule: PathBuf,
+    file: File,
+    clock: SystemClock,
+    errors: ClockErrors,
+}
+
+impl ClockShim {
+    /// Builds the library in a folder, which is made.
+    ///
+    /// # Panics
+    /// When there is no C compiler.
+    pub fn new(folder: &Path) -> Self {
+        std::fs::create_dir_all(folder).expect("the temporary folder is writable");
+        let (library, source) =
+            (folder.join("shim.so"), concat!(env!("CARGO_MANIFEST_DIR"), "/src/clock_shim/shim.c"));
+        let built = Command::new("cc")
+            .args(["-shared", "-fPIC", "-O2", "-Wall", "-Werror", source, "-o"])
+            .arg(&library)
+            .args(["-lm", "-ldl"])
+            .output()
+            .expect("the C compiler that Rust links with is installed");
+        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        let schedule = folder.join("schedule");
+        let file = File::create(&schedule).expect("the temporary folder is writable");
+        file.set_len((COUNT + SEGMENTS * SEGMENT) as u64).expect("there is room for 8 kB");
+        Self {
+            library: library.display().to_string(),
+            schedule,
+            file,
+            clock: SystemClock::new(ClockIdentity::new("boot", "system")),
+            errors: ClockErrors::default(),
+        }
+    }
+
+    /// What a process is started with that is to see them.
+    ///
+    /// # Panics
+    /// When the folder's name is not Unicode.
+    pub fn environment(&self) -> [(&str, &str); 2] {
+        let schedule = self.schedule.to_str().expect("the name of a temporary folder is ASCII");
+        [("LD_PRELOAD", &self.library), ("PEERNET_TEST_CLOCK", schedule)]
+    }
+
+    /// By how much they are wrong, changes to come included.
+    pub fn errors(&self) -> ClockErrors {
+        self.errors.clone()
+    }
+
+    /// What the machine's free-running clock shows.
+    pub fn now(&self) -> RawTime {
+        self.clock.raw()
+    }
+
+    /// From shortly after now on: sets them forward by `step`; they run fast by `ppm`, which grows by `ppm_per_s` each second. Returns
+    /// when that begins.
+    pub fn change(&self, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
+        self.change_at(self.now() + LEAD, step, ppm, ppm_per_s)
+    }
+
+    /// The same from a moment on that is at least 100 ms ahead and later than that of the last change.
+    ///
+    /// # Panics
+    /// When it is not, or the schedule is full.
+    pub fn change_at(&self, begin: RawTime, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
+        let mut segments = self.errors.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = segments.last();
+        assert!(last.is_none_or(|last| last.begin < begin), "changes are in the order of time");
+        let before = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
+        let segment = Segment { begin, ahead: before + step, rate: ppm * 1e-6, change: ppm_per_s * 1e-15 };
+        let number = segments.len();
+        assert!(number < SEGMENTS, "a schedule has {SEGMENTS} changes at most");
+        let at = (COUNT + number * SEGMENT) as u64;
+        let written = self.file.write_all_at(&segment.bytes(), at);
+        let counted = written.and_then(|()| self.file.write_all_at(&(number as u64 + 1).to_ne_bytes(), 0));
+        counted.expect("the file has room");
+        assert!(self.now() < begin, "the change was told too late");
+        segments.push(segment);
+        begin
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn process_under_the_shim_is_shown_the_errors() {
+        let folder = tempfile::tempdir().expect("the temporary folder is writable");
+        let shim = ClockShim::new(folder.path());
+        let shown = || {
+            let seconds = "import time; print(time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW))";
+            let before = shim.now();
+            let output = Command::new("python3").args(["-c", seconds]).envs(shim.environment()).output();
+            let output = output.expect("python3 is installed").stdout;
+            let shown: i64 = String::from_utf8_lossy(&output).trim().parse().expect("a number");
+            let truths = shim.errors().truths(RawTime::from_nanos(shown));
+            assert!(truths.iter().any(|truth| (before..shim.now()).contains(truth)), "{truths:?}");
+            (before, RawTime::from_nanos(shown))
+        };
+        let (before, right) = shown();
+        assert!(right > before);
+        let begin = shim.change(Span::from_seconds(-600), 200.0, 3.0);
+        while shim.now() < begin {
+            std::thread::yield_now();
+        }
+        let (before, behind) = shown();
+        assert!(before - behind > Span::from_seconds(590));
+    }
+
+    #[test]
+    fn times_that_are_shown_lead_back_to_the_truth() {
+        let at = |seconds: i64| RawTime::from_nanos(seconds * 1_000_000_000);
+        let segment = |begin, ahead, rate, change| Segment { begin, ahead, rate, change };
+        let segments = [
+            segment(at(10), Span::from_millis(3), 200e-6, -2e-15),
+            segment(at(20), Span::from_seconds(-2), 0.0, 0.0),
+        ];
+        let errors = ClockErrors(Arc::new(Mutex::new(segments.to_vec())));
+        for nanos in [10_000_000_000, 12_345_678_901, 17_900_000_000] {
+            let truth = RawTime::from_nanos(nanos);
+            let found = errors.truths(truth + segments[0].ahead_at(truth));
+            assert_eq!(found.len(), 1, "{found:?}");
+            assert!((found[0] - truth).abs() <= Span::from_nanos(1), "{found:?}");
+        }
+        assert_eq!(errors.truths(at(5)), [at(5)]);
+        assert_eq!(errors.truths(at(19)).len(), 2, "set back by two seconds");
+        assert_eq!(errors.truths(at(30)), [at(32)]);
+    }
+}
