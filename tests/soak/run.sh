@@ -1,7 +1,8 @@
 #!/bin/sh
 # The long tests of `make soak`: the end-to-end tests of the event stream with release builds, many more kills and a day's
 # backlog. What they counted goes to standard output and, as Markdown, into target/soak/measurements.md.
-# Usage: run.sh [FILTER]…    (names of tests, such as stream::kills; all of the event stream and of durability unless some are named)
+# Usage: run.sh [FILTER]…    (names of tests, such as stream::kills; unless some are named, those of the event stream, of durability, and of clocks and
+# paths that break what intervals rest on)
 # PEERNET_SEED repeats a run.
 set -eu
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -19,7 +20,7 @@ export PEERNET_CATCH_UP="${PEERNET_CATCH_UP:-200000}"
 export PEERNET_MEMORY_S="${PEERNET_MEMORY_S:-3600}"
 export PEERNET_FIGURES="$rows"
 
-[ $# -gt 0 ] || set -- stream:: durability::
+[ $# -gt 0 ] || set -- stream:: durability:: clocks::assumptions:: clocks::forged::
 cd "$root"
 passed=0
 ${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?

@@ -17,8 +17,10 @@ pub use capture::{Capture, Packet};
 pub use chronyd::TimeDaemons;
 pub use host::Host;
 
+use std::io::{Read, Write};
 use std::net::Ipv4Addr;
-use std::path::Path;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
 
 use command::{attempt, ip};
 use slot::Slot;
@@ -42,6 +44,13 @@ pub struct Way {
     pub loss_percent: u32,
 }
 
+impl Way {
+    /// As `wirefilter` takes it for a direction.
+    fn delay(self, direction: &str) -> String {
+        format!("{direction}{}+{}", self.delay_ms, self.jitter_ms)
+    }
+}
+
 /// An edge and a cloud, and what is between them.
 #[derive(Debug)]
 pub struct Network {
@@ -49,6 +58,8 @@ pub struct Network {
     cloud: Host,
     router: Option<Host>,
     third: Option<Host>,
+    /// Takes commands to the wire.
+    wire: Option<PathBuf>,
     slot: Slot,
 }
 
@@ -104,7 +115,7 @@ impl Network {
     }
 
     fn wire_that_reorders(folder: &Path, up: Way, down: Way, reorders: bool) -> Self {
-        let network = Self::hosts(false);
+        let mut network = Self::hosts(false);
         let plug = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
             host.run("vde_switch", &["--sock", &socket, "--tap", DATA, "--daemon"]);
@@ -117,13 +128,64 @@ impl Network {
             socket
         };
         let plugs = format!("{}:{}", plug(&network.edge), plug(&network.cloud));
-        let delay = |name: &str, way: Way| format!("{name}{}+{}", way.delay_ms, way.jitter_ms);
         let loss = |name: &str, way: Way| format!("{name}{}", way.loss_percent);
-        let (up_delay, down_delay) = (delay("LR", up), delay("RL", down));
+        let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
         let order: &[&str] = if reorders { &["--nofifo"] } else { &[] };
-        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], order, &["--daemon"]].concat());
+        let commands = folder.join("wire");
+        let managed = ["--daemon", "-M", &commands.display().to_string()];
+        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], order, &managed].concat());
+        network.wire = Some(commands);
+        network
+    }
+
+    /// Makes the delays of a wire others; what is on its way keeps its own.
+    ///
+    /// # Panics
+    /// When it is not a [`wire`](Self::wire), or does not obey.
+    pub fn delay(&self, up: Way, down: Way) {
+        let commands = self.wire.as_ref().expect("a wire");
+        let mut stream = until("the wire", || UnixStream::connect(commands).ok());
+        for delay in [up.delay("LR"), down.delay("RL")] {
+            writeln!(stream, "delay {delay}").expect("the wire listens");
+            let mut answer = Vec::new();
+            // Each answer ends with its code, 1000 when all is well, and a prompt.
+            while !answer.windows(4).any(|code| code == b"1000") {
+                let mut part = [0; 256];
+                let length = stream.read(&mut part).expect("the wire answers");
+                assert!(length > 0, "the wire said {}", String::from_utf8_lossy(&answer));
+                answer.extend_from_slice(&part[..length]);
+            }
+        }
+    }
+
+    /// A router that translates addresses: behind it the edge and a third host, which the cloud sees at one address.
+    ///
+    /// # Panics
+    /// As [`direct`](Self::direct).
+    pub fn behind_nat() -> Self {
+        let mut network = Self::routed();
+        let third = Host {
+            namespace: network.slot.name("third"),
+            address: network.slot.address(50),
+            home: network.slot.address(73),
+        };
+        ip(&["netns", "add", &third.namespace]);
+        ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
+        third.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
+        network.lead_home(&third, "t");
+        let (router, gateway) = (network.router(), network.slot.address(49));
+        veth(router, "third", &third, DATA);
+        router.set_up("third", gateway, 30);
+        third.set_up(DATA, third.address, 30);
+        let rest = format!("{}/24", network.slot.address(0));
+        ip(&["-n", &third.namespace, "route", "add", &rest, "via", &gateway.to_string()]);
+        router.run("nft", &["add", "table", "ip", "translation"]);
+        let chain = ["add", "chain", "ip", "translation", "out"];
+        router.run("nft", &[&chain[..], &["{ type nat hook postrouting priority 100 ; }"]].concat());
+        router.run("nft", &["add", "rule", "ip", "translation", "out", "oifname", "cloud", "masquerade"]);
+        network.third = Some(third);
         network
     }
 
@@ -174,16 +236,21 @@ impl Network {
             cloud: host("cloud", if with_router { 34 } else { 19 }, 69),
             router: with_router.then(|| host("router", 0, 0)),
             third: None,
+            wire: None,
             slot,
         };
-        for (host, role) in [(&network.edge, "e"), (&network.cloud, "c")] {
-            let outside = network.slot.interface(role);
-            ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
-            ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
-            ip(&["link", "set", &outside, "up"]);
-            host.set_up(HOME, Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
-        }
+        network.lead_home(&network.edge, "e");
+        network.lead_home(&network.cloud, "c");
         network
+    }
+
+    /// Gives a host its interface to the namespace that the tests run in.
+    fn lead_home(&self, host: &Host, role: &str) {
+        let outside = self.slot.interface(role);
+        ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
+        ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
+        ip(&["link", "set", &outside, "up"]);
+        host.set_up(HOME, Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
     }
 
     /// Where samples come from.

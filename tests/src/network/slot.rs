@@ -63,7 +63,7 @@ impl Slot {
 
     /// Ends all processes in the namespaces of this number and removes them and their interfaces.
     pub(super) fn sweep(&self) {
-        for role in ["e", "c"] {
+        for role in ["e", "c", "t"] {
             // It may be gone, or never have been there.
             let _ = attempt("ip", &["link", "delete", &self.interface(role)]);
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_clock::Span;
 use peernet_tests::network::{Network, TimeDaemons, Way};
-use peernet_tests::truth::{Delay, HostClock, Iteration};
+use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
 use peernet_tests::{Plant, Process, until};
 use serde_json::Value;
 
@@ -158,4 +158,55 @@ fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
     let iterations = scene.iterations("verdict.text IN ('ok', 'limited')");
     hold_to_the_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::kernels());
+}
+
+/// Both daemons claim less than a millisecond, and the clocks are ten apart: within what the exchanges leave open on 5/40 ms.
+fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
+    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
+    let scene = Scene::new(wire, "", &rehearsal(-10.0, 0.0, "discipline = \"unaware\""), trusts);
+    for host in ["edge", "cloud"] {
+        scene.wait_for_daemon(host, "chrony, stratum 11, to ");
+    }
+    scene
+}
+
+/// Waits until the page of the link says so.
+fn wait_for_page(scene: &Scene, words: &str) {
+    until(words, || scene.plant.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
+}
+
+#[test]
+fn wrong_claims_within_the_round_trip_are_only_shown() {
+    let scene = wrong_claims_that_exchanges_cannot_refute(false);
+    let edge = scene.plant.clock_of("edge");
+    wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
+    let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
+    let what = "claims wrong by 10 ms, 5/40 ms, not trusted";
+    let (up, down) = hold_to_the_truth(what, &iterations, &edge, &HostClock::kernels());
+    assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
+    assert!(iterations.iter().all(|both| both.up.source == "in-band" && both.down.source == "in-band"));
+}
+
+#[test]
+fn delays_that_rest_on_trusted_claims_say_so() {
+    let scene = wrong_claims_that_exchanges_cannot_refute(true);
+    let edge = scene.plant.clock_of("edge");
+    wait_for_page(&scene, "bounds as claimed by chrony");
+    let iterations = scene.iterations("source.text = 'chrony'");
+    let kernels = HostClock::kernels();
+    let (up, down) = compare(&iterations, &edge, &kernels);
+    say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
+    say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
+    assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
+    for both in &iterations {
+        for (delay, ends) in [(&both.up, [&edge, &kernels]), (&both.down, [&kernels, &edge])] {
+            let truth = truth(delay, ends[0], ends[1]);
+            let is_held = delay.bounds.is_none_or(|bounds| holds(bounds, truth));
+            assert!(
+                is_held || ["chrony", "intersection"].contains(&delay.source.as_str()),
+                "{truth}: {delay:?}"
+            );
+        }
+    }
 }

@@ -1,10 +1,13 @@
 //! One-way delays against the truth, over networks that the tests make.
 
+mod address_translation;
+mod assumptions;
 mod asymmetric;
 mod blocked;
 mod calibration;
 mod chrony;
 mod false_time;
+mod forged;
 mod networks;
 mod one_clock;
 mod shaped;

@@ -1,0 +1,78 @@
+//! Hosts that stand still for a while: the process alone, a whole virtual machine, or a cloud that is restarted.
+
+use peernet_clock::{RawTime, Span};
+use rustix::process::Signal;
+
+use super::{Outcome, Scene, WINDOW, way, wire};
+
+/// Stops the edge for so long; `and` is done meanwhile. Returns what came of it, and when it stopped and went on.
+fn stop(what: &'static str, length: Span, and: impl FnOnce(&Scene)) -> (Outcome, RawTime, RawTime) {
+    let scene = Scene::new(what, wire(way(2, 0, 0), way(2, 0, 0)), "", |[edge, _]| {
+        edge.change(Span::from_seconds(-77), 150.0, 0.0);
+    });
+    scene.settle();
+    scene.edge.signal(Signal::STOP);
+    let stopped = scene.shim().now();
+    and(&scene);
+    // Nothing tells that a pause is over but time.
+    std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
+    let resumed = scene.shim().now();
+    scene.edge.signal(Signal::CONT);
+    scene.reach(resumed + WINDOW + Span::from_seconds(5));
+    (scene.end(), stopped, resumed)
+}
+
+/// The process alone is stopped; its clocks go on.
+fn stopped_process(what: &'static str, length: Span) {
+    let (outcome, ..) = stop(what, length, |_| ());
+    outcome.is_never_wrong();
+    outcome.is_good_at_the_end();
+}
+
+/// The clocks stand as well: when the process goes on they are behind by the pause.
+fn paused_machine(what: &'static str, length: Span) {
+    let (outcome, stopped, resumed) = stop(what, length, |scene| {
+        let begin = scene.shim().now() + Span::from_millis(200);
+        scene.shim().change_at(begin, -length, 150.0, 0.0);
+    });
+    outcome.wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
+    outcome.is_good_at_the_end();
+}
+
+#[test]
+fn process_that_is_stopped_makes_no_interval_wrong() {
+    stopped_process("the edge is stopped for 2 s, 2/2 ms", Span::from_seconds(2));
+}
+
+#[test]
+#[ignore = "takes eleven minutes; for make soak"]
+fn process_that_is_stopped_for_ten_minutes_makes_no_interval_wrong() {
+    stopped_process("the edge is stopped for 600 s, 2/2 ms", Span::from_seconds(600));
+}
+
+#[test]
+fn paused_virtual_machine_makes_intervals_wrong_for_a_window_at_most() {
+    paused_machine("a virtual machine is paused for 0.5 s, 2/2 ms", Span::from_millis(500));
+}
+
+#[test]
+#[ignore = "takes eleven minutes; for make soak"]
+fn virtual_machine_paused_for_ten_minutes_makes_intervals_wrong_for_a_window_at_most() {
+    paused_machine("a virtual machine is paused for 600 s, 2/2 ms", Span::from_seconds(600));
+}
+
+#[test]
+fn cloud_that_is_rebooted_makes_no_interval_wrong() {
+    let what = "the cloud is rebooted, 2/6 ms";
+    let mut scene = Scene::new(what, wire(way(2, 0, 0), way(6, 0, 0)), "", |[edge, cloud]| {
+        edge.change(Span::from_seconds(3), -50.0, 0.0);
+        cloud.change(Span::from_seconds(7_200), 100.0, 0.0);
+    });
+    scene.settle();
+    scene.reboot_cloud(Span::from_seconds(-7_000), -100.0);
+    let rebooted = scene.shim().now();
+    scene.reach(rebooted + Span::from_seconds(8));
+    let outcome = scene.end();
+    outcome.is_never_wrong();
+    outcome.is_good_at_the_end();
+}

@@ -1,0 +1,169 @@
+//! Somebody on the path who sees and alters probes, but not the session.
+
+use std::io::ErrorKind;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use peernet_clock::Span;
+use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::truth::HostClock;
+use peernet_tests::{ClockShim, Plant, until_grown};
+
+use super::hold_to_the_truth;
+
+/// Where probes are answered.
+const PROBES: u16 = 8620;
+/// Where the forger takes those of the edge, and from where it passes them on.
+const FORGER: u16 = 9620;
+const PASSED_ON: u16 = 9621;
+
+/// What is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
+const ADDED: Span = Span::from_millis(13);
+
+/// A forger between the edge and what leaves it.
+struct Forger {
+    over: Arc<AtomicBool>,
+    forged: Arc<AtomicUsize>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Forger {
+    /// Takes all probes that leave the edge for a cloud.
+    fn start(edge: &Host, cloud: Ipv4Addr) -> Self {
+        edge.run("nft", &["add", "table", "ip", "forger"]);
+        let chain = ["add", "chain", "ip", "forger", "out"];
+        edge.run("nft", &[&chain[..], &["{ type nat hook output priority -100 ; }"]].concat());
+        let (probes, passed_on, forger) = (PROBES.to_string(), PASSED_ON.to_string(), format!(":{FORGER}"));
+        let rule = ["udp", "dport", &probes, "udp", "sport", "!=", &passed_on, "redirect", "to", &forger];
+        edge.run("nft", &[&["add", "rule", "ip", "forger", "out"], &rule[..]].concat());
+        let (near, far) = edge.inside(|| {
+            let socket = |address, port| {
+                let socket = UdpSocket::bind((address, port)).expect("a port of its own");
+                socket.set_read_timeout(Some(Duration::from_millis(1))).expect("a millisecond is a timeout");
+                socket
+            };
+            // What is redirected arrives at this address, and answers must leave from it.
+            (socket(Ipv4Addr::LOCALHOST, FORGER), socket(Ipv4Addr::UNSPECIFIED, PASSED_ON))
+        });
+        let (over, forged) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
+        let relay = Relay { near, far, cloud: (cloud, PROBES).into(), edge: None };
+        let thread = std::thread::spawn({
+            let (over, forged) = (Arc::clone(&over), Arc::clone(&forged));
+            move || relay.run(&over, &forged)
+        });
+        Self { over, forged, thread: Some(thread) }
+    }
+
+    fn forged(&self) -> usize {
+        self.forged.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Forger {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        if let Some(Err(panic)) = self.thread.take().map(JoinHandle::join)
+            && !std::thread::panicking()
+        {
+            std::panic::resume_unwind(panic);
+        }
+    }
+}
+
+/// Passes probes on and forges each answer.
+struct Relay {
+    near: UdpSocket,
+    far: UdpSocket,
+    cloud: SocketAddr,
+    edge: Option<SocketAddr>,
+}
+
+impl Relay {
+    fn run(mut self, over: &AtomicBool, forged: &AtomicUsize) {
+        let mut buffer = [0; 2048];
+        while !over.load(Ordering::Relaxed) {
+            if let Some((length, from)) = receive(&self.near, &mut buffer) {
+                self.edge = Some(from);
+                self.far.send_to(&buffer[..length], self.cloud).expect("there is a route");
+            }
+            if let Some((length, _)) = receive(&self.far, &mut buffer) {
+                forge(&mut buffer[..length]);
+                forged.fetch_add(1, Ordering::Relaxed);
+                let edge = self.edge.expect("it was asked");
+                self.near.send_to(&buffer[..length], edge).expect("there is a route");
+            }
+        }
+    }
+}
+
+/// `None` when nothing arrives in a millisecond, or the other end says that it does not listen.
+fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
+    match socket.recv_from(buffer) {
+        Ok(received) => Some(received),
+        Err(error) => {
+            let usual = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::ConnectionRefused];
+            assert!(usual.contains(&error.kind()), "{error}");
+            None
+        }
+    }
+}
+
+/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
+/// clock.
+fn forge(answer: &mut [u8]) {
+    let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
+    let is_open = answer[4..12] != [0; 8];
+    for at in if is_open { [4, 16] } else { [16, 32] } {
+        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
+        answer[at..at + 8].copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
+    }
+    let mark =
+        answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
+    for at in [mark + 8, mark + 16] {
+        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
+        answer[at..at + 8].copy_from_slice(&(i64::from_be_bytes(stamp) + ADDED.nanos()).to_be_bytes());
+    }
+}
+
+/// So many probes are forged.
+fn forged(probes: u64) {
+    let way = Way { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
+    let plant = Plant::new(|folder| Network::wire(folder, way, way));
+    let shim = ClockShim::new(&plant.folder().join("edge-clocks"));
+    shim.change(Span::from_seconds(2), 60.0, 0.0);
+    let forger = Forger::start(plant.network.edge(), plant.network.cloud().address);
+    let _cloud = plant.cloud("[clock]\ndiscipline = []\n");
+    let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
+    let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
+    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("watched", 1000, load)), &shim.environment());
+    until_grown("forged answers", probes, || Some(forger.forged() as u64));
+    plant.api.until("/api/v1/links/edge~cloud", |link| {
+        link.to_string().contains("not authenticated by the key").then_some(())
+    });
+    assert_eq!(edge.stop().code(), 0);
+    plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+
+    let clocks = (HostClock::shown(shim.errors()), HostClock::kernels());
+    let what = "all answers to probes forged by 13 ms, 20/20 ms";
+    let (up, down) = hold_to_the_truth(what, &plant.iterations(), &clocks.0, &clocks.1);
+    for comparison in [&up, &down] {
+        assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
+        assert!(comparison.compared > 500, "{}", comparison.in_words());
+    }
+    let probes = plant.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
+    assert_eq!(probes.trim(), "1|0", "no forged answer counts");
+}
+
+#[test]
+fn forged_answers_to_probes_make_no_interval_wrong() {
+    forged(150);
+}
+
+#[test]
+#[ignore = "takes ten minutes; for make soak"]
+fn ten_minutes_of_forged_answers_make_no_interval_wrong() {
+    forged(6_000);
+}
