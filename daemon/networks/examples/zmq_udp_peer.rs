@@ -1,0 +1,144 @@
+//! An edge and a cloud of `zmq-udp` with a foreign program between them, for the test with libzmq
+//! (`tests/interop/zmq-udp`). Fails unless every request is answered byte for byte or recorded as lost.
+//!
+//! Usage: `zmq_udp_peer RELAY`, a program that gets the cloud's address and prints its own.
+#![expect(clippy::print_stdout, reason = "people read what it prints")]
+
+use std::error::Error;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_logger::{HostId, Recorder};
+use peernet_networks::{
+    Incoming, Listener, PeerClock, RequestError, SESSION_VERSIONS, Session, SessionAccepted, SessionHello,
+    SessionSettings,
+};
+use peernet_sample::{Description, Sample};
+use peernet_stream::Hardware;
+
+/// Longest time until an answer must be there.
+const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Bytes of a request, and how many are sent.
+const REQUESTS: [(usize, usize); 6] =
+    [(0, 100), (1, 100), (1_000, 500), (60_000, 100), (1_200_000, 20), (20_000_000, 2)];
+
+/// A program that ends with the test.
+struct Relay(Child);
+
+impl Relay {
+    /// Starts the relay to a cloud; returns it with the address that the edge is to use.
+    fn start(program: &str, cloud: &str) -> Result<(Self, String), Box<dyn Error>> {
+        let mut relay = Self(Command::new(program).arg(cloud).stdout(Stdio::piped()).spawn()?);
+        let mut address = String::new();
+        BufReader::new(relay.0.stdout.take().ok_or("no output")?).read_line(&mut address)?;
+        Ok((relay, address.trim().to_owned()))
+    }
+}
+
+impl Drop for Relay {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn identity() -> ClockIdentity {
+    ClockIdentity::new("interop", "system")
+}
+
+fn clock() -> SharedClock {
+    Arc::new(SystemClock::new(identity()))
+}
+
+/// Accepts every session and answers each request with what it brought.
+async fn serve(mut listener: Listener, accepted: SessionAccepted) {
+    while let Some(incoming) = listener.next().await {
+        match incoming {
+            Incoming::Open(open) => assert!(open.accept(accepted.clone()), "the edge is there"),
+            Incoming::Request(request) => request.reply.send(request.log, Ok(request.sample)),
+            Incoming::Closed { .. } => {}
+            Incoming::Remark { text, .. } | Incoming::Refused { text, .. } => println!("{text}"),
+        }
+    }
+}
+
+/// Sends requests of one size; returns how many were answered and how many lost.
+async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize, usize), Box<dyn Error>> {
+    let (mut answered, mut lost) = (0, 0);
+    for number in 0..count {
+        let bytes: Vec<u8> = (0..size).map(|at| ((at * 7 + number) % 256) as u8).collect();
+        let sent = Sample::of(Description::bytes(), bytes.into());
+        let log = Recorder::begin(clock(), HostId::random());
+        match session.request(log, &sent, TIMEOUT).await.result {
+            Ok(answer) if answer == sent => answered += 1,
+            Ok(_) => return Err(format!("an answer of {size} bytes differs").into()),
+            Err(RequestError::Lost(_)) => lost += 1,
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok((answered, lost))
+}
+
+async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
+    // libzmq keeps the system's default buffers.
+    let settings =
+        SessionSettings { datagram_bytes, socket_buffer_bytes: 64 << 10, ..SessionSettings::default() };
+    let host = HostId::random();
+    let listener = Listener::bind(&"udp://127.0.0.1:0".parse()?, settings.clone(), host, clock()).await?;
+    let (mut relay, address) = Relay::start(relay, &listener.address().authority())?;
+    let accepted = SessionAccepted {
+        host,
+        name: "cloud".parse()?,
+        clock: identity(),
+        version: "interop".into(),
+        model: "echo".parse()?,
+        device: "cpu".into(),
+        facts: Vec::new(),
+        host_clock: PeerClock::default(),
+        probes: None,
+        instance: 1,
+        probe_key: None,
+        conditions: Vec::new(),
+        hardware: Hardware::default(),
+    };
+    tokio::spawn(serve(listener, accepted));
+
+    let hello = SessionHello {
+        versions: SESSION_VERSIONS,
+        host: HostId::random(),
+        name: "edge".parse()?,
+        clock: identity(),
+        pipeline: "interop".parse()?,
+        model: None,
+        device: None,
+    };
+    let session = Session::open(&format!("udp://{address}").parse()?, hello, settings, clock()).await?;
+    println!("datagrams of {datagram_bytes} bytes through libzmq's RADIO and DISH, both ways");
+    println!("{:>12} {:>9} {:>9} {:>6}", "bytes", "requests", "answered", "lost");
+    for (size, count) in REQUESTS {
+        let (answered, lost) = exchange(&session, size, count).await?;
+        println!("{size:>12} {count:>9} {answered:>9} {lost:>6}");
+        if answered == 0 && size <= 1_000_000 {
+            return Err(format!("nothing of {size} bytes was answered").into());
+        }
+    }
+    session.close().await;
+    match relay.0.try_wait()? {
+        None => Ok(()),
+        Some(status) => Err(format!("the relay ended: {status}").into()),
+    }
+}
+
+#[tokio::main]
+async fn main() -> Result<(), Box<dyn Error>> {
+    let relay = std::env::args().nth(1).ok_or("no relay is named")?;
+    for datagram_bytes in [1_200, 8_192] {
+        run(&relay, datagram_bytes).await?;
+    }
+    Ok(())
+}
