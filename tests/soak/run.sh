@@ -24,11 +24,13 @@ export PEERNET_FIGURES="$rows"
 cd "$root"
 passed=0
 ${CARGO:-cargo} test --release --locked --package peernet-tests --test it -- --include-ignored --test-threads 1 "$@" || passed=$?
-# Ten million hostile inputs each: damaged headers, calls and messages of ROS (three corpora), datagrams and handshakes, and
-# messages of a ROS session.
+# Ten million hostile inputs each: damaged headers, calls and messages of ROS (three corpora), what a domain of ROS 2 announces and
+# lists of its nodes, datagrams and handshakes, and messages of a ROS session in the forms of both versions.
 inputs="${PEERNET_INPUTS:-10000000}"
 PROPTEST_CASES=$((inputs * 3)) \
     ${CARGO:-cargo} test --release --locked --package peernet-ros --lib damaged_corpora || passed=$?
+PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet-ros --lib -- \
+    any_announcements_stay_within_bounds damaged_node_lists_are_read_within_bounds || passed=$?
 PROPTEST_CASES=$inputs ${CARGO:-cargo} test --release --locked --package peernet-networks --lib -- \
     any_datagrams_break_no_promise any_peer_is_survived || passed=$?
 # Histories of two clocks and the paths between them, in which every interval must hold the truth.

@@ -34,6 +34,28 @@ pub(super) struct DiscoveryState {
     local: BTreeMap<EndpointId, LocalEndpoint>,
     /// Number of events so far.
     changes: watch::Sender<u64>,
+    bounds: DiscoveryBounds,
+}
+
+/// Most of each that is remembered: anybody on the network can announce more.
+#[derive(Clone, Copy, Debug)]
+struct DiscoveryBounds {
+    /// Other participants.
+    participants: usize,
+    /// Endpoints of others.
+    endpoints: usize,
+    /// Nodes and their endpoints in the node list.
+    listed: usize,
+    /// Matched peers of one endpoint.
+    matched: usize,
+    /// Refused peers of one endpoint.
+    refused: usize,
+}
+
+impl Default for DiscoveryBounds {
+    fn default() -> Self {
+        Self { participants: 4_096, endpoints: 16_384, listed: 16_384, matched: 4_096, refused: 1_024 }
+    }
 }
 
 #[derive(Debug)]
@@ -45,18 +67,6 @@ struct LocalEndpoint {
 }
 
 impl DiscoveryState {
-    /// Most endpoints of others that are remembered: anybody on the network can announce more.
-    const MAX_ENDPOINTS: usize = 16_384;
-
-    /// Most other participants that are remembered.
-    const MAX_PARTICIPANTS: usize = 4_096;
-
-    /// Most endpoints that are remembered by the nodes which list them.
-    const MAX_LISTED: usize = 16_384;
-
-    /// Most refused peers of one endpoint that are remembered.
-    const MAX_REFUSED: usize = 1_024;
-
     /// Longest name of a topic or type that is remembered. Bytes; DDS has names of 255.
     const MAX_NAME_BYTES: usize = 1_024;
 
@@ -69,6 +79,7 @@ impl DiscoveryState {
             ignored: 0,
             local: BTreeMap::new(),
             changes: watch::Sender::default(),
+            bounds: DiscoveryBounds::default(),
         }
     }
 
@@ -167,7 +178,7 @@ impl DiscoveryState {
         match event {
             DiscoveryEvent::ParticipantFound(id) => {
                 if id == self.own || self.participants.contains(&id) {
-                } else if self.participants.len() < Self::MAX_PARTICIPANTS {
+                } else if self.participants.len() < self.bounds.participants {
                     self.participants.insert(id);
                 } else {
                     self.ignored += 1;
@@ -179,7 +190,8 @@ impl DiscoveryState {
                 self.forget(|endpoint| endpoint.participant() == id);
             }
             DiscoveryEvent::EndpointFound { id, topic, type_name } => {
-                let has_room = self.endpoints.len() < Self::MAX_ENDPOINTS || self.endpoints.contains_key(&id);
+                let has_room =
+                    self.endpoints.len() < self.bounds.endpoints || self.endpoints.contains_key(&id);
                 if has_room && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
                 } else {
@@ -194,24 +206,33 @@ impl DiscoveryState {
                     .map(|type_name| Refusal::OtherType { type_name: ros_type(type_name) });
                 match refusal {
                     Some(refusal) => self.refuse(local, remote, refusal),
-                    None => self.update(local, |peers| peers.add(remote)),
+                    None => self.match_peer(local, remote),
                 }
             }
             DiscoveryEvent::Incompatible { local, remote, refusal } => {
-                self.update(local, |peers| {
-                    peers.remove(remote);
-                    true
-                });
                 self.refuse(local, remote, refusal);
             }
         }
     }
 
-    fn refuse(&mut self, local: EndpointId, remote: EndpointId, refusal: Refusal) {
-        let mut has_room = true;
+    fn match_peer(&mut self, local: EndpointId, remote: EndpointId) {
+        let (most, mut has_room) = (self.bounds.matched, true);
         self.update(local, |peers| {
-            has_room = peers.refused.len() < Self::MAX_REFUSED || peers.refused.contains_key(&remote);
-            has_room && peers.refused.insert(remote, refusal).is_none()
+            has_room = peers.matched.len() < most || peers.matched.contains(&remote);
+            has_room && peers.add(remote)
+        });
+        self.ignored += u64::from(!has_room);
+    }
+
+    fn refuse(&mut self, local: EndpointId, remote: EndpointId, refusal: Refusal) {
+        let (most, mut has_room) = (self.bounds.refused, true);
+        self.update(local, |peers| {
+            peers.remove(remote);
+            has_room = peers.refused.len() < most;
+            if has_room {
+                peers.refused.insert(remote, refusal);
+            }
+            true
         });
         self.ignored += u64::from(!has_room);
     }
@@ -227,11 +248,11 @@ impl DiscoveryState {
         self.nodes.remove(&participant);
         let listed =
             |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
-        if listed(&self.nodes) + size(&nodes) > Self::MAX_LISTED {
+        if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
             // Those that nothing else is known of may be invented.
             self.nodes.retain(|participant, _| self.participants.contains(participant));
         }
-        if listed(&self.nodes) + size(&nodes) > Self::MAX_LISTED {
+        if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
             self.ignored += 1;
         } else {
             self.nodes.insert(participant, nodes);
@@ -263,130 +284,4 @@ impl DiscoveryState {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const LOCAL: EndpointId = EndpointId([1; 16]);
-    const REMOTE: EndpointId = EndpointId([2; 16]);
-
-    fn state() -> (DiscoveryState, watch::Receiver<PeerTable>) {
-        let mut state = DiscoveryState::new(ParticipantId([1; 12]));
-        let peers = state.add_local(LOCAL, EndpointRole::Subscription, "std_msgs::msg::dds_::String_");
-        (state, peers)
-    }
-
-    fn found(type_name: &str) -> DiscoveryEvent {
-        DiscoveryEvent::EndpointFound { id: REMOTE, topic: "rt/chatter".into(), type_name: type_name.into() }
-    }
-
-    #[test]
-    fn peer_is_matched_until_its_participant_is_gone() {
-        let (mut state, peers) = state();
-        state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([2; 12])));
-        state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([1; 12])));
-        assert_eq!(state.participants(), 1, "our own participant is no other one");
-        state.apply(found("std_msgs::msg::dds_::String_"));
-        state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
-        assert!(peers.borrow().matched.contains(&REMOTE));
-        assert_eq!(state.topics(), ["/chatter"]);
-        state.apply(DiscoveryEvent::ParticipantGone(ParticipantId([2; 12])));
-        let expected = PeerTable { matched_total: 1, unmatched_total: 1, ..PeerTable::default() };
-        assert_eq!((*peers.borrow()).clone(), expected);
-        assert_eq!((state.participants(), state.topics().len()), (0, 0));
-    }
-
-    #[test]
-    fn peer_of_another_type_is_refused() {
-        let (mut state, peers) = state();
-        state.apply(found("std_msgs::msg::dds_::Int32_"));
-        state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
-        let refusal = Refusal::OtherType { type_name: "std_msgs/msg/Int32".into() };
-        assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
-        assert!(peers.borrow().matched.is_empty());
-        assert!(state.is_other_type(LOCAL, REMOTE));
-        state.apply(DiscoveryEvent::EndpointGone(REMOTE));
-        assert!(peers.borrow().refused.is_empty());
-    }
-
-    #[test]
-    fn peer_with_incompatible_qos_is_refused_with_the_reason() {
-        let (mut state, peers) = state();
-        let refusal = Refusal::IncompatibleQos {
-            policy: "reliability".into(),
-            offered: "best-effort".into(),
-            requested: "reliable".into(),
-        };
-        state.apply(found("std_msgs::msg::dds_::String_"));
-        state.apply(DiscoveryEvent::Incompatible { local: LOCAL, remote: REMOTE, refusal: refusal.clone() });
-        assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
-        state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
-        assert!(peers.borrow().refused.is_empty() && peers.borrow().matched.contains(&REMOTE));
-    }
-
-    fn listed(name: &str, endpoints: &[EndpointId]) -> ListedNode {
-        ListedNode { name: name.into(), endpoints: endpoints.to_vec() }
-    }
-
-    #[test]
-    fn endpoint_has_the_name_of_its_node() {
-        let (mut state, _) = state();
-        let participant = REMOTE.participant();
-        let other = EndpointId([[2; 12].as_slice(), &[9; 4]].concat().try_into().unwrap());
-        let nodes = vec![listed("/camera", &[REMOTE]), listed("/lidar", &[])];
-        state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
-        assert_eq!((state.node_of(REMOTE), state.node_of(other)), (Some("/camera"), None));
-        assert_eq!(state.nodes_of(participant), ["/camera", "/lidar"]);
-        let nodes = vec![listed("/camera2", &[REMOTE])];
-        state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
-        assert_eq!(state.node_of(other), Some("/camera2"), "the only node of its participant");
-        state.apply(DiscoveryEvent::ParticipantGone(participant));
-        assert_eq!(state.node_of(REMOTE), None);
-    }
-
-    #[test]
-    fn invented_node_lists_make_room_for_real_ones() {
-        let (mut state, _) = state();
-        let list = |number: u32, state: &mut DiscoveryState| {
-            let mut participant = [7; 12];
-            participant[..4].copy_from_slice(&number.to_le_bytes());
-            let (participant, nodes) = (ParticipantId(participant), vec![listed("/node", &[REMOTE; 99])]);
-            state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
-            participant
-        };
-        for number in 0..2_000 {
-            list(number, &mut state);
-        }
-        let real = ParticipantId([2; 12]);
-        state.apply(DiscoveryEvent::ParticipantFound(real));
-        state.apply(DiscoveryEvent::NodesListed(ListEntry {
-            participant: real,
-            nodes: vec![listed("/camera", &[REMOTE])],
-        }));
-        for number in 2_000..4_000 {
-            list(number, &mut state);
-        }
-        assert_eq!(state.node_of(REMOTE), Some("/camera"));
-        assert!(state.nodes.len() <= DiscoveryState::MAX_LISTED / 100 + 1, "{}", state.nodes.len());
-    }
-
-    #[test]
-    fn endpoints_of_others_are_found_by_topic_and_role() {
-        let (mut state, _) = state();
-        for (last, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
-            let mut id = REMOTE;
-            id.0[15] = last;
-            id.0[14] = topic.as_bytes()[3];
-            let (topic, type_name) = (topic.to_owned(), "std_msgs::msg::dds_::String_".to_owned());
-            state.apply(DiscoveryEvent::EndpointFound {
-                id,
-                topic: topic.clone(),
-                type_name: type_name.clone(),
-            });
-            state.apply(DiscoveryEvent::EndpointFound { id: LOCAL, topic, type_name });
-        }
-        let found = state.endpoints_of("rt/a");
-        assert!(found.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
-        let roles: Vec<EndpointRole> = found.iter().map(|endpoint| endpoint.role).collect();
-        assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
-    }
-}
+mod tests;

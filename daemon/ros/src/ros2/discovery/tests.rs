@@ -1,0 +1,228 @@
+//! Discovery as one node sees it, whatever others announce.
+
+use std::ops::Range;
+
+use proptest::prelude::*;
+
+use super::*;
+
+const LOCAL: EndpointId = EndpointId([1; 16]);
+const REMOTE: EndpointId = EndpointId([2; 16]);
+
+fn state() -> (DiscoveryState, watch::Receiver<PeerTable>) {
+    let mut state = DiscoveryState::new(ParticipantId([1; 12]));
+    let peers = state.add_local(LOCAL, EndpointRole::Subscription, "std_msgs::msg::dds_::String_");
+    (state, peers)
+}
+
+fn found(type_name: &str) -> DiscoveryEvent {
+    DiscoveryEvent::EndpointFound { id: REMOTE, topic: "rt/chatter".into(), type_name: type_name.into() }
+}
+
+#[test]
+fn peer_is_matched_until_its_participant_is_gone() {
+    let (mut state, peers) = state();
+    state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([2; 12])));
+    state.apply(DiscoveryEvent::ParticipantFound(ParticipantId([1; 12])));
+    assert_eq!(state.participants(), 1, "our own participant is no other one");
+    state.apply(found("std_msgs::msg::dds_::String_"));
+    state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
+    assert!(peers.borrow().matched.contains(&REMOTE));
+    assert_eq!(state.topics(), ["/chatter"]);
+    state.apply(DiscoveryEvent::ParticipantGone(ParticipantId([2; 12])));
+    let expected = PeerTable { matched_total: 1, unmatched_total: 1, ..PeerTable::default() };
+    assert_eq!((*peers.borrow()).clone(), expected);
+    assert_eq!((state.participants(), state.topics().len()), (0, 0));
+}
+
+#[test]
+fn peer_of_another_type_is_refused() {
+    let (mut state, peers) = state();
+    state.apply(found("std_msgs::msg::dds_::Int32_"));
+    state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
+    let refusal = Refusal::OtherType { type_name: "std_msgs/msg/Int32".into() };
+    assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
+    assert!(peers.borrow().matched.is_empty());
+    assert!(state.is_other_type(LOCAL, REMOTE));
+    state.apply(DiscoveryEvent::EndpointGone(REMOTE));
+    assert!(peers.borrow().refused.is_empty());
+}
+
+#[test]
+fn peer_with_incompatible_qos_is_refused_with_the_reason() {
+    let (mut state, peers) = state();
+    let refusal = Refusal::IncompatibleQos {
+        policy: "reliability".into(),
+        offered: "best-effort".into(),
+        requested: "reliable".into(),
+    };
+    state.apply(found("std_msgs::msg::dds_::String_"));
+    state.apply(DiscoveryEvent::Incompatible { local: LOCAL, remote: REMOTE, refusal: refusal.clone() });
+    assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
+    state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
+    assert!(peers.borrow().refused.is_empty() && peers.borrow().matched.contains(&REMOTE));
+}
+
+fn listed(name: &str, endpoints: &[EndpointId]) -> ListedNode {
+    ListedNode { name: name.into(), endpoints: endpoints.to_vec() }
+}
+
+#[test]
+fn endpoint_has_the_name_of_its_node() {
+    let (mut state, _) = state();
+    let participant = REMOTE.participant();
+    let other = EndpointId([[2; 12].as_slice(), &[9; 4]].concat().try_into().unwrap());
+    let nodes = vec![listed("/camera", &[REMOTE]), listed("/lidar", &[])];
+    state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+    assert_eq!((state.node_of(REMOTE), state.node_of(other)), (Some("/camera"), None));
+    assert_eq!(state.nodes_of(participant), ["/camera", "/lidar"]);
+    let nodes = vec![listed("/camera2", &[REMOTE])];
+    state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+    assert_eq!(state.node_of(other), Some("/camera2"), "the only node of its participant");
+    state.apply(DiscoveryEvent::ParticipantGone(participant));
+    assert_eq!(state.node_of(REMOTE), None);
+}
+
+#[test]
+fn invented_node_lists_make_room_for_real_ones() {
+    let (mut state, _) = state();
+    let list = |number: u32, state: &mut DiscoveryState| {
+        let mut participant = [7; 12];
+        participant[..4].copy_from_slice(&number.to_le_bytes());
+        let (participant, nodes) = (ParticipantId(participant), vec![listed("/node", &[REMOTE; 99])]);
+        state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
+        participant
+    };
+    for number in 0..2_000 {
+        list(number, &mut state);
+    }
+    let real = ParticipantId([2; 12]);
+    state.apply(DiscoveryEvent::ParticipantFound(real));
+    state.apply(DiscoveryEvent::NodesListed(ListEntry {
+        participant: real,
+        nodes: vec![listed("/camera", &[REMOTE])],
+    }));
+    for number in 2_000..4_000 {
+        list(number, &mut state);
+    }
+    assert_eq!(state.node_of(REMOTE), Some("/camera"));
+    assert!(state.nodes.len() <= state.bounds.listed / 100 + 1, "{}", state.nodes.len());
+}
+
+#[test]
+fn endpoints_of_others_are_found_by_topic_and_role() {
+    let (mut state, _) = state();
+    for (last, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
+        let mut id = REMOTE;
+        id.0[15] = last;
+        id.0[14] = topic.as_bytes()[3];
+        let (topic, type_name) = (topic.to_owned(), "std_msgs::msg::dds_::String_".to_owned());
+        state.apply(DiscoveryEvent::EndpointFound { id, topic: topic.clone(), type_name: type_name.clone() });
+        state.apply(DiscoveryEvent::EndpointFound { id: LOCAL, topic, type_name });
+    }
+    let found = state.endpoints_of("rt/a");
+    assert!(found.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
+    let roles: Vec<EndpointRole> = found.iter().map(|endpoint| endpoint.role).collect();
+    assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
+}
+
+/// Bounds that short scripts reach.
+const FEW: DiscoveryBounds =
+    DiscoveryBounds { participants: 3, endpoints: 5, listed: 9, matched: 2, refused: 2 };
+
+/// Participants that announce; the first is our own.
+const ANNOUNCING: Range<u8> = 0..8;
+
+fn own(participant: u8) -> ParticipantId {
+    ParticipantId([participant; 12])
+}
+
+fn any_endpoint() -> impl Strategy<Value = EndpointId> {
+    (ANNOUNCING, 0..3_u8, any::<u8>()).prop_map(|(participant, number, kind)| {
+        let mut id = [participant; 16];
+        id[12..].copy_from_slice(&[0, 0, number, kind % 8]);
+        EndpointId(id)
+    })
+}
+
+fn any_name() -> impl Strategy<Value = String> {
+    let most = DiscoveryState::MAX_NAME_BYTES;
+    prop_oneof![
+        4 => prop::sample::select(vec!["rt/a".to_owned(), "a::b_".to_owned(), "rt".to_owned()]),
+        2 => any::<String>(),
+        1 => (most - 1..most + 2).prop_map(|length| "n".repeat(length)),
+    ]
+}
+
+fn any_refusal() -> impl Strategy<Value = Refusal> {
+    any_name().prop_map(|type_name| Refusal::OtherType { type_name })
+}
+
+fn any_entry() -> impl Strategy<Value = ListEntry> {
+    let nodes = (any_name(), prop::collection::vec(any_endpoint(), 0..6));
+    let nodes = nodes.prop_map(|(name, endpoints)| ListedNode { name, endpoints });
+    (ANNOUNCING, prop::collection::vec(nodes, 0..4))
+        .prop_map(|(participant, nodes)| ListEntry { participant: own(participant), nodes })
+}
+
+fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
+    let local = || prop_oneof![4 => Just(LOCAL), 1 => any_endpoint()];
+    prop_oneof![
+        1 => ANNOUNCING.prop_map(|participant| DiscoveryEvent::ParticipantFound(own(participant))),
+        1 => ANNOUNCING.prop_map(|participant| DiscoveryEvent::ParticipantGone(own(participant))),
+        3 => (any_endpoint(), any_name(), any_name()).prop_map(|(id, topic, type_name)| {
+            DiscoveryEvent::EndpointFound { id, topic, type_name }
+        }),
+        1 => any_endpoint().prop_map(DiscoveryEvent::EndpointGone),
+        2 => any_entry().prop_map(DiscoveryEvent::NodesListed),
+        2 => (local(), any_endpoint())
+            .prop_map(|(local, remote)| DiscoveryEvent::Matched { local, remote }),
+        2 => (local(), any_endpoint(), any_refusal()).prop_map(|(local, remote, refusal)| {
+            DiscoveryEvent::Incompatible { local, remote, refusal }
+        }),
+    ]
+}
+
+/// Fails when more is remembered than the bounds allow.
+fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
+    let listed: usize = state.nodes.values().flatten().map(|node| 1 + node.endpoints.len()).sum::<usize>();
+    let remembered =
+        [state.participants.len(), state.endpoints.len(), listed, peers.matched.len(), peers.refused.len()];
+    let bounds = [FEW.participants, FEW.endpoints, FEW.listed, FEW.matched, FEW.refused];
+    assert!(remembered.iter().zip(bounds).all(|(count, bound)| *count <= bound), "{remembered:?}");
+    assert!(state.nodes.len() <= FEW.listed, "{} participants without nodes", state.nodes.len());
+    let most = DiscoveryState::MAX_NAME_BYTES;
+    assert!(state.endpoints.values().all(|(topic, kind)| topic.len().max(kind.len()) <= most));
+    assert!(peers.refused.keys().all(|id| !peers.matched.contains(id)), "matched and refused");
+}
+
+proptest! {
+    #[test]
+    fn any_announcements_stay_within_bounds(events in prop::collection::vec(any_event(), 0..40)) {
+        let mut state = DiscoveryState { bounds: FEW, ..DiscoveryState::new(own(0)) };
+        let peers = state.add_local(LOCAL, EndpointRole::Subscription, "a::b_");
+        for event in events {
+            let (ignored, count) = (state.ignored(), *state.changes().borrow());
+            let is_too_long = matches!(&event, DiscoveryEvent::EndpointFound { topic, type_name, .. }
+                if topic.len().max(type_name.len()) > DiscoveryState::MAX_NAME_BYTES);
+            let asked = match &event {
+                DiscoveryEvent::EndpointFound { id, .. } | DiscoveryEvent::EndpointGone(id) => *id,
+                DiscoveryEvent::Matched { remote, .. } | DiscoveryEvent::Incompatible { remote, .. } => *remote,
+                _ => REMOTE,
+            };
+            state.apply(event);
+            prop_assert_eq!(*state.changes().borrow(), count + 1);
+            prop_assert!(!is_too_long || state.ignored() == ignored + 1, "what is not remembered is counted");
+            check_bounds(&state, &peers.borrow());
+            // Whoever asks gets an answer.
+            let _ = (state.node_of(asked), state.nodes_of(asked.participant()), state.topics());
+            let _ = (state.endpoints_of("rt/a"), state.is_other_type(LOCAL, asked));
+        }
+        for participant in ANNOUNCING {
+            state.apply(DiscoveryEvent::ParticipantGone(own(participant)));
+        }
+        let left = peers.borrow();
+        prop_assert!(left.matched.is_empty() && left.refused.is_empty() && left.matched_total == left.unmatched_total);
+        prop_assert!(state.endpoints.is_empty() && state.nodes.is_empty() && state.participants.is_empty());
+    }
+}

@@ -1,0 +1,139 @@
+//! Entries of the node list as they are written and read, whatever their bytes.
+
+use proptest::prelude::*;
+use proptest::sample::Index;
+
+use super::*;
+
+fn entry(identifier_length: usize) -> NodeEntry {
+    let own = |byte: u8, last: u8| {
+        let mut id = [byte; 16];
+        id[15] = last;
+        EndpointId(id)
+    };
+    NodeEntry {
+        participant: own(1, 0xc1),
+        namespace: "/robot1".into(),
+        name: "camera".into(),
+        identifier_length,
+        endpoints: vec![(EndpointRole::Publisher, own(1, 0x03)), (EndpointRole::Subscription, own(1, 0x04))],
+    }
+}
+
+#[test]
+fn entry_is_read_as_written_with_both_lengths() {
+    for length in IDENTIFIER_LENGTHS {
+        let written = entry(length);
+        let read = ListEntry::decode(&written.to_payload()).unwrap();
+        let endpoints = vec![written.endpoints[1].1, written.endpoints[0].1];
+        let node = ListedNode { name: "/robot1/camera".into(), endpoints };
+        assert_eq!(read, ListEntry { participant: ParticipantId([1; 12]), nodes: vec![node] });
+    }
+}
+
+#[test]
+fn entry_with_foreign_endpoints_or_names_is_refused() {
+    let mut foreign = entry(16);
+    foreign.endpoints[0].1.0[0] = 2;
+    assert_eq!(ListEntry::decode(&foreign.to_payload()), Err(ListError::ForeignEndpoint));
+    for (namespace, name) in [("/", ""), ("robot", "camera"), ("/", "a\nb"), ("/", &*"n".repeat(600))] {
+        let other = NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
+        assert_eq!(ListEntry::decode(&other.to_payload()), Err(ListError::InvalidName), "{namespace} {name}");
+    }
+    let root = NodeEntry { namespace: "/".into(), ..entry(16) };
+    assert_eq!(ListEntry::decode(&root.to_payload()).unwrap().nodes[0].name, "/camera");
+}
+
+#[test]
+fn announcement_has_the_form_of_rmw_dds_common() {
+    let entry = NodeEntry {
+        participant: EndpointId([1; 16]),
+        namespace: "/".into(),
+        name: "peernet".into(),
+        identifier_length: 24,
+        endpoints: vec![
+            (EndpointRole::Publisher, EndpointId([2; 16])),
+            (EndpointRole::Subscription, EndpointId([3; 16])),
+        ],
+    };
+    let mut expected = vec![0, 1, 0, 0];
+    let padded = |byte: u8| [[byte; 16].as_slice(), &[0; 8]].concat();
+    expected.extend(padded(1));
+    expected.extend([1, 0, 0, 0, 2, 0, 0, 0, b'/', 0, 0, 0]);
+    expected.extend([8, 0, 0, 0]);
+    expected.extend(b"peernet\0");
+    expected.extend([1, 0, 0, 0]);
+    expected.extend(padded(3));
+    expected.extend([1, 0, 0, 0]);
+    expected.extend(padded(2));
+    assert_eq!(entry.to_payload()[..], expected);
+    let shorter = NodeEntry { identifier_length: 16, ..entry };
+    assert_eq!(shorter.to_payload().len(), expected.len() - 3 * 8);
+}
+
+/// An entry of several nodes: those of single ones, one after the other.
+fn several(entries: &[NodeEntry]) -> Vec<u8> {
+    let Some(first) = entries.first() else { return Vec::new() };
+    let start = 4 + first.identifier_length;
+    let mut cdr = first.to_payload()[..start].to_vec();
+    cdr.extend(u32::try_from(entries.len()).unwrap().to_le_bytes());
+    for entry in entries {
+        cdr.extend(&entry.to_payload()[start + 4..]);
+    }
+    cdr
+}
+
+fn any_entry(length: usize) -> impl Strategy<Value = NodeEntry> {
+    let id = |last: u8| {
+        let mut id = [1; 16];
+        id[15] = last;
+        EndpointId(id)
+    };
+    let name = || prop_oneof!["[a-z_]{0,9}", "/[a-z/]{0,9}", any::<String>()];
+    (name(), name(), prop::collection::vec(any::<(bool, u8)>(), 0..6)).prop_map(
+        move |(namespace, name, endpoints)| {
+            let role =
+                |publishes| if publishes { EndpointRole::Publisher } else { EndpointRole::Subscription };
+            let endpoints =
+                endpoints.into_iter().map(|(publishes, last)| (role(publishes), id(last))).collect();
+            NodeEntry { participant: id(0xc1), namespace, name, identifier_length: length, endpoints }
+        },
+    )
+}
+
+fn any_payload() -> impl Strategy<Value = Vec<u8>> {
+    let entries = |length| prop::collection::vec(any_entry(length), 0..4);
+    prop_oneof![entries(IDENTIFIER_LENGTHS[0]), entries(IDENTIFIER_LENGTHS[1])]
+        .prop_map(|entries| several(&entries))
+}
+
+proptest! {
+    #[test]
+    fn damaged_node_lists_are_read_within_bounds(
+        mut bytes in any_payload(),
+        changes in prop::collection::vec((any::<Index>(), any::<u8>(), 0..5_u8), 0..6),
+    ) {
+        for (at, byte, how) in changes {
+            let at = at.index(bytes.len() + 1);
+            match how {
+                0 => bytes.insert(at, byte),
+                1 => bytes.truncate(at),
+                2 if bytes.len() < 4_096 => bytes.extend_from_within(at..),
+                // A length that claims more than there is.
+                3 => bytes.splice(at..(at + 4).min(bytes.len()), u32::from(byte).rotate_right(8).to_le_bytes()).for_each(drop),
+                _ if at < bytes.len() => bytes[at] = byte,
+                _ => {}
+            }
+        }
+        let length = bytes.len();
+        if let Ok(entry) = ListEntry::decode(&bytes.into()) {
+            prop_assert!(entry.nodes.len() <= MAX_NODES);
+            let endpoints: Vec<EndpointId> = entry.nodes.iter().flat_map(|node| node.endpoints.clone()).collect();
+            prop_assert!(endpoints.len() * IDENTIFIER_LENGTHS[0] <= length, "no more than arrived");
+            prop_assert!(endpoints.iter().all(|id| id.participant() == entry.participant));
+            for node in &entry.nodes {
+                prop_assert!(node.name.starts_with('/') && node.name.len() <= MAX_NAME_BYTES && node.name.is_ascii());
+            }
+        }
+    }
+}
