@@ -316,7 +316,9 @@ fn outcome(error: RequestError) -> Outcome {
 impl From<OpenError> for OpenFailure {
     fn from(error: OpenError) -> Self {
         match error {
-            error @ (OpenError::Unreachable { .. } | OpenError::TimedOut { .. }) => Self::Away(error),
+            error @ (OpenError::Unreachable { .. }
+            | OpenError::TimedOut { .. }
+            | OpenError::Unanswered { .. }) => Self::Away(error),
             error @ (OpenError::Refused { .. } | OpenError::Incompatible { .. }) => Self::Refused(error),
         }
     }

@@ -33,6 +33,17 @@ pub enum OpenError {
         /// How long it was waited for. Milliseconds.
         waited_ms: u64,
     },
+    /// The cloud is there and gave no answer.
+    #[error(
+        "the cloud at {address} did not answer the request for a session: {reason}; does its log say why{}",
+        Self::LOADING
+    )]
+    Unanswered {
+        /// Where the session was to be opened.
+        address: Address,
+        /// How long it was waited for, or why the connection ended.
+        reason: String,
+    },
     /// The cloud does not serve what was asked for.
     #[error("the cloud at {address} refused the session: {reason}")]
     Refused {
@@ -100,27 +111,40 @@ pub(crate) async fn handshake(
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
-        let frames = match frames {
-            Ok(Ok(EdgeArrival::Message(frames))) => frames,
+        let reason = match frames {
+            Ok(Ok(EdgeArrival::Message(frames))) => {
+                counters.received(Sizes::of(&frames).total());
+                let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
+                match opened(header) {
+                    Opened::Accepted(accepted) => {
+                        return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
+                    }
+                    Opened::Refused(reason) => {
+                        return Err(OpenError::Refused { address: address.clone(), reason });
+                    }
+                    Opened::Incompatible(mismatch) => {
+                        return Err(OpenError::Incompatible { address: address.clone(), mismatch });
+                    }
+                    Opened::Nonsense => continue,
+                }
+            }
             Ok(Ok(EdgeArrival::Remark(text))) => {
                 remarks.push(text);
                 continue;
             }
             // The transport sends again what opens a session.
-            Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_) | EdgeArrival::Garbage(_))) => continue,
-            _ => return Err(OpenError::TimedOut { address: address.clone(), waited_ms }),
+            Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_))) => continue,
+            Ok(Ok(EdgeArrival::Garbage(_))) => {
+                counters.malformed();
+                continue;
+            }
+            Ok(Err(disconnected)) => disconnected.to_string(),
+            Err(_) => format!("nothing came within {waited_ms} ms"),
         };
-        counters.received(Sizes::of(&frames).total());
-        let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
-        match opened(header) {
-            Opened::Accepted(accepted) => {
-                return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
-            }
-            Opened::Refused(reason) => return Err(OpenError::Refused { address: address.clone(), reason }),
-            Opened::Incompatible(mismatch) => {
-                return Err(OpenError::Incompatible { address: address.clone(), mismatch });
-            }
-            Opened::Nonsense => {}
-        }
+        let address = address.clone();
+        return Err(match dialled.is_cloud {
+            true => OpenError::Unanswered { address, reason },
+            false => OpenError::TimedOut { address, waited_ms },
+        });
     }
 }

@@ -196,6 +196,8 @@ pub(crate) struct Dialled {
     pub(crate) sender: Box<dyn EdgeSender>,
     /// Takes messages from the network, in one task.
     pub(crate) receiver: Box<dyn EdgeReceiver>,
+    /// The other end has introduced itself as a cloud: it is no other program that listens there.
+    pub(crate) is_cloud: bool,
 }
 
 /// The sending half of the edge's end.

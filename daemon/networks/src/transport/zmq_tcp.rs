@@ -122,7 +122,9 @@ pub(crate) async fn dial(
         }
     };
     let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
-    Ok(Dialled { sender: Box::new(DealerSender { socket, addresses }), receiver: Box::new(receiver) })
+    // Any ROUTER takes the connection, that of an aggregator too.
+    let sender = Box::new(DealerSender { socket, addresses });
+    Ok(Dialled { sender, receiver: Box::new(receiver), is_cloud: false })
 }
 
 /// Both ends of a connection, as the library tells of them.

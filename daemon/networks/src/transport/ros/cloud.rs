@@ -109,14 +109,14 @@ fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
         // A node asks for itself only.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
         Ok(hello) => {
-            tracing::debug!(
-                node = &*publisher.node,
-                claimed = hello.node,
-                "a node asked in the name of another"
-            );
+            let problem =
+                format!("node {} asked for a connection in the name of {}", publisher.node, hello.node);
+            peers.garbage(publisher.remote, problem);
         }
         Err(error) => {
-            tracing::debug!(node = &*publisher.node, %error, "a request for a connection cannot be read");
+            let problem =
+                format!("a request of node {} for a connection cannot be read: {error}", publisher.node);
+            peers.garbage(publisher.remote, problem);
         }
     }
 }

@@ -201,7 +201,8 @@ impl Connection {
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
             MessageInfo::PART => {
                 let parts = self.parts.take();
-                self.parts = Parts::extended(parts, &info, &self.budget, self.limits.max_message_bytes);
+                self.parts =
+                    Parts::extended(parts, (&info, now), &self.budget, self.limits.max_message_bytes);
             }
             MessageInfo::LOST => {
                 let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
@@ -327,6 +328,9 @@ impl Connection {
     pub(super) fn tick(&mut self, now: MonoTime) {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
+        // The companion that they belong to was lost, which its number shows.
+        let patience = self.limits.pairing_timeout;
+        self.parts = self.parts.take().filter(|parts| !parts.is_overdue(now, patience));
         self.lose(lost);
         self.end_after_payloads();
         if !self.is_closed && now - self.heard_at >= self.limits.heartbeat_timeout {
@@ -362,6 +366,13 @@ impl Connection {
 
     pub(super) fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
+    }
+
+    /// Counts a message of the peer that makes no sense.
+    pub(super) fn garbage(&mut self, problem: String) {
+        if !self.is_closed {
+            self.events.push_back(Event::Garbage(problem));
+        }
     }
 
     /// Says what makes the connection worse than it could be.

@@ -90,7 +90,7 @@ pub(crate) async fn dial(
     };
     let task = tokio::spawn(serving.run("the edge closed the connection"));
     let receiver = RosEdgeReceiver { node, arrivals, stop, abort, task: Some(task) };
-    Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver) })
+    Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver), is_cloud: true })
 }
 
 impl From<NodeFailure> for DialFailure {

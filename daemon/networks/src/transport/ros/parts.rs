@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use bytes::{Bytes, BytesMut};
+use peernet_clock::{MonoTime, Span};
 use peernet_ros::messages::{MessageInfo, Time};
 
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -11,6 +12,8 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 #[derive(Debug)]
 pub(super) struct Parts {
     stamp: Time,
+    /// When the last of them arrived.
+    heard_at: MonoTime,
     bytes: BytesMut,
     reserved: Reservation,
 }
@@ -20,12 +23,13 @@ impl Parts {
     /// whole then.
     pub(super) fn extended(
         parts: Option<Self>,
-        part: &MessageInfo,
+        (part, now): (&MessageInfo, MonoTime),
         budget: &Arc<MemoryBudget>,
         most_bytes: u64,
     ) -> Option<Self> {
         let begin = || Self {
             stamp: part.header.stamp,
+            heard_at: now,
             bytes: BytesMut::new(),
             reserved: Reservation::empty(budget),
         };
@@ -35,7 +39,13 @@ impl Parts {
             return None;
         }
         parts.bytes.extend_from_slice(&part.frames);
+        parts.heard_at = now;
         Some(parts)
+    }
+
+    /// Whether nothing was added for so long.
+    pub(super) fn is_overdue(&self, now: MonoTime, patience: Span) -> bool {
+        now - self.heard_at >= patience
     }
 
     /// Whether they are of the message that a companion is of.
@@ -76,8 +86,9 @@ mod tests {
         let pieces = split(&mut frames, 3);
         assert_eq!((&pieces[..], &frames[..]), (&[Bytes::from("abc"), Bytes::from("def")][..], &b"g"[..]));
         let budget = MemoryBudget::new(10);
-        let parts = Parts::extended(None, &part(1, b"abc"), &budget, 10);
-        let parts = Parts::extended(parts, &part(1, b"def"), &budget, 10).expect("fits");
+        let parts = Parts::extended(None, (&part(1, b"abc"), MonoTime::default()), &budget, 10);
+        let parts =
+            Parts::extended(parts, (&part(1, b"def"), MonoTime::default()), &budget, 10).expect("fits");
         assert!(parts.is_of(&part(1, b"")) && !parts.is_of(&part(2, b"")));
         assert_eq!(budget.held(), 6);
         assert_eq!(parts.joined(&frames), "abcdefg");
@@ -87,11 +98,11 @@ mod tests {
     #[test]
     fn parts_of_another_message_or_beyond_a_bound_are_dropped() {
         let budget = MemoryBudget::new(5);
-        let parts = Parts::extended(None, &part(1, b"abc"), &budget, 10);
-        let parts = Parts::extended(parts, &part(2, b"de"), &budget, 10);
+        let parts = Parts::extended(None, (&part(1, b"abc"), MonoTime::default()), &budget, 10);
+        let parts = Parts::extended(parts, (&part(2, b"de"), MonoTime::default()), &budget, 10);
         assert_eq!(budget.held(), 2);
-        assert!(Parts::extended(parts, &part(2, b"fghi"), &budget, 10).is_none());
-        assert!(Parts::extended(None, &part(3, b"abc"), &budget, 2).is_none());
+        assert!(Parts::extended(parts, (&part(2, b"fghi"), MonoTime::default()), &budget, 10).is_none());
+        assert!(Parts::extended(None, (&part(3, b"abc"), MonoTime::default()), &budget, 2).is_none());
         assert_eq!(budget.held(), 0);
     }
 }

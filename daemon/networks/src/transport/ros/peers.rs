@@ -130,6 +130,14 @@ impl Peers {
         }
     }
 
+    /// Hands up that a node sent something that makes no sense.
+    pub(super) fn garbage(&self, from: SocketAddr, problem: String) {
+        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(&problem).into_owned());
+        if self.deliveries.try_send((garbage, Vec::new())).is_err() {
+            tracing::debug!(%from, problem, "a message that makes no sense is not counted, because nobody receives");
+        }
+    }
+
     /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let mut table = self.table();

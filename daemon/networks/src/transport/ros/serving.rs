@@ -259,7 +259,7 @@ impl<S: Sink> Serving<S> {
             // Of an earlier connection between the same nodes, or of a later one.
             Ok(info) if info.header.frame_id != state.id() => {}
             Ok(info) => state.hear_info(info, now),
-            Err(error) => tracing::debug!(%error, "a companion cannot be read"),
+            Err(error) => state.garbage(format!("a companion cannot be read: {error}")),
         }
     }
 
@@ -271,7 +271,7 @@ impl<S: Sink> Serving<S> {
         match decoded {
             Ok((connection, _, _)) if connection != state.id() => {}
             Ok((_, stamp, payload)) => state.hear_payload(stamp, payload, now),
-            Err(error) => tracing::debug!(%error, "a payload cannot be read"),
+            Err(error) => state.garbage(format!("a payload cannot be read: {error}")),
         }
     }
 

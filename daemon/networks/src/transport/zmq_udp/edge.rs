@@ -61,7 +61,7 @@ pub(crate) async fn dial(
     let machine = EdgeEnd { peer, id, connection, remark, garbage, token, asked: None };
     let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
-    Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }) })
+    Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
 }
 
 fn unreachable(error: &io::Error) -> DialFailure {

@@ -191,6 +191,7 @@ fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
 enum Step {
     /// A companion whose bytes were changed at some places.
     Damaged {
+        form: WireForm,
         kind: u8,
         changes: Vec<(prop::sample::Index, u8)>,
     },
@@ -212,15 +213,17 @@ enum Step {
 }
 
 fn any_step() -> impl Strategy<Value = Step> {
-    let kind = || 0..7_u8;
+    // All kinds, and one that nobody knows.
+    let kind = || 0..=MessageInfo::PART + 1;
+    let form = prop::sample::select(vec![WireForm::Ros1, WireForm::Cdr]);
     // Few stamps, so that some meet.
     let stamp = || prop_oneof![9 => 0..4_i64, 1 => any::<i64>()];
     let length = prop_oneof![3 => 0..40_u32, 1 => any::<u32>()];
     let claims =
         (kind(), any::<u64>(), stamp(), any::<bool>(), prop::collection::vec(length, 0..5), 0..60_usize);
     prop_oneof![
-        (kind(), prop::collection::vec(any::<(prop::sample::Index, u8)>(), 0..4))
-            .prop_map(|(kind, changes)| Step::Damaged { kind, changes }),
+        (form, kind(), prop::collection::vec(any::<(prop::sample::Index, u8)>(), 0..4))
+            .prop_map(|(form, kind, changes)| Step::Damaged { form, kind, changes }),
         claims.prop_map(|(kind, sequence, stamp, has_payload, lengths, bytes)| {
             Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes }
         }),
@@ -231,15 +234,15 @@ fn any_step() -> impl Strategy<Value = Step> {
 
 fn bring(step: Step, near: &mut Connection, far: &mut Connection, now: &mut MonoTime) {
     match step {
-        Step::Damaged { kind, changes } => {
+        Step::Damaged { form, kind, changes } => {
             let (info, _) = message(near, 1, 0);
             let info = MessageInfo { kind, ..info };
-            let mut bytes = info.encode(WireForm::Ros1).expect("it is short").into_bytes().to_vec();
+            let mut bytes = info.encode(form).expect("it is short").into_bytes().to_vec();
             for (at, byte) in changes {
                 let at = at.index(bytes.len());
                 bytes[at] = byte;
             }
-            if let Ok(info) = MessageInfo::decode(WireForm::Ros1, bytes.into()) {
+            if let Ok(info) = MessageInfo::decode(form, bytes.into()) {
                 far.hear_info(info, *now);
             }
         }
@@ -313,7 +316,12 @@ proptest! {
     }
 
     #[test]
-    fn any_peer_is_survived_in_bounded_memory(steps in prop::collection::vec(any_step(), 0..30)) {
+    fn any_peer_is_survived_in_bounded_memory(
+        confirms_payloads: bool,
+        steps in prop::collection::vec(any_step(), 0..30),
+    ) {
+        let limits = ConnectionLimits { confirms_payloads, ..LIMITS };
+        let end = || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
         let (mut near, mut far, mut now) = (end(), end(), at(0));
         for step in steps {
             bring(step, &mut near, &mut far, &mut now);
