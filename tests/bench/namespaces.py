@@ -52,8 +52,10 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
 
 
 @contextmanager
-def two_distant_hosts(bits_per_second: int, delay_ms: int) -> Iterator[tuple[Host, Host]]:
-    """Edge and cloud, joined by a wire with this rate and delay in either direction. Its queues hold 4 MB."""
+def two_distant_hosts(
+    up_ms: int, down_ms: int, bits_per_second: int | None = None
+) -> Iterator[tuple[Host, Host]]:
+    """Edge and cloud, joined by a wire that delays what goes up and what comes down. With a rate its queues hold 4 MB."""
     with _hosts() as (edge, cloud), tempfile.TemporaryDirectory(prefix=PREFIX) as folder, ExitStack() as stack:
         for host in (edge, cloud):
             switch = ["vde_switch", "--sock", f"{folder}/{host.name}", "--tap", DEVICE]
@@ -61,10 +63,11 @@ def two_distant_hosts(bits_per_second: int, delay_ms: int) -> Iterator[tuple[Hos
                 "a virtual switch runs", lambda host=host: _has_device(host) and Path(folder, host.name, "ctl").exists()
             )
             _set_up(host)
-            shape = f"qdisc add dev {DEVICE} root tbf rate {bits_per_second}bit burst 32kb limit 4000000"
-            _run(*host.inside(["tc", *shape.split()]))
+            if bits_per_second is not None:
+                shape = f"qdisc add dev {DEVICE} root tbf rate {bits_per_second}bit burst 32kb limit 4000000"
+                _run(*host.inside(["tc", *shape.split()]))
         plugs = ":".join(f"{folder}/{host.name}" for host in (edge, cloud))
-        wire = ["wirefilter", "-v", plugs, "-d", str(delay_ms), "--nofifo"]
+        wire = ["wirefilter", "-v", plugs, "-d", f"LR{up_ms}", "-d", f"RL{down_ms}", "--nofifo"]
         stack.enter_context(Program(edge.inside(wire), Path(folder, "wire.log")))
         yield edge, cloud
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,7 +23,9 @@ class Plant:
         self.database = folder / "peernet.sqlite"
         self._running: list[Program] = []
 
-    def daemon(self, name: str, configuration: str, host: Host = LOOPBACK) -> Program:
+    def daemon(
+        self, name: str, configuration: str, host: Host = LOOPBACK, environment: Mapping[str, str] | None = None
+    ) -> Program:
         """Starts `peernetd run` and waits until it says that it is ready."""
         path = self.folder / f"{name}.toml"
         path.write_text(configuration)
@@ -37,6 +39,7 @@ class Plant:
                     "NOTIFY_SOCKET": str(self.folder / f"{name}.ready"),
                     "ORT_DYLIB_PATH": str(ROOT / "onnxruntime/lib/libonnxruntime.so"),
                     "RUST_BACKTRACE": "1",
+                    **(environment or {}),
                 },
             )
             self._running.append(program)

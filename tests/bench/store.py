@@ -83,22 +83,28 @@ def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Delay:
-    """A one-way delay as it was reported, beside the plain difference of its stamps. Seconds."""
+    """A one-way delay as it was reported, seconds, beside what the two free-running clocks showed."""
 
-    raw: float
-    value: float
-    lo: float
-    hi: float
+    sent_raw_ns: int
+    received_raw_ns: int
+    value: float | None
+    lo: float | None
+    hi: float | None
+    verdict: str
+
+    def edge_raw_ns(self, direction: str) -> int:
+        """The edge's stamp."""
+        return self.sent_raw_ns if direction == "upload" else self.received_raw_ns
 
 
 def delays(database: Path, run: Run, name: str) -> list[Delay]:
-    """The delays of one name that have a value, in the order of iterations."""
+    """The delays of one name, in the order of iterations."""
     query = (
-        "SELECT (transit.received_ns - transit.sent_ns) * 1e-9, node.value, node.lo, node.hi FROM iteration"
-        " JOIN node ON node.run = iteration.run AND node.iteration = iteration.number"
+        "SELECT transit.sent_raw_ns, transit.received_raw_ns, node.value, node.lo, node.hi, coalesce(verdict.text, '')"
+        " FROM iteration JOIN node ON node.run = iteration.run AND node.iteration = iteration.number"
         " JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node"
-        f" JOIN name ON name.id = node.name WHERE {COUNTED} AND name.text = ? AND node.lo IS NOT NULL"
-        " AND node.value IS NOT NULL AND transit.received_ns IS NOT NULL"
+        " JOIN name ON name.id = node.name LEFT JOIN verdict ON verdict.id = transit.verdict"
+        f" WHERE {COUNTED} AND name.text = ? AND transit.sent_raw_ns IS NOT NULL AND transit.received_raw_ns IS NOT NULL"
     )
     with _open(database) as connection:
         return [Delay(*row) for row in connection.execute(query, (run.number, name))]

@@ -4,7 +4,23 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import agent, attacked, browser, delays, idle, ingest, live, loop, model, networks, node, pages, python, stream
+from . import (
+    agent,
+    attacked,
+    browser,
+    delays,
+    idle,
+    ingest,
+    live,
+    loop,
+    model,
+    networks,
+    node,
+    pages,
+    python,
+    stream,
+    violations,
+)
 
 # Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
@@ -18,6 +34,7 @@ ALL: dict[str, ModuleType] = {
     "live": live,
     "pages": pages,
     "delays": delays,
+    "violations": violations,
     "idle": idle,
     "agent": agent,
     "attacked": attacked,

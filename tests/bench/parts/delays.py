@@ -1,170 +1,99 @@
-"""Errors of one-way delays: what is reported, against the truth that two hosts on one kernel's clock allow to know."""
+"""Errors of one-way delays against the truth, over paths with delays of their own, beside what other programs tell."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from statistics import fmean
 
-import store
-from namespaces import Host, need_root, two_hosts
-from plant import LOOPBACK, Plant, free_ports, plant
-from programs import Failure
-from quantiles import quantile
+import others
+from clocks import AHEAD_S, DIRECTIONS, HZ, VETH, Clocks, Errors, Judged, Path, Scene, slews, wire
+from namespaces import Host, need_root
 from report import Section, Table, micros
 
-DIRECTIONS = ("upload", "download")
-HZ = 100
-AIM_S = 50e-6
+PATHS = (VETH, wire(1, 1), wire(5, 40), wire(20, 20), wire(5, 300))
+DRIFTS_PPM = (0, 100, 200)
+AIM_ERROR_S = 5e-6
+AIM_WIDTH_S = 20e-6
 
-
-@dataclass(frozen=True)
-class Case:
-    """What one row of the table is about."""
-
-    cable: str
-    saturated: bool
-    timestamps: str
-
-    def words(self) -> str:
-        return f"{self.cable}, {'saturated' if self.saturated else 'idle'}, {self.timestamps}"
-
-
-CASES = tuple(
-    Case(cable, saturated, timestamps)
-    for cable in ("loopback", "veth")
-    for saturated in (False, True)
-    for timestamps in ("kernel", "user")
-)
+Rows = list[tuple[str, dict[str, list[Judged]]]]
 
 
 def prepare() -> None:
     need_root()
+    others.prepare()
 
 
 def measure(quick: bool) -> Section:
-    seconds = 3 if quick else 20
+    seconds = 4 if quick else 12
     section = Section("Errors of one-way delays")
     section.say(
-        f"1 kB, {HZ} times a second for {seconds} s, echoed. Both agents read the kernel's clock, which is the truth, "
-        "but count as two clocks, of which nothing is known but the exchanges between them (no time daemon's word, "
-        "drift limit 50 ppm). *Saturated*: a second pipeline sends 1.2 MB back and forth as fast as it can. Stamps of "
-        "probes by the kernel, or by the program alone. Error: reported minus true, without its sign. Width: of the "
-        "interval that is promised to contain the truth. All in µs."
+        f"1 kB, {HZ} times a second for {seconds} s, echoed. The clocks of both agents are the kernel's; the edge's are "
+        f"{AHEAD_S * 1e3:g} ms ahead and drift as each row says, which undone gives the truth. No time daemon is asked, the "
+        "drift limit is 200 ppm. Paths: up/down. *Saturated*: a second pipeline sends 1.2 MB back and forth as fast as it "
+        "can. *Slewed*: the edge's wall clock runs 500 ppm fast for 4 s and 40,000 ppm for 1 s. Error: reported minus true, "
+        "without its sign. Width: of the interval that is promised to contain the truth. All in µs."
     )
-    table = Table("cable, link, stamps", "", "true p50", "error mean", "p50", "p99", "width p50", "outside")
-    seen: list[tuple[Case, Errors]] = []
-    for case in CASES:
-        print(f"  {case.words()}", file=sys.stderr, flush=True)
-        for direction, delays in _run(case, seconds).items():
-            if not delays:
-                raise Failure(f"{case.words()}: no {direction} was given a value")
-            errors = Errors.of(delays)
-            seen.append((case, errors))
-            _row(table, case.words() if direction == DIRECTIONS[0] else "", direction, errors)
+    table = Table("path, link, drift", "", "true p50", "error mean", "p99", "width p50", "believed", "outside")
+    beside = Table("path", "", "error mean", "width p50", "outside")
+    seen: dict[str, list[Errors]] = {}
+    for path in PATHS:
+        print(f"  {path.name}", file=sys.stderr, flush=True)
+        with path.hosts() as (edge, cloud):
+            for name, scene in _scenes(path, seconds):
+                errors = {way: Errors.of(delays) for way, delays in scene.run(edge, cloud).items()}
+                seen[f"{path.name}, {name}"] = list(errors.values())
+                _rows(table, f"{path.name}, {name}", errors)
+            _beside(beside, path, seen[f"{path.name}, idle, 0 ppm"], edge, cloud, seconds)
     section.table(table)
-    outside = sum(errors.outside for _, errors in seen)
-    count = sum(errors.count for _, errors in seen)
-    section.aim("one-way delays: the truth is inside the interval", f"{outside} of {count:,} outside", outside == 0)
-    mean = max(errors.mean for case, errors in seen if case.cable == "veth" and not case.saturated)
-    section.aim(f"one-way delays, veth, idle: mean error ≤ {micros(AIM_S)} µs", f"{micros(mean)} µs", mean <= AIM_S)
+    section.say(
+        "On the same paths, what a user gets elsewhere. *chrony*: the stamps' difference less the offset that chrony "
+        "(following the cloud's chronyd over the path, up to four polls a second) tells of equal clocks, with its root "
+        "delay and dispersion as interval. *stamp-suite*: its one-way delays with clocks 500 ms apart, which it takes for one. "
+        "All in µs."
+    )
+    section.table(beside)
+    _aims(section, seen)
     return section
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Seconds, but for the counts."""
-
-    count: int
-    outside: int
-    truth: float
-    mean: float
-    p50: float
-    p99: float
-    width: float
-
-    @classmethod
-    def of(cls, delays: list[store.Delay]) -> Errors:
-        errors = sorted(abs(one.value - one.raw) for one in delays)
-        return cls(
-            len(delays),
-            # Stored in seconds with 53 bits: two nanoseconds are rounding.
-            sum(not one.lo - 2e-9 <= one.raw <= one.hi + 2e-9 for one in delays),
-            quantile(sorted(one.raw for one in delays), 0.5),
-            fmean(errors),
-            quantile(errors, 0.5),
-            quantile(errors, 0.99),
-            quantile(sorted(one.hi - one.lo for one in delays), 0.5),
-        )
+def _scenes(path: Path, seconds: float) -> list[tuple[str, Scene]]:
+    scenes = [
+        (f"{'saturated' if saturated else 'idle'}, {drift} ppm", Scene(Clocks(drift), seconds, saturated=saturated))
+        for saturated in (False, True)
+        for drift in DRIFTS_PPM
+    ]
+    scenes.append(("slewed", Scene(Clocks(wall_steps=slews()), seconds)))
+    if path == VETH:
+        scenes.append(("idle, program's stamps", Scene(Clocks(), seconds, timestamps="user")))
+    return scenes
 
 
-def _row(table: Table, case: str, direction: str, errors: Errors) -> None:
-    figures = (errors.truth, errors.mean, errors.p50, errors.p99, errors.width)
-    table.row(case, direction, *map(micros, figures), f"{errors.outside} of {errors.count:,}")
+def _rows(table: Table, name: str, errors: dict[str, Errors]) -> None:
+    for way, of in errors.items():
+        figures = map(micros, (of.truth, of.mean, of.p99, of.width))
+        counts = f"{of.believed:,} of {of.count:,}", f"{of.outside} of {of.believed:,}"
+        table.row(name if way == DIRECTIONS[0] else "", way, *figures, *counts)
 
 
-def _run(case: Case, seconds: int) -> dict[str, list[store.Delay]]:
-    with _hosts(case.cable) as (edge, cloud), plant() as it:
-        events, web, data = free_ports(3)
-        it.aggregator(edge, events=events, web=web)
-        it.daemon("cloud", _cloud(it, case, cloud, data), cloud)
-        text = _edge(it, case, f"tcp://{edge.address}:{events}", f"{cloud.address}:{data}", seconds)
-        agent = it.daemon("edge", text, edge)
-        agent.wait_until("its run is stored", lambda: it.is_stored("small"), seconds + 60)
-        run = store.run_of(it.database, "small")
-        if run is None:
-            raise Failure("the run that was stored is gone")
-        return {direction: store.delays(it.database, run, direction) for direction in DIRECTIONS}
+def _beside(
+    table: Table, path: Path, ours: list[Errors], edge: Host, cloud: Host, seconds: float
+) -> None:
+    up, down = ours
+    table.row(
+        path.name, "PEERNet", micros(max(up.mean, down.mean)), micros(up.width), f"{up.outside + down.outside}"
+    )
+    chrony = others.chrony(edge, cloud, seconds)
+    table.row("", "chrony", micros(chrony.error), micros(chrony.width), f"{chrony.outside:.0%}")
+    stamp = others.stamp_suite(edge, cloud, AHEAD_S, (up.truth, down.truth))
+    table.row("", "stamp-suite", micros(stamp), "none", "–")
 
 
-@contextmanager
-def _hosts(cable: str) -> Iterator[tuple[Host, Host]]:
-    if cable == "loopback":
-        yield LOOPBACK, LOOPBACK
-    else:
-        with two_hosts() as hosts:
-            yield hosts
-
-
-def _agent(it: Plant, case: Case, name: str, more: str) -> str:
-    return f"""
-        [agent]
-        name = "{name}"
-        state_dir = "{it.folder}/{name}"
-        clock_identity = "{name}"
-        {more}
-        [clock]
-        timestamps = "{case.timestamps}"
-        discipline = []
-    """
-
-
-def _cloud(it: Plant, case: Case, host: Host, data: int) -> str:
-    return f"""
-        {_agent(it, case, "cloud", "")}
-        [serve]
-        listen = "tcp://{host.address}:{data}"
-        [[model]]
-        name = "echo"
-        kind = "echo"
-    """
-
-
-def _edge(it: Plant, case: Case, aggregator: str, peer: str, seconds: int) -> str:
-    pipelines = _pipeline("small", peer, 1000, f'load = {{ mode = "rate", hz = {HZ:.1f} }}', seconds)
-    if case.saturated:
-        pipelines += _pipeline("images", peer, 1_200_000, "", seconds + 2)
-    return _agent(it, case, "edge", f'aggregator = "{aggregator}"') + pipelines
-
-
-def _pipeline(name: str, peer: str, size: int, load: str, seconds: int) -> str:
-    return f"""
-        [[pipeline]]
-        name = "{name}"
-        sensor = {{ kind = "synthetic", size_bytes = {size} }}
-        placement = {{ kind = "remote", peer = "tcp://{peer}", model = "echo" }}
-        limit = {{ duration_s = {seconds:.1f} }}
-        {load}
-    """
+def _aims(section: Section, seen: dict[str, list[Errors]]) -> None:
+    every = [errors for both in seen.values() for errors in both]
+    outside, count = sum(one.outside for one in every), sum(one.believed for one in every)
+    section.aim("one-way delays: the truth is inside the interval", f"{outside} of {count:,} outside", outside == 0)
+    for drift in DRIFTS_PPM:
+        quiet = seen[f"veth, idle, {drift} ppm"]
+        mean, width = max(one.mean for one in quiet), max(one.width for one in quiet)
+        what = f"one-way delays, veth, idle, {drift} ppm"
+        section.aim(f"{what}: mean error ≤ {micros(AIM_ERROR_S)} µs", f"{micros(mean)} µs", mean <= AIM_ERROR_S)
+        section.aim(f"{what}: width p50 ≤ {micros(AIM_WIDTH_S)} µs", f"{micros(width)} µs", width <= AIM_WIDTH_S)

@@ -106,7 +106,9 @@ def _link(section: Section, link: Link, quick: bool) -> None:
 
 
 def _hosts(link: Link) -> contextlib.AbstractContextManager[tuple[Host, Host]]:
-    return two_distant_hosts(link.bits_per_second, link.delay_ms) if link.bits_per_second else two_hosts()
+    if link.bits_per_second is None:
+        return two_hosts()
+    return two_distant_hosts(link.delay_ms, link.delay_ms, link.bits_per_second)
 
 
 def _table(section: Section, link: Link, bytes_: int, result: Results) -> None:

@@ -1,0 +1,278 @@
+"""Two agents whose clocks are one kernel's, the edge's made wrong on purpose: true delays behind what they store."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from statistics import fmean
+
+import others
+import store
+from namespaces import Host, two_distant_hosts, two_hosts
+from plant import LOOPBACK, Plant, free_ports, plant
+from programs import Failure, Program, output
+from quantiles import quantile
+
+DIRECTIONS = ("upload", "download")
+HZ = 100
+# The edge's clocks are ahead of the cloud's.
+AHEAD_S = 0.5
+# 500 ppm for four seconds, then 40,000 ppm for one: what a kernel and chrony slew at. Begin, length, rate.
+SLEWS = ((3.0, 4.0, 500.0), (8.0, 1.0, 40_000.0))
+SLEW_HZ = 10
+# Values are stored in seconds with 53 bits, and undoing a drift rounds.
+ROUNDING_S = 4e-9
+# Verdicts whose interval is promised to contain the truth.
+BELIEVED = ("ok", "limited")
+
+
+@dataclass(frozen=True)
+class Path:
+    """What lies between edge and cloud."""
+
+    name: str
+    # Up and down.
+    delays_ms: tuple[int, int] = (0, 0)
+
+    @contextmanager
+    def hosts(self) -> Iterator[tuple[Host, Host]]:
+        """Edge and cloud at its ends."""
+        if self == LOOP:
+            yield LOOPBACK, LOOPBACK
+        elif self == VETH:
+            with two_hosts() as hosts:
+                yield hosts
+        else:
+            with two_distant_hosts(*self.delays_ms) as hosts:
+                yield hosts
+
+
+LOOP = Path("loopback")
+VETH = Path("veth")
+
+
+def wire(up_ms: int, down_ms: int) -> Path:
+    """A wire with these delays."""
+    return Path(f"{up_ms}/{down_ms} ms", (up_ms, down_ms))
+
+
+def slews() -> tuple[tuple[float, float], ...]:
+    """Many small steps in place of rates."""
+    return tuple(
+        (begin + number / SLEW_HZ, ppm * 1e-6 / SLEW_HZ)
+        for begin, lasts, ppm in SLEWS
+        for number in range(round(lasts * SLEW_HZ))
+    )
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """How the edge's clocks are wrong, and what the estimate of the offset assumes."""
+
+    drift_ppm: float = 0.0
+    ahead_s: float = AHEAD_S
+    # Steps of either clock, seconds after the start and by how much.
+    wall_steps: tuple[tuple[float, float], ...] = ()
+    raw_steps: tuple[tuple[float, float], ...] = ()
+    # What time daemons are taken to say of a clock that is wrong.
+    discipline: str = "none"
+    # Lines of [clock] on both hosts.
+    settings: str = "discipline = []"
+
+    def rehearsal(self) -> str:
+        """The table that makes them so."""
+        steps = [(at, by, "wall") for at, by in self.wall_steps] + [(at, by, "raw") for at, by in self.raw_steps]
+        text = ", ".join(f'{{ at_s = {at}, by_ms = {by * 1e3}, clock = "{clock}" }}' for at, by, clock in steps)
+        return f"""
+        [rehearsal]
+        offset_ms = {self.ahead_s * 1e3}
+        drift_ppm = {self.drift_ppm}
+        discipline = "{self.discipline}"
+        steps = [{text}]
+        """
+
+    def true_ns(self, shown: int) -> int:
+        """What the kernel's raw clock showed when the edge's showed `shown`, both since the start of the rehearsal."""
+        steps = sorted(self.raw_steps)
+        for passed in range(len(steps), -1, -1):
+            stepped = sum(by for _, by in steps[:passed])
+            elapsed = shown - round((self.ahead_s + stepped) * 1e9)
+            truth = elapsed - round(elapsed - elapsed / (1 + self.drift_ppm * 1e-6))
+            if passed == 0 or truth >= steps[passed - 1][0] * 1e9:
+                return truth
+        raise AssertionError("nothing passed is always possible")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A delay that was reported, and the true one. Seconds; `at` since the start of the edge."""
+
+    at: float
+    verdict: str
+    value: float | None
+    bounds: tuple[float, float] | None
+    truth: float
+
+    @property
+    def is_believed(self) -> bool:
+        return self.verdict in BELIEVED
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether its interval is believed and does not contain the truth."""
+        if self.bounds is None or not self.is_believed:
+            return False
+        return self.excess > ROUNDING_S
+
+    @property
+    def excess(self) -> float:
+        """How far the truth is beyond its interval."""
+        lo, hi = self.bounds or (self.truth, self.truth)
+        return max(lo - self.truth, self.truth - hi)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the believed delays of one direction are worth. Seconds, but for the counts."""
+
+    count: int
+    believed: int
+    outside: int
+    truth: float
+    mean: float
+    p99: float
+    width: float
+
+    @classmethod
+    def of(cls, delays: list[Judged]) -> Errors:
+        believed = [one for one in delays if one.is_believed and one.value is not None and one.bounds is not None]
+        if not believed:
+            raise Failure(f"none of {len(delays)} delays has a value that is believed")
+        errors = sorted(abs(one.value - one.truth) for one in believed)
+        return cls(
+            len(delays),
+            len(believed),
+            sum(one.is_outside for one in believed),
+            quantile(sorted(one.truth for one in believed), 0.5),
+            fmean(errors),
+            quantile(errors, 0.99),
+            quantile(sorted(one.bounds[1] - one.bounds[0] for one in believed), 0.5),
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A pipeline of 1 kB over a path for some seconds."""
+
+    clocks: Clocks
+    seconds: float
+    timestamps: str = "kernel"
+    saturated: bool = False
+    # The cloud is shown a time that is so much ahead, by libfaketime; the edge's clocks are right, and both tell one boot id.
+    false_time_s: float | None = None
+
+    def run(self, edge: Host, cloud: Host) -> dict[str, list[Judged]]:
+        """Measures, and returns the delays of both directions; those of the warm-up do not count."""
+        with plant() as it:
+            events, web, data = free_ports(3)
+            it.aggregator(edge, events=events, web=web)
+            shown = {} if self.false_time_s is None else others.false_time(self.false_time_s, every_clock=True)
+            it.daemon("cloud", self._cloud(it, cloud, data), cloud, shown)
+            ahead_ns = _wall_less_raw_ns()
+            text = self._edge(it, f"{edge.address}:{events}", f"{cloud.address}:{data}")
+            agent = it.daemon("edge", text, edge)
+            since_ns = 0 if self.false_time_s is not None else _since_ns(agent, edge, web) - ahead_ns
+            agent.wait_until("its run is stored", lambda: it.is_stored("small"), self.seconds + 60)
+            run = store.run_of(it.database, "small")
+            if run is None:
+                raise Failure("the run that was stored is gone")
+            rows = {direction: store.delays(it.database, run, direction) for direction in DIRECTIONS}
+            return {direction: self._judged(of, since_ns, direction) for direction, of in rows.items()}
+
+    def _judged(self, rows: list[store.Delay], since_ns: int, direction: str) -> list[Judged]:
+        judged = []
+        for row in rows:
+            bounds = None if row.lo is None or row.hi is None else (row.lo, row.hi)
+            if direction == "upload":
+                edge, cloud = self._edge_ns(row.sent_raw_ns - since_ns), self._cloud_ns(row.received_raw_ns - since_ns)
+                truth = cloud - edge
+            else:
+                edge, cloud = self._edge_ns(row.received_raw_ns - since_ns), self._cloud_ns(row.sent_raw_ns - since_ns)
+                truth = edge - cloud
+            judged.append(Judged(edge * 1e-9, row.verdict, row.value, bounds, truth * 1e-9))
+        return judged
+
+    def _edge_ns(self, shown: int) -> int:
+        return shown if self.false_time_s is not None else self.clocks.true_ns(shown)
+
+    def _cloud_ns(self, shown: int) -> int:
+        return shown - round((self.false_time_s or 0.0) * 1e9)
+
+    def _agent(self, it: Plant, name: str, more: str) -> str:
+        return f"""
+        [agent]
+        name = "{name}"
+        state_dir = "{it.folder}/{name}"
+        {"" if self.false_time_s is not None else f'clock_identity = "{name}"'}
+        {more}
+        [clock]
+        timestamps = "{self.timestamps}"
+        {self.clocks.settings}
+        """
+
+    def _cloud(self, it: Plant, host: Host, data: int) -> str:
+        return f"""
+        {self._agent(it, "cloud", "")}
+        [serve]
+        listen = "tcp://{host.address}:{data}"
+        [[model]]
+        name = "echo"
+        kind = "echo"
+        """
+
+    def _edge(self, it: Plant, aggregator: str, peer: str) -> str:
+        # The path may hold so many.
+        timed = f'load = {{ mode = "rate", hz = {HZ:.1f} }}\nmax_in_flight = 64'
+        pipelines = _pipeline("small", peer, 1000, timed, self.seconds)
+        if self.saturated:
+            pipelines += _pipeline("images", peer, 1_200_000, "", self.seconds + 2)
+        agent = self._agent(it, "edge", f'aggregator = "tcp://{aggregator}"')
+        return agent + ("" if self.false_time_s is not None else self.clocks.rehearsal()) + pipelines
+
+
+def _pipeline(name: str, peer: str, size: int, load: str, seconds: float) -> str:
+    return f"""
+        [[pipeline]]
+        name = "{name}"
+        sensor = {{ kind = "synthetic", size_bytes = {size} }}
+        placement = {{ kind = "remote", peer = "tcp://{peer}", model = "echo" }}
+        limit = {{ duration_s = {seconds:.1f} }}
+        {load}
+    """
+
+
+def _wall_less_raw_ns() -> int:
+    raw = time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
+    wall = time.clock_gettime_ns(time.CLOCK_REALTIME)
+    return wall - (raw + time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)) // 2
+
+
+def _since_ns(agent: Program, edge: Host, web: int) -> int:
+    """When the edge's rehearsal began, by the kernel's wall clock."""
+    url = f"http://127.0.0.1:{web}/api/v1/hosts/edge"
+    told: list[str] = []
+
+    def is_told() -> bool:
+        answer = output(edge.inside(["curl", "--silent", url]) if edge.name else ["curl", "--silent", url])
+        clock = json.loads(answer).get("clock") or {}
+        told[:] = [rehearsal["since"]] if (rehearsal := clock.get("rehearsal")) else []
+        return bool(told)
+
+    agent.wait_until("the edge tells of its clocks", is_told)
+    seconds, _, fraction = told[0].rstrip("Z").partition(".")
+    whole = int(datetime.fromisoformat(seconds + "+00:00").timestamp())
+    return whole * 1_000_000_000 + int(fraction.ljust(9, "0"))
