@@ -86,10 +86,12 @@ fn the_published_commands_work_word_for_word() {
             .all(|host| record[host]["clock"].as_str().is_some_and(|text| !text.is_empty())),
         "{record:#}"
     );
-    let offset = |which: &str| record["clocks"]["upload"][which]["value"].as_f64();
-    // The free-running clocks are one; the wall clock is read a moment after them.
-    for offset in ["first_offset", "last_offset"].map(offset) {
-        assert!(offset.is_some_and(|seconds| seconds.abs() < 3e-6), "one clock: {record:#}");
+    // The free-running clocks are one, and the wall clock is read a moment after them. In two network namespaces nothing proves that: the
+    // offset is measured.
+    for which in ["first_offset", "last_offset"] {
+        let offset = &record["clocks"]["upload"][which];
+        let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
+        assert!(bounds.is_some_and(|(lo, hi)| lo < 3e-6 && -3e-6 < hi), "one clock: {record:#}");
     }
     let facts = record["facts"].as_array().expect("pairs");
     let data_set = facts.iter().find(|fact| fact[0] == "Data set").map(|fact| &fact[1]);
