@@ -116,6 +116,7 @@ async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
         pipeline: "interop".parse()?,
         model: None,
         device: None,
+        clock_socket: None,
     };
     let session = Session::open(&format!("udp://{address}").parse()?, hello, settings, clock()).await?;
     println!("datagrams of {datagram_bytes} bytes through libzmq's RADIO and DISH, both ways");

@@ -6,9 +6,7 @@ use std::convert::Infallible;
 use std::pin::pin;
 use std::sync::Mutex;
 
-use peernet_clock::{
-    ClockIdentity, Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, Witnessed,
-};
+use peernet_clock::{Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, Witnessed};
 use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
@@ -31,12 +29,12 @@ pub(super) struct NamedReflector {
 }
 
 impl NamedReflector {
-    /// A reflector that was asked nothing; `edge` is the clock of this host.
-    pub(super) fn new(address: ReflectorAddress, edge: &ClockIdentity, settings: RelationSettings) -> Self {
+    /// A reflector that was asked nothing.
+    pub(super) fn new(address: ReflectorAddress, settings: RelationSettings) -> Self {
         Self {
             address,
             probing: Mutex::new(Probing::Off("about to begin".to_owned())),
-            answered: Mutex::new(ReflectorAnswers::new(edge, settings)),
+            answered: Mutex::new(ReflectorAnswers::new(settings)),
         }
     }
 
@@ -97,11 +95,11 @@ struct ReflectorAnswers {
 }
 
 impl ReflectorAnswers {
-    fn new(edge: &ClockIdentity, settings: RelationSettings) -> Self {
+    fn new(settings: RelationSettings) -> Self {
         let clocks = RelatedClocks::RawToWall;
         // Nobody claims anything about a clock that belongs to no host of ours.
         let settings = RelationSettings { clocks, trust_time_daemons: false, ..settings };
-        let relation = Relation::new(edge, &ClockIdentity::new("", "reflector"), settings);
+        let relation = Relation::new(settings);
         Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
     }
 
@@ -178,8 +176,7 @@ mod tests {
 
     #[test]
     fn offset_of_wall_clocks_is_relation_less_how_far_own_wall_clock_is_ahead() {
-        let edge = ClockIdentity::new("boot", "clock");
-        let mut answers = ReflectorAnswers::new(&edge, RelationSettings::default());
+        let mut answers = ReflectorAnswers::new(RelationSettings::default());
         let millis = Span::from_millis;
         let now = Stamp {
             raw: RawTime::from_nanos(0) + millis(1_000),

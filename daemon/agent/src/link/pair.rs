@@ -68,8 +68,7 @@ impl Link {
         // The announcement of the latest interruption may still be on its way.
         knowledge.begin_epoch_of_edge(clock.epoch());
         let named = shared.probes.reflectors.get(&accepted.name);
-        let reflector =
-            named.map(|address| NamedReflector::new(address.clone(), clock.identity(), shared.relation));
+        let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
         let link = Self {
             shared: Arc::clone(shared),
             peer: accepted.host,
