@@ -111,12 +111,12 @@ fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
         Ok(hello) => {
             let problem =
                 format!("node {} asked for a connection in the name of {}", publisher.node, hello.node);
-            peers.garbage(publisher.remote, problem);
+            peers.garbage(publisher.remote, &problem);
         }
         Err(error) => {
             let problem =
                 format!("a request of node {} for a connection cannot be read: {error}", publisher.node);
-            peers.garbage(publisher.remote, problem);
+            peers.garbage(publisher.remote, &problem);
         }
     }
 }

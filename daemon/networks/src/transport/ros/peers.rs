@@ -131,8 +131,8 @@ impl Peers {
     }
 
     /// Hands up that a node sent something that makes no sense.
-    pub(super) fn garbage(&self, from: SocketAddr, problem: String) {
-        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(&problem).into_owned());
+    pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
+        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
         if self.deliveries.try_send((garbage, Vec::new())).is_err() {
             tracing::debug!(%from, problem, "a message that makes no sense is not counted, because nobody receives");
         }

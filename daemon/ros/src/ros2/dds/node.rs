@@ -318,7 +318,7 @@ impl NodeList {
             ..QosProfile::default()
         };
         // The topic has no keys, so that the entries of all participants are in one history.
-        let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos.clone() };
+        let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos };
         let of_others = policies(EndpointRole::Subscription, &of_others);
         let qos = policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
