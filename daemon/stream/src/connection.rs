@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::NetworkName;
 
-/// A connection of a link, by the account of its edge.
+/// A connection of a link, by the account of its edge and, where that is known, of its cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Connection {
     /// The pipeline that uses it.
@@ -21,6 +21,10 @@ pub struct Connection {
     pub interface: Option<NetworkInterface>,
     /// What was sent and received on it.
     pub statistics: ConnectionStatistics,
+    /// What the cloud counted at its end, some seconds ago at most; `None` where it did not tell. Since version 7 of the event
+    /// stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cloud: Option<ConnectionStatistics>,
 }
 
 /// An interface of a host.

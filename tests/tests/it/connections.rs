@@ -28,7 +28,8 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     let edge = site.agent("edge", EDGE);
     let connection = api.until("/api/v1/links/edge~cloud", |link| {
         let connection = link["now"]["connections"].get(0)?;
-        (connection["up"]["messages"].as_u64()? > 50).then(|| connection.clone())
+        let at_cloud = connection["cloud"]["up"]["messages"].as_u64()?;
+        (connection["up"]["messages"].as_u64()? > 50 && at_cloud > 50).then(|| connection.clone())
     });
     let (up, down) = (&connection["up"], &connection["down"]);
     assert_eq!((&connection["pipeline"], &connection["network"]), (&"offload".into(), &"zmq-tcp".into()));
@@ -38,6 +39,14 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     assert!(up["lost_datagrams"].is_null() && down["retransmitted_datagrams"].is_null(), "{connection}");
     let trip = &connection["transport_round_trip"];
     assert!(trip["smoothed_s"].as_f64().is_some_and(|trip| trip > 0.0 && trip < 1.0), "{connection}");
+    // What the cloud tells is older than what the edge counts at the moment.
+    let at_cloud = &connection["cloud"];
+    for (direction, counted) in [("up", up), ("down", down)] {
+        let told = at_cloud[direction]["bytes"].as_u64();
+        assert!(told > Some(100_000) && told <= counted["bytes"].as_u64(), "{connection}");
+    }
+    assert!(at_cloud["down"]["retransmitted_datagrams"].is_u64(), "the edge cannot know it: {connection}");
+    assert!(at_cloud["transport_round_trip"]["smoothed_s"].is_f64(), "{connection}");
     let interface = &connection["interface"];
     assert_eq!((&interface["name"], &interface["type"]), (&"lo".into(), &"loopback".into()));
     let remote = format!("127.0.0.1:{}", site.data);
@@ -48,6 +57,7 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     for text in ["Connections</h2>", "by lo, loopback, MTU ", "round trip of its packets ", remote.as_str()] {
         assert!(page.contains(text), "the page lacks {text:?}: {page}");
     }
+    assert!(page.contains("data-h=\"counted by\">cloud</td>"), "{page}");
     let (_, metrics) = api.get("/metrics").expect("the aggregator answers");
     let series = "peernet_link_transferred_bytes_total{edge=\"edge\",cloud=\"cloud\",network=\"zmq-tcp\",\
                   pipeline=\"offload\",direction=\"upload\"} ";
@@ -101,6 +111,7 @@ fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
     assert!(up["datagrams"].as_u64() > up["lost_datagrams"].as_u64().map(|lost| 10 * lost), "{connection}");
     assert!(up["duplicated_datagrams"].is_u64() && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(down["datagrams"].is_u64() && down["retransmitted_datagrams"].is_null(), "{connection}");
+    assert!(connection["cloud"]["up"]["datagrams"].as_u64() > Some(100), "{connection}");
     let trip = connection["transport_round_trip"]["smoothed_s"].as_f64();
     assert!(trip.is_some_and(|trip| (0.03..1.0).contains(&trip)), "{connection}");
     assert_eq!(connection["interface"]["name"], "data");

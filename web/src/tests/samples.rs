@@ -357,6 +357,25 @@ fn connection() -> Connection {
             }),
             ..ConnectionStatistics::default()
         },
+        cloud: Some(ConnectionStatistics {
+            sent: DirectionStatistics {
+                bytes: 1_400_000,
+                messages: 10_480,
+                datagrams: Some(10_655),
+                duplicated: Some(0),
+                reordered: Some(0),
+                retransmitted: Some(4),
+                ..DirectionStatistics::default()
+            },
+            received: DirectionStatistics {
+                bytes: 1_249_900_000,
+                messages: 10_481,
+                datagrams: Some(863_100),
+                reordered: Some(12),
+                ..DirectionStatistics::default()
+            },
+            ..ConnectionStatistics::default()
+        }),
     }
 }
 

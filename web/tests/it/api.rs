@@ -373,6 +373,9 @@ async fn links_and_clocks_are_served() {
     assert_eq!(connection["down"]["retransmitted_datagrams"], Value::Null, "only the cloud's kernel knows");
     assert_eq!(connection["interface"], json!({ "name": "wlan0", "type": "wireless", "mtu_bytes": 1500 }));
     assert_eq!(connection["transport_round_trip"]["smoothed_s"], json!(0.00231));
+    let cloud = &connection["cloud"];
+    assert_eq!(cloud["up"]["bytes"], connection["up"]["bytes"], "the cloud received what the edge sent");
+    assert_eq!(cloud["transport_round_trip"], Value::Null);
 
     let series = bed.get("/api/v1/links/cam-3~rack-a/clock?points=600").await.json();
     let points = series["points"].as_array().expect("points");

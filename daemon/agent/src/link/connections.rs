@@ -52,6 +52,7 @@ impl Connections {
             remote: addresses.map(|addresses| addresses.remote.to_string()),
             interface,
             statistics,
+            cloud: session.statistics.peer(),
         };
         self.by_session.insert(session.id, (addresses, connection));
     }

@@ -14,6 +14,7 @@ use std::collections::HashMap;
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use peernet_inference::{Bank, Done, InferenceError};
 use peernet_logger::{HostId, Slug};
@@ -25,6 +26,7 @@ use peernet_probes::{ReceiveError, Reflector};
 use peernet_stream::{Condition, Hardware, IncidentKind};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -110,14 +112,34 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Tells all peers at once what becomes known of this host's clock.
+/// Time between two reports of what was counted on a connection at this end.
+const REPORT_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Tells all peers at once what becomes known of this host's clock, and again and again what was counted on their connections.
 async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
-    while let Some(Ok(())) = stop.run_until_cancelled(own.changed()).await {
-        let clock = own.borrow_and_update().clone();
-        for announcer in &announcers {
-            announcer.announce(clock.clone());
+    let announcing = async {
+        while own.changed().await.is_ok() {
+            let clock = own.borrow_and_update().clone();
+            for announcer in &announcers {
+                announcer.announce(clock.clone());
+            }
         }
-    }
+    };
+    let reporting = async {
+        let mut due = tokio::time::interval(REPORT_INTERVAL);
+        due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            due.tick().await;
+            let announcers = announcers.clone();
+            // The system is asked about each connection, for which sessions are not to wait.
+            let report = move || announcers.iter().for_each(Announcer::report_statistics);
+            if let Err(error) = tokio::task::spawn_blocking(report).await {
+                tracing::error!(%error, "reporting what was counted on connections panicked");
+                return;
+            }
+        }
+    };
+    stop.run_until_cancelled(async { tokio::join!(announcing, reporting) }).await;
 }
 
 /// Serves sessions until it is told to stop.

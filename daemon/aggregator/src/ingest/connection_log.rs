@@ -86,6 +86,7 @@ mod tests {
                 sent: DirectionStatistics { bytes, ..DirectionStatistics::default() },
                 ..ConnectionStatistics::default()
             },
+            cloud: None,
         }
     }
 

@@ -7,7 +7,7 @@
 use bytes::Bytes;
 use peernet_clock::{RawTime, Span, WallTime};
 use peernet_sample::{Description, Part, Sample};
-use peernet_stream::{VersionMismatch, VersionRange};
+use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 use serde::{Deserialize, Serialize};
 
 use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, words};
@@ -61,6 +61,8 @@ pub(crate) enum Header {
     Reply(Reply),
     /// Cloud: this is known of my wall clock from now on.
     Clock(Box<ClockNews>),
+    /// Cloud: this was sent and received at my end of the session's connection so far.
+    Statistics(Box<CountedAtCloud>),
     /// Cloud: there is no such session here (any more).
     UnknownSession(UnknownSession),
     /// Either: the session is over.
@@ -165,6 +167,13 @@ pub(crate) enum Outcome {
 pub(crate) struct ClockNews {
     pub(crate) session: SessionId,
     pub(crate) clock: PeerClock,
+}
+
+/// Since [`STATISTICS_SINCE`](super::STATISTICS_SINCE).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct CountedAtCloud {
+    pub(crate) session: SessionId,
+    pub(crate) statistics: ConnectionStatistics,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

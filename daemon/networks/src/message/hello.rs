@@ -19,6 +19,9 @@ pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1,
 /// The first version in which messages carry stamps of the free-running clocks.
 pub const RAW_STAMPS_SINCE: u16 = 5;
 
+/// The version of the protocol from which on clouds tell what they counted on a session's connection.
+pub(crate) const STATISTICS_SINCE: u16 = 5;
+
 /// Most findings about a host that a peer may tell.
 pub const MAX_CONDITIONS: usize = 32;
 /// Most accelerators of a peer that are kept.

@@ -7,6 +7,7 @@
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, untouched |
 //! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, untouched |
 //! | clock | cloud | session, what is known of the cloud's clock | | |
+//! | statistics | cloud | session, what was counted at the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
 //! | goodbye | either | session, reason; an edge whose run is over: how many iterations that was to have | | |
 //!
@@ -26,9 +27,10 @@ pub(crate) mod strategies;
 
 pub use clock_socket::{ClockSocketName, NoClockSocketName};
 pub(crate) use header::{
-    Accepted, ClockNews, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
-    Refused, Reply, Request, SampleHeader, UnknownSession,
+    Accepted, ClockNews, CountedAtCloud, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome,
+    RefusalKind, Refused, Reply, Request, SampleHeader, UnknownSession,
 };
+pub(crate) use hello::STATISTICS_SINCE;
 pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
     SessionId,

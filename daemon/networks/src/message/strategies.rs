@@ -6,13 +6,15 @@ use peernet_clock::{
 };
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
-use peernet_stream::{Condition, Grade, Hardware, Release, VersionRange};
+use peernet_stream::{
+    Condition, ConnectionStatistics, DirectionStatistics, Grade, Hardware, Release, VersionRange,
+};
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, ClockSocketName, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
-    RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
-    UnknownSession,
+    Accepted, ClockNews, ClockSocketName, CountedAtCloud, Departure, Goodbye, Header, Open, Outcome,
+    PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted,
+    SessionHello, SessionId, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -201,6 +203,9 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                 let (kind, reason, max_message_bytes, ordered, arrived_raw) = rest;
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
                 let protocol = versions.oldest();
+                let lost = ordered.filter(|_| reason.is_empty());
+                let sent = DirectionStatistics { bytes: max_message_bytes, lost, ..DirectionStatistics::default() };
+                let counted = ConnectionStatistics { sent, ..ConnectionStatistics::default() };
                 prop_oneof![
                     1 => Just(Header::Open(Box::new(Open { hello, max_message_bytes }))),
                     1 => Just(Header::Accepted(Box::new(Accepted {
@@ -214,6 +219,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
                     1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
+                    1 => Just(Header::Statistics(Box::new(CountedAtCloud { session, statistics: counted }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),
                 ]

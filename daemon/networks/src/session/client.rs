@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use peernet_stream::{VersionMismatch, VersionRange};
+use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 
 use crate::message::{Accepted, Header, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId};
 
@@ -82,6 +82,8 @@ pub(crate) enum Heard<W> {
     Late,
     /// This is known of the cloud's wall clock from now on.
     Clock(PeerClock),
+    /// This the cloud counted at its end of the connection so far.
+    Statistics(Box<ConnectionStatistics>),
     /// Makes no sense in this session.
     Malformed(&'static str),
     /// The session is over, and these wait in vain.
@@ -125,6 +127,10 @@ impl<W> Client<W> {
             },
             Header::Clock(news) if news.session == self.session => Heard::Clock(news.clock),
             Header::Clock(_) => Heard::Malformed("the clock of another session"),
+            Header::Statistics(told) if told.session == self.session => {
+                Heard::Statistics(Box::new(told.statistics))
+            }
+            Header::Statistics(_) => Heard::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
                 self.over_by(CloseReason::UnknownSession)
             }
@@ -261,7 +267,7 @@ mod tests {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        Heard::Clock(_) | Heard::Late | Heard::Malformed(_) => {}
+                        Heard::Clock(_) | Heard::Statistics(_) | Heard::Late | Heard::Malformed(_) => {}
                     },
                     Step::End => {
                         over = true;

@@ -1,7 +1,6 @@
 //! The cloud's driver: all sessions of a port.
 
 use std::collections::VecDeque;
-use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,46 +12,21 @@ use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use super::announcer::Announcer;
+use super::bind_error::BindError;
 use super::budget::Budget;
-
 use super::exchange::Sizes;
 use super::incoming::{ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket};
 use super::server::{Heard, Route, Server, Standing};
 use crate::message::{
-    Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, RAW_STAMPS_SINCE, Reply, Request,
-    SampleHeader, SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth, put_upload,
+    CountedAtCloud, Departure, Header, HeaderError, MAX_FRAMES, Outcome, PeerClock, RAW_STAMPS_SINCE, Reply,
+    Request, SampleHeader, SessionAccepted, SessionId, TreeFrameError, decode_tree, encode_growth,
+    put_upload,
 };
 use crate::statistics::{ConnectionStatistics, Counters, TransportStatistics};
 use crate::transport::{
     Arrival, BindFailure, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendOptions,
 };
 use crate::{Address, SessionSettings};
-
-/// Why a port could not be listened on.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum BindError {
-    /// Another program listens there.
-    #[error(
-        "cannot listen on {0}: another program uses port {port}; stop it or configure another port",
-        port = .0.port()
-    )]
-    InUse(Address),
-    /// The port needs a privilege.
-    #[error(
-        "cannot listen on {0}: permission denied; ports below 1024 need a privilege, configure a higher one"
-    )]
-    Denied(Address),
-    /// The address is another machine's.
-    #[error(
-        "cannot listen on {0}: this machine has no such address; use {scheme}://0.0.0.0:{port} for all of its interfaces",
-        scheme = .0.scheme(),
-        port = .0.port()
-    )]
-    NotLocal(Address),
-    /// Anything else.
-    #[error("cannot listen on {0}: {1}")]
-    Other(Address, String),
-}
 
 /// A port at which edges open sessions.
 #[derive(Debug)]
@@ -190,6 +164,9 @@ impl Listener {
                 Arrival::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     self.shared.counters.lost(1);
+                    if let Some(counters) = self.shared.machine().counters_of(connection) {
+                        counters.lost(1);
+                    }
                 }
                 Arrival::Moved(connection, address) => {
                     tracing::debug!(?connection, %address, "an edge has another address");
@@ -241,9 +218,10 @@ fn heard(
     frames: Frames,
     received: (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
-    shared.counters.received(Sizes::of(&frames).total());
+    let bytes = Sizes::of(&frames).total();
+    shared.counters.received(bytes);
     if frames.len() > MAX_FRAMES {
-        shared.malformed(peer.address, "too many frames");
+        shared.malformed(peer, "too many frames");
         return None;
     }
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
@@ -253,12 +231,17 @@ fn heard(
             return None;
         }
         Err(error) => {
-            shared.malformed(peer.address, &error.to_string());
+            shared.malformed(peer, &error.to_string());
             return None;
         }
     };
     // Bound, so that the lock is free again before the answers below take it.
     let heard = shared.machine().hear(peer, header);
+    if let Heard::Open(session, _) | Heard::Request(Request { session, .. }) = &heard
+        && let Some(counters) = shared.machine().counters(*session)
+    {
+        counters.received(bytes);
+    }
     match heard {
         Heard::Open(session, hello) => {
             shared.settle(peer.connection);
@@ -275,7 +258,7 @@ fn heard(
             Some(Incoming::Closed { session, said_goodbye: true, ordered })
         }
         Heard::Malformed(problem) => {
-            shared.malformed(peer.address, problem);
+            shared.malformed(peer, problem);
             None
         }
     }
@@ -305,7 +288,7 @@ fn incoming_request(
             Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
-            shared.malformed(peer.address, &problem.to_string());
+            shared.malformed(peer, &problem.to_string());
             let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
             shared.answer(ticket, None, Err(failure));
             None
@@ -375,15 +358,27 @@ impl PortState {
         }
     }
 
+    pub(crate) fn report_statistics(&self) {
+        let sessions = self.machine().counted_sessions();
+        for (session, peer, counters) in sessions {
+            let statistics = counters.statistics(&self.sender.statistics(peer.connection));
+            let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
+            self.tell(&peer, &header);
+        }
+    }
+
     /// Sends an answer with what `log` grew here; both are absent when no model was asked.
     pub(crate) fn answer(&self, ticket: Ticket, log: Option<Recorder>, result: Result<Sample, Failure>) {
         // Before the request is out of flight: closing must find one of the two, or it says goodbye before the answer.
         self.sending.fetch_add(1, Ordering::SeqCst);
         let route = self.machine().finish(ticket.session, ticket.request);
-        let sent = route.is_some_and(|route| self.send_answer(&route, ticket, log, result));
+        let sent = route.as_ref().is_some_and(|route| self.send_answer(route, ticket, log, result));
         self.sending.fetch_sub(1, Ordering::SeqCst);
         if !sent {
             self.counters.lost(1);
+            if let Some(route) = &route {
+                route.counters.lost(1);
+            }
         }
         self.answered.notify_one();
     }
@@ -419,12 +414,13 @@ impl PortState {
         let mut frames = Vec::with_capacity(2 + payload.len());
         frames.extend([header, grown.unwrap_or_default()]);
         frames.extend(payload);
-        self.send(&route.peer, frames, Some(request))
+        self.send(&route.peer, frames, Some(request), Some(&route.counters))
     }
 
     fn tell(&self, peer: &Peer, header: &Header) -> bool {
+        let counters = self.machine().counters_of(peer.connection);
         match header.encode() {
-            Ok(header) => self.send(peer, vec![header], None),
+            Ok(header) => self.send(peer, vec![header], None, counters.as_deref()),
             Err(error) => {
                 tracing::warn!(%error, "a message to an edge was dropped");
                 false
@@ -432,11 +428,13 @@ impl PortState {
         }
     }
 
-    fn send(&self, peer: &Peer, frames: Frames, tag: Option<u64>) -> bool {
+    fn send(&self, peer: &Peer, frames: Frames, tag: Option<u64>, of_session: Option<&Counters>) -> bool {
         let bytes = Sizes::of(&frames).total();
         match self.sender.send(peer, frames, SendOptions { deadline: None, tag }) {
             Ok(()) => {
-                self.counters.sent(bytes);
+                for counters in [Some(&self.counters), of_session].into_iter().flatten() {
+                    counters.sent(bytes);
+                }
                 true
             }
             Err(reason) => {
@@ -446,8 +444,12 @@ impl PortState {
         }
     }
 
-    fn malformed(&self, from: Option<SocketAddr>, problem: &str) {
+    fn malformed(&self, from: &Peer, problem: &str) {
         self.counters.malformed();
+        if let Some(counters) = self.machine().counters_of(from.connection) {
+            counters.malformed();
+        }
+        let from = from.address;
         let now = self.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(times) = throttle.count("malformed", from.map(|address| address.ip()), now) {

@@ -68,6 +68,8 @@ pub(crate) struct SessionState {
     max_message_bytes: u64,
     pub(crate) over: watch::Sender<Option<CloseReason>>,
     pub(crate) peer_clock: watch::Sender<PeerClock>,
+    /// What the cloud told last of its end of the connection.
+    pub(crate) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     /// What the transport remarked, oldest first; [`MAX_REMARKS`] at most.
     pub(crate) remarks: watch::Sender<Vec<String>>,
     /// How many iterations the run was to have, once it is over.
@@ -118,6 +120,7 @@ impl Session {
             max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             over: watch::Sender::new(None),
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
+            peer_statistics: watch::Sender::default(),
             remarks: watch::Sender::new(remarks),
             ordered: OnceLock::new(),
         });
@@ -158,6 +161,11 @@ impl Session {
         let mut remarks = self.inner.shared.remarks.subscribe();
         remarks.mark_changed();
         remarks
+    }
+
+    /// What the cloud tells of its end of the connection: `None` until it does.
+    pub fn peer_statistics(&self) -> watch::Receiver<Option<ConnectionStatistics>> {
+        self.inner.shared.peer_statistics.subscribe()
     }
 
     /// Returns what was sent and received so far, the messages that opened the session included.
@@ -270,6 +278,12 @@ impl StatisticsReader {
     /// often enough.
     pub fn read(&self) -> Option<ConnectionStatistics> {
         Some(self.0.upgrade()?.statistics())
+    }
+
+    /// Returns what the cloud told last of its end of the connection; `None` when it has told nothing, as clouds of releases
+    /// before 0.3.
+    pub fn peer(&self) -> Option<ConnectionStatistics> {
+        *self.0.upgrade()?.peer_statistics.borrow()
     }
 }
 

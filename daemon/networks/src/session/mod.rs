@@ -4,6 +4,7 @@
 //! and `cloud` drive them over a transport.
 
 mod announcer;
+mod bind_error;
 mod budget;
 mod client;
 mod cloud;
@@ -15,8 +16,9 @@ mod receiving;
 mod server;
 
 pub use announcer::Announcer;
+pub use bind_error::BindError;
 pub use client::CloseReason;
-pub use cloud::{BindError, Listener};
+pub use cloud::Listener;
 pub use edge::{Session, StatisticsReader};
 pub use exchange::{Exchange, RequestError};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};

@@ -36,6 +36,10 @@ impl SessionState {
                 }
                 None
             }
+            Heard::Statistics(statistics) => {
+                self.peer_statistics.send_replace(Some(*statistics));
+                None
+            }
             Heard::Clock(clock) => {
                 self.peer_clock.send_replace(clock);
                 None

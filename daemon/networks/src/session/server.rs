@@ -2,12 +2,14 @@
 
 use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 use crate::SessionSettings;
 use crate::message::{
     Accepted, ClockNews, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
-    SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
+use crate::statistics::Counters;
 use crate::transport::{AddressGroup, ConnectionId, Peer};
 use peernet_logger::HostId;
 use peernet_stream::VersionMismatch;
@@ -38,6 +40,7 @@ struct Entry {
     in_flight: HashSet<u64>,
     /// Largest message that the edge takes.
     max_message_bytes: u64,
+    counters: Arc<Counters>,
 }
 
 /// What a message from an edge means.
@@ -74,6 +77,8 @@ pub(crate) struct Route {
     pub(crate) max_message_bytes: u64,
     /// The version of the protocol that was chosen.
     pub(crate) version: u16,
+    /// Where the answer is counted.
+    pub(crate) counters: Arc<Counters>,
 }
 
 impl Server {
@@ -104,6 +109,7 @@ impl Server {
             | Header::Refused(_)
             | Header::Reply(_)
             | Header::Clock(_)
+            | Header::Statistics(_)
             | Header::UnknownSession(_) => Heard::Malformed("only a cloud says that"),
         }
     }
@@ -141,6 +147,7 @@ impl Server {
             accepted: false,
             in_flight: HashSet::new(),
             max_message_bytes: open.max_message_bytes,
+            counters: Arc::default(),
         };
         self.sessions.insert(session, entry);
         self.connections.entry(peer.connection).or_default().push(session);
@@ -266,6 +273,13 @@ impl Server {
         news
     }
 
+    /// Returns the open sessions whose edges can be told what was counted, with what counts it.
+    pub(crate) fn counted_sessions(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
+        let told = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
+        let open = self.sessions.iter().filter(|(_, entry)| told(entry));
+        open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
+    }
+
     /// A request has its answer: where to send it. `None` when the session is gone.
     pub(crate) fn finish(&mut self, session: SessionId, request: u64) -> Option<Route> {
         let entry = self.sessions.get_mut(&session)?;
@@ -273,7 +287,18 @@ impl Server {
             peer: entry.peer.clone(),
             max_message_bytes: entry.max_message_bytes,
             version: entry.version,
+            counters: Arc::clone(&entry.counters),
         })
+    }
+
+    /// Returns what counts the messages of a session.
+    pub(crate) fn counters(&self, session: SessionId) -> Option<Arc<Counters>> {
+        self.sessions.get(&session).map(|entry| Arc::clone(&entry.counters))
+    }
+
+    /// Returns what counts the messages of a connection, which has one session as a rule.
+    pub(crate) fn counters_of(&self, connection: ConnectionId) -> Option<Arc<Counters>> {
+        self.counters(self.session_of(connection)?)
     }
 
     /// Returns a session of a connection.

@@ -275,6 +275,9 @@ pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
 
     /// A connection has no session any more.
     fn demote(&self, connection: ConnectionId);
+
+    /// What the transport knows of a connection beside whole messages. It may ask the system.
+    fn statistics(&self, connection: ConnectionId) -> TransportStatistics;
 }
 
 /// The receiving half of the cloud's end.

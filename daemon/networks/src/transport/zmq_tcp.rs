@@ -269,6 +269,10 @@ impl CloudSender for ZmtpSender {
     fn demote(&self, connection: ConnectionId) {
         Self::demote(self, connection);
     }
+
+    fn statistics(&self, connection: ConnectionId) -> TransportStatistics {
+        self.addresses(connection).as_ref().map(tcp_statistics).unwrap_or_default()
+    }
 }
 
 impl CloudReceiver for ZmtpListener {

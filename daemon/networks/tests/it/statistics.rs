@@ -30,6 +30,17 @@ async fn both_ends_count_same_bytes_and_messages() {
     mirrored.reverse();
     assert_eq!(totals(&edge), mirrored);
 
+    // What the cloud tells of its end is what was counted when it told.
+    let reader = session.statistics_reader();
+    assert_eq!(reader.peer(), None, "nothing was told yet");
+    cloud.listener.announcer().report_statistics();
+    let mut told = session.peer_statistics();
+    within(told.wait_for(Option::is_some)).await.expect("the session is open");
+    let peer = reader.peer().expect("it was told");
+    assert_eq!(totals(&peer), totals(&listener), "the report itself is not counted yet");
+    assert!(peer.round_trip.is_some() && peer.sent.retransmitted.is_some(), "{peer:?}");
+    assert_eq!((peer.malformed_messages, peer.lost_messages), (0, 0));
+
     // What a listener adds up of several connections, no kernel counts.
     assert_eq!((listener.round_trip, listener.sent.retransmitted), (None, None));
 }

@@ -44,6 +44,7 @@ fn told(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample 
                 round_trip: Some(trip),
                 ..ConnectionStatistics::default()
             },
+            cloud: None,
         },
     }
 }

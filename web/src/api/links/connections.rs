@@ -5,7 +5,8 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// An open connection of a link, by the account of its edge. Totals count from when it was opened.
+/// An open connection of a link, by the account of its edge, and in `cloud` by that of its cloud. Totals count from when it was
+/// opened.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkConnection {
     /// The pipeline that uses it.
@@ -30,6 +31,23 @@ pub(crate) struct LinkConnection {
     pub late_messages: u64,
     /// Requests that will never be answered, because they or their answers were lost on the way or the connection ended.
     pub lost_messages: u64,
+    /// What the cloud counted at its end, a second or two ago; null where it did not tell: clouds of releases before 0.3 do not.
+    pub cloud: Option<LinkCloudEnd>,
+}
+
+/// The cloud's end of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct LinkCloudEnd {
+    /// From edge to cloud.
+    pub up: LinkDirection,
+    /// From cloud to edge.
+    pub down: LinkDirection,
+    /// The round trip of the transport's own packets; null where the transport does not measure one.
+    pub transport_round_trip: Option<TransportRoundTrip>,
+    /// Messages that arrived there and made no sense.
+    pub malformed_messages: u64,
+    /// Answers that could not be handed to the network, or that were lost on the way.
+    pub lost_messages: u64,
 }
 
 /// A network interface of an edge.
@@ -43,7 +61,7 @@ pub(crate) struct LinkInterface {
     pub mtu_bytes: Option<u32>,
 }
 
-/// One direction of a connection. Null is what the edge cannot know of it.
+/// One direction of a connection. Null is what the end that counts cannot know of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LinkDirection {
     /// Bytes of the messages, without what the transport adds around them.
@@ -86,14 +104,33 @@ impl From<&stream::Connection> for LinkConnection {
             }),
             up: statistics.sent.into(),
             down: statistics.received.into(),
-            transport_round_trip: statistics.round_trip.map(|trip| TransportRoundTrip {
-                min_s: trip.min.map(Span::seconds),
-                smoothed_s: trip.smoothed.seconds(),
-                variation_s: trip.variation.seconds(),
-            }),
+            transport_round_trip: statistics.round_trip.map(TransportRoundTrip::from),
             malformed_messages: statistics.malformed_messages,
             late_messages: statistics.late_messages,
             lost_messages: statistics.lost_messages,
+            cloud: connection.cloud.as_ref().map(LinkCloudEnd::from),
+        }
+    }
+}
+
+impl From<&stream::ConnectionStatistics> for LinkCloudEnd {
+    fn from(statistics: &stream::ConnectionStatistics) -> Self {
+        Self {
+            up: statistics.received.into(),
+            down: statistics.sent.into(),
+            transport_round_trip: statistics.round_trip.map(TransportRoundTrip::from),
+            malformed_messages: statistics.malformed_messages,
+            lost_messages: statistics.lost_messages,
+        }
+    }
+}
+
+impl From<stream::TransportRoundTrip> for TransportRoundTrip {
+    fn from(trip: stream::TransportRoundTrip) -> Self {
+        Self {
+            min_s: trip.min.map(Span::seconds),
+            smoothed_s: trip.smoothed.seconds(),
+            variation_s: trip.variation.seconds(),
         }
     }
 }

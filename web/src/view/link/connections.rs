@@ -12,6 +12,8 @@ pub(crate) struct DirectionRow {
     pub pipeline: String,
     /// `upload` or `download`.
     pub direction: &'static str,
+    /// The host whose account it is.
+    pub counted_by: String,
     pub bytes: String,
     /// The columns after the bytes: messages, datagrams, lost, duplicated, reordered, sent again.
     pub counts: Vec<Count>,
@@ -31,14 +33,22 @@ pub(crate) struct Route {
     pub words: String,
 }
 
-/// Both directions of each connection.
+/// Both directions of each connection by the account of the edge, and by that of the cloud where it told.
 pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
-    let connections = connections(subject).iter();
-    let both = connections.flat_map(|connection| {
-        let statistics = &connection.statistics;
-        [row(connection, "upload", &statistics.sent), row(connection, "download", &statistics.received)]
-    });
-    both.collect()
+    let (edge, cloud) = (subject.edge.as_str(), subject.cloud.as_str());
+    let of_connection = |connection: &Connection| {
+        let counted = &connection.statistics;
+        let mut rows = vec![
+            row(connection, ("upload", edge), &counted.sent),
+            row(connection, ("download", edge), &counted.received),
+        ];
+        if let Some(counted) = &connection.cloud {
+            rows.insert(1, row(connection, ("upload", cloud), &counted.received));
+            rows.push(row(connection, ("download", cloud), &counted.sent));
+        }
+        rows
+    };
+    connections(subject).iter().flat_map(of_connection).collect()
 }
 
 /// The way of each connection.
@@ -64,7 +74,11 @@ fn connections<'a>(subject: &Subject<'a>) -> &'a [Connection] {
     subject.live.map_or(&[], |link| link.live.connections.as_slice())
 }
 
-fn row(connection: &Connection, direction: &'static str, known: &DirectionStatistics) -> DirectionRow {
+fn row(
+    connection: &Connection,
+    (direction, counted_by): (&'static str, &str),
+    known: &DirectionStatistics,
+) -> DirectionRow {
     let counts = [
         ("messages", Some(known.messages)),
         ("datagrams", known.datagrams),
@@ -76,6 +90,7 @@ fn row(connection: &Connection, direction: &'static str, known: &DirectionStatis
     DirectionRow {
         pipeline: connection.pipeline.to_string(),
         direction,
+        counted_by: counted_by.to_owned(),
         bytes: bytes(known.bytes as f64).to_string(),
         counts: counts.map(|(name, value)| Count { name, value: value.map(count) }).to_vec(),
     }
@@ -129,13 +144,18 @@ mod tests {
     fn unknown_counts_are_dashes_and_zero_is_zero() {
         let link = samples::link(Some(0.0005), &[]);
         let rows = rows(&Subject::live(&link));
-        let [up, down] = &rows[..] else { panic!("{rows:?}") };
-        assert_eq!((up.direction, down.direction), ("upload", "download"));
+        let [up, received, down, sent] = &rows[..] else { panic!("{rows:?}") };
+        let labels = rows.iter().map(|row| (row.direction, row.counted_by.as_str())).collect::<Vec<_>>();
+        let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
+        let expected = ["upload", "download"].map(|direction| [(direction, edge), (direction, cloud)]);
+        assert_eq!(labels, expected.concat());
         assert_eq!((up.pipeline.as_str(), up.bytes.as_str()), ("line", "1.25\u{202f}GB"));
         let texts =
             |row: &DirectionRow| row.counts.iter().map(|one| one.text().to_owned()).collect::<Vec<_>>();
         assert_eq!(texts(up), ["10,482", "863,204", NONE, "0", "0", "17"]);
         assert_eq!(texts(down), ["10,480", "10,655", NONE, NONE, "3", NONE]);
+        assert_eq!(texts(received), ["10,481", "863,100", NONE, NONE, "12", NONE]);
+        assert_eq!(texts(sent), ["10,480", "10,655", NONE, "0", "0", "4"]);
     }
 
     #[test]

@@ -190,6 +190,11 @@ fn connection(pipeline: &str, at: WallTime) -> Connection {
             }),
             ..ConnectionStatistics::default()
         },
+        cloud: Some(ConnectionStatistics {
+            sent: received,
+            received: DirectionStatistics { retransmitted: None, ..sent },
+            ..ConnectionStatistics::default()
+        }),
     }
 }
 

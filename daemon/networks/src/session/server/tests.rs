@@ -209,6 +209,7 @@ fn about(mut header: Header, session: SessionId) -> Header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
         Header::Clock(news) => news.session = session,
+        Header::Statistics(told) => told.session = session,
         Header::UnknownSession(unknown) => unknown.session = session,
         Header::Goodbye(goodbye) => goodbye.session = session,
         Header::Accepted(accepted) => accepted.session = session,

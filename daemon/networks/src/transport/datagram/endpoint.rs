@@ -14,6 +14,7 @@ use super::partial_message::PEAK_COST;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
 use super::timers::Timers;
+use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 
@@ -358,6 +359,12 @@ impl Endpoint {
         {
             entry.standing = Standing::Greeted;
         }
+    }
+
+    /// Returns what is known of a connection; nothing when it is over.
+    pub(crate) fn statistics(&mut self, id: ConnectionId, now: MonoTime) -> TransportStatistics {
+        let entry = self.entries.get_mut(&id.0);
+        entry.map(|entry| entry.connection.statistics(now)).unwrap_or_default()
     }
 
     /// The connection has a session.

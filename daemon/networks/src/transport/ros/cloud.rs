@@ -17,6 +17,7 @@ use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, To
 use super::names::{cloud_node, refusals_topic, sessions_topic};
 use super::peers::{Delivery, Peers, Standing};
 use crate::descriptors::DescriptorShare;
+use crate::statistics::TransportStatistics;
 use crate::transport::memory::MemoryBudget;
 use crate::transport::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
@@ -142,6 +143,10 @@ impl CloudSender for RosCloudSender {
 
     fn demote(&self, connection: ConnectionId) {
         self.0.set_standing(connection, Standing::Unadmitted);
+    }
+
+    fn statistics(&self, connection: ConnectionId) -> TransportStatistics {
+        self.0.channel(connection).map(|channel| channel.statistics()).unwrap_or_default()
     }
 }
 

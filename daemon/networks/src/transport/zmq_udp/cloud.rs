@@ -16,6 +16,7 @@ use super::radio::PREFIX;
 use super::socket::UdpPort;
 use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
 use crate::descriptors::DescriptorShare;
+use crate::statistics::TransportStatistics;
 use crate::transport::datagram::endpoint::{Delivery, Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{
@@ -134,6 +135,10 @@ impl CloudSender for UdpCloudSender {
 
     fn demote(&self, connection: ConnectionId) {
         self.0.with(|end, now| end.endpoint.demote(connection, now));
+    }
+
+    fn statistics(&self, connection: ConnectionId) -> TransportStatistics {
+        self.0.with(|end, now| end.endpoint.statistics(connection, now))
     }
 }
 

@@ -13,6 +13,7 @@ use tokio::net::tcp::OwnedWriteHalf;
 use tokio::sync::{Notify, OwnedSemaphorePermit};
 
 use super::limits::ListenerLimits;
+use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, ConnectionId, Frames, SendFailure};
 
@@ -99,6 +100,12 @@ impl ZmtpConnection {
             max_queued_bytes: limits.max_queued_bytes,
             _place: place,
         }
+    }
+
+    /// Both ends; `None` when the socket is gone.
+    pub(super) fn addresses(&self) -> Option<ConnectionAddresses> {
+        let local = self.writer.local_addr().ok()?;
+        Some(ConnectionAddresses { local, remote: self.address })
     }
 
     pub(super) fn codec(&self) -> MutexGuard<'_, Codec> {

@@ -18,6 +18,7 @@ use super::driver::{Budgets, Driver, End};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
 use super::rejections::{Rejection, RejectionCounts};
 use super::table::{ConnectionTable, Inserted};
+use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
 
@@ -139,6 +140,11 @@ impl ZmtpSender {
     pub fn try_send(&self, connection: ConnectionId, frames: Frames) -> Result<(), SendFailure> {
         let connection = self.shared.table.get(connection);
         connection.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?.try_send(frames)
+    }
+
+    /// Returns both ends of a connection; `None` when it is over.
+    pub(crate) fn addresses(&self, connection: ConnectionId) -> Option<ConnectionAddresses> {
+        self.shared.table.get(connection)?.addresses()
     }
 
     /// The connection's hello has come and is being decided on; its deadline is met.
