@@ -103,6 +103,11 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// The name by which messages of this node are recognised at the other end.
     fn name(&self) -> &str;
 
+    /// Returns the names that people gave the programs behind a node; none while they are not known.
+    fn names(&self, node: &str) -> Vec<String> {
+        vec![node.to_owned()]
+    }
+
     /// Names another node for people, as `node /viewer`: `node` is how its messages are recognised.
     fn describe(&self, node: &str) -> String;
 

@@ -1,6 +1,6 @@
 //! The task of one end of a virtual connection: receives from its topics and keeps its time.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -69,12 +69,13 @@ impl<S: Sink> Serving<S> {
 
     async fn drive(mut self, goodbye: &str) {
         let mut waiting = VecDeque::new();
-        let mut foreign = BTreeSet::new();
+        let mut foreign = SecondPublishers::default();
         let mut connected = BTreeSet::new();
         let (mut is_closing, mut opens_payload_topic) = (false, false);
         let mut left = None;
         loop {
             self.send_due();
+            self.remark_waiting(&mut foreign);
             self.collect(&mut waiting);
             while !waiting.is_empty()
                 && let Ok(permit) = self.deliveries.try_reserve()
@@ -164,7 +165,7 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    fn take(&mut self, step: Step, foreign: &mut BTreeSet<Arc<str>>) {
+    fn take(&mut self, step: Step, foreign: &mut SecondPublishers) {
         match step {
             Step::Info(Ok(message)) => {
                 if self.is_of_peer(&message, self.info.topic(), foreign) {
@@ -225,7 +226,7 @@ impl<S: Sink> Serving<S> {
     }
 
     /// Whether a message is of the node at the other end. Others are named once.
-    fn is_of_peer(&self, message: &Received, topic: &str, foreign: &mut BTreeSet<Arc<str>>) -> bool {
+    fn is_of_peer(&self, message: &Received, topic: &str, foreign: &mut SecondPublishers) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -235,18 +236,38 @@ impl<S: Sink> Serving<S> {
         false
     }
 
-    fn remark_second_publisher(&self, node: &Arc<str>, topic: &str, foreign: &mut BTreeSet<Arc<str>>) {
+    fn remark_second_publisher(&self, node: &Arc<str>, topic: &str, foreign: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
+        let has_room = foreign.told.len() + foreign.unnamed.len() < MAX_FOREIGN;
+        if foreign.told.contains(node) || !has_room && !foreign.unnamed.contains_key(node) {
+            return;
+        }
+        let names = self.channel.node.names(node);
+        // Its name may be known a little later than its topics.
+        let since = foreign.unnamed.get(node).map_or_else(Instant::now, |(_, since)| *since);
+        if names.is_empty() && since.elapsed() < NAME_TIMEOUT {
+            foreign.unnamed.entry(Arc::clone(node)).or_insert_with(|| (topic.to_owned(), since));
+            return;
+        }
+        foreign.unnamed.remove(node);
         // An earlier connection of the same pipeline ends by itself.
-        let is_earlier =
-            without_connection(node).is_some_and(|own| Some(own) == without_connection(&peer.node));
-        if !is_earlier && foreign.len() < MAX_FOREIGN && foreign.insert(Arc::clone(node)) {
+        let own = self.channel.node.names(&peer.node);
+        let own: BTreeSet<&str> = own.iter().filter_map(|name| without_connection(name)).collect();
+        let is_earlier = names.iter().any(|name| without_connection(name).is_some_and(|of| own.contains(of)));
+        if !is_earlier && foreign.told.insert(Arc::clone(node)) {
             let (second, first) = (self.channel.node.describe(node), self.channel.node.describe(&peer.node));
             let text = format!(
                 "topic {topic} has two publishers: the messages of {second} are dropped, because the session is that of {first}; \
                  stop the former, or give the pipeline another name"
             );
             self.channel.lock().remark(text);
+        }
+    }
+
+    /// Names those whose names have become known, or are not awaited any longer.
+    fn remark_waiting(&self, foreign: &mut SecondPublishers) {
+        for (node, (topic, _)) in foreign.unnamed.clone() {
+            self.remark_second_publisher(&node, &topic, foreign);
         }
     }
 
@@ -293,6 +314,17 @@ impl<S: Sink> Serving<S> {
 
 /// Time in which the last messages of a peer may arrive once it has left one of both topics, which have no common order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Time in which the name of a node becomes known once its topics are.
+const NAME_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Nodes beside the peer that publish on a topic of the connection.
+#[derive(Debug, Default)]
+struct SecondPublishers {
+    told: BTreeSet<Arc<str>>,
+    /// Those without a known name, each with its topic and since when.
+    unnamed: BTreeMap<Arc<str>, (String, Instant)>,
+}
 
 /// Most second publishers that are named.
 const MAX_FOREIGN: usize = 16;

@@ -305,6 +305,11 @@ impl SessionNode for Ros2SessionNode {
         describe(&own, node)
     }
 
+    fn names(&self, node: &str) -> Vec<String> {
+        let (own, id) = (self.node(), node.parse());
+        own.ok().zip(id.ok()).map(|(own, id): (_, ParticipantId)| own.nodes_of(id)).unwrap_or_default()
+    }
+
     fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
         Ok(absolute_topic(&self.namespace, &self.name, name)?)
     }
