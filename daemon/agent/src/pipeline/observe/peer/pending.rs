@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{MonoTime, Span};
+use peernet_logger::HostId;
 
 use crate::observed::ObservedPair;
 
@@ -18,13 +19,20 @@ pub(super) struct PendingPairs<P> {
     pairs: VecDeque<Pending<P>>,
 }
 
+/// What a peer told of a pair. The session in which it did may be over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PeerAnswer {
+    pub(super) peer: HostId,
+    pub(super) seen: ObservedPair,
+}
+
 #[derive(Debug)]
 struct Pending<P> {
     key: i64,
     ask_at: MonoTime,
     give_up_at: MonoTime,
     /// The newest answer.
-    answer: Option<ObservedPair>,
+    answer: Option<PeerAnswer>,
     pair: P,
 }
 
@@ -55,9 +63,9 @@ impl<P> PendingPairs<P> {
     }
 
     /// Takes in an answer. Returns the pairs of which both messages are known now.
-    pub(super) fn take_answer(&mut self, answer: &ObservedPair) -> Vec<P> {
-        let is_known = |pending: &Pending<P>| pending.key == answer.key;
-        if !answer.is_complete() {
+    pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
+        let is_known = |pending: &Pending<P>| pending.key == answer.seen.key;
+        if !answer.seen.is_complete() {
             self.pairs
                 .iter_mut()
                 .filter(|pending| is_known(pending))
@@ -73,7 +81,7 @@ impl<P> PendingPairs<P> {
 
     /// Gives up the next pair that has waited for too long by `now`, with what the peer knew of it; to be called until there is
     /// none.
-    pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<ObservedPair>)> {
+    pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<PeerAnswer>)> {
         let oldest = self.pairs.pop_front_if(|oldest| oldest.give_up_at <= now)?;
         Some((oldest.pair, oldest.answer))
     }
@@ -84,7 +92,7 @@ impl<P> PendingPairs<P> {
     }
 
     /// Gives up the oldest pair, whatever its time.
-    pub(super) fn give_up(&mut self) -> Option<(P, Option<ObservedPair>)> {
+    pub(super) fn give_up(&mut self) -> Option<(P, Option<PeerAnswer>)> {
         self.pairs.pop_front().map(|oldest| (oldest.pair, oldest.answer))
     }
 }
@@ -100,10 +108,12 @@ mod tests {
         MonoTime::from_nanos(millis * 1_000_000)
     }
 
-    fn answer(key: i64, has_output: bool) -> ObservedPair {
+    fn answer(key: i64, has_output: bool) -> PeerAnswer {
         let stamp =
             HostStamp { wall: WallTime::from_unix_nanos(5), raw: RawTime::from_nanos(5), epoch: Some(0) };
-        ObservedPair::new(key, Some(stamp), has_output.then_some(stamp), has_output.then_some(Span::ZERO))
+        let output = has_output.then_some(stamp);
+        let seen = ObservedPair::new(key, Some(stamp), output, has_output.then_some(Span::ZERO));
+        PeerAnswer { peer: HostId::from_bytes([1; 16]), seen }
     }
 
     #[test]

@@ -36,6 +36,12 @@ impl SilenceWatch {
         self.is_reported = true;
         Some(SilenceReport::Began)
     }
+
+    /// Begins to count anew: without a session the peer could not tell what it knows. What was reported stays so until
+    /// the peer knows a message.
+    pub(super) const fn lose_session(&mut self) {
+        self.since = None;
+    }
 }
 
 #[cfg(test)]
@@ -52,5 +58,18 @@ mod tests {
         assert_eq!((note(false, 9), note(false, 18)), (None, None));
         assert_eq!((note(false, 19), note(false, 40)), (Some(SilenceReport::Began), None));
         assert_eq!((note(true, 41), note(true, 42)), (Some(SilenceReport::Ended), None));
+    }
+
+    #[test]
+    fn time_without_session_is_no_silence_of_the_peer() {
+        let mut watch = SilenceWatch::default();
+        let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
+        assert_eq!(watch.note(false, at(0)), None);
+        watch.lose_session();
+        assert_eq!((watch.note(false, at(60)), watch.note(false, at(69))), (None, None));
+        assert_eq!(watch.note(false, at(70)), Some(SilenceReport::Began));
+        watch.lose_session();
+        assert_eq!((watch.note(false, at(99)), watch.note(false, at(200))), (None, None), "said already");
+        assert_eq!(watch.note(true, at(201)), Some(SilenceReport::Ended));
     }
 }

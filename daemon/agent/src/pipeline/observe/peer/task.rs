@@ -4,17 +4,17 @@ use std::pin::pin;
 use std::sync::Arc;
 
 use peernet_clock::{LogThrottle, MonoTime, OneWayDelay, Span};
-use peernet_logger::HostId;
+use peernet_networks::CloseReason;
 use peernet_stream::IncidentKind;
 use tokio::sync::mpsc;
 
 use super::connection::{PeerConnection, PeerConnector};
-use super::pending::PendingPairs;
+use super::pending::{PeerAnswer, PendingPairs};
 use super::silence::{SilenceReport, SilenceWatch};
 use super::{Pair, SettledPair, record_without_peer};
 use crate::host::Host;
 use crate::link::Crossing;
-use crate::observed::{MAX_KEYS, ObservedPair};
+use crate::observed::MAX_KEYS;
 use crate::pauses::Pauses;
 use crate::pipeline::observe::record;
 
@@ -64,6 +64,7 @@ impl PeerTask {
                 return;
             };
             self.connection = None;
+            self.silence.lose_session();
             let name = &connection.name;
             let text = format!(
                 "lost {name}: {reason}; until it is back, iterations are recorded without its stamps (peer-unanswered)"
@@ -76,7 +77,7 @@ impl PeerTask {
     }
 
     /// Asks over one session. Returns why it is over, or `None` when the observer hands over nothing more.
-    async fn converse(&mut self, connection: &PeerConnection) -> Option<String> {
+    async fn converse(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
         loop {
@@ -85,7 +86,9 @@ impl PeerTask {
             if !keys.is_empty() {
                 match self.attend(connection.ask(keys)).await? {
                     // A peer tells of no more than it was asked for.
-                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| self.take_answer(pair)),
+                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| {
+                        self.take_answer(&PeerAnswer { peer: connection.host, seen: *pair });
+                    }),
                     Err(trouble) => self.log(trouble.text()),
                 }
                 continue;
@@ -98,7 +101,7 @@ impl PeerTask {
                 }
             };
             match self.wait(idle).await {
-                Waited::Done(Some(reason)) => return Some(reason.to_string()),
+                Waited::Done(Some(reason)) => return Some(reason),
                 Waited::Done(None) | Waited::Woken => {}
                 Waited::Finished => return None,
             }
@@ -154,10 +157,10 @@ impl PeerTask {
         }
     }
 
-    fn take_answer(&mut self, seen: &ObservedPair) {
-        for pair in self.pending.take_answer(seen) {
+    fn take_answer(&mut self, answer: &PeerAnswer) {
+        for pair in self.pending.take_answer(answer) {
             self.note(true);
-            self.settle_with(&pair, seen);
+            self.settle_with(&pair, answer);
         }
     }
 
@@ -179,26 +182,24 @@ impl PeerTask {
         }
     }
 
-    fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&ObservedPair>) {
+    fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&PeerAnswer>) {
         match answer {
-            Some(seen) => {
+            Some(answer) => {
                 self.note(false);
-                self.settle_with(pair, seen);
+                self.settle_with(pair, answer);
             }
             None => self.settle(record_without_peer(self.connector.host(), pair)),
         }
     }
 
-    fn settle_with(&self, pair: &Pair, seen: &ObservedPair) {
-        let host = self.connector.host();
+    fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
+        // Delays take the relation of both clocks, which a session with this peer has. Without one its stamps are kept
+        // and no delay is known.
+        let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
-            self.connection.as_ref().map_or([None, None], |connection| connection.judge(up, down))
+            connection.map_or([None, None], |connection| connection.judge(up, down))
         };
-        let settled = match &self.connection {
-            Some(connection) => record_by_peer(host, connection.host, pair, seen, judge),
-            None => record_without_peer(host, pair),
-        };
-        self.settle(settled);
+        self.settle(record_by_peer(self.connector.host(), pair, answer, judge));
     }
 
     fn settle(&self, settled: SettledPair) {
@@ -208,13 +209,11 @@ impl PeerTask {
         }
     }
 
-    /// Notes whether the peer knew a pair, and reports what follows.
+    /// Notes whether the peer knew a pair, and reports what follows. Without a session nothing follows.
     fn note(&mut self, is_known: bool) {
-        let Some(report) = self.silence.note(is_known, self.now()) else { return };
-        let (name, peer) = match &self.connection {
-            Some(connection) => (connection.name.to_string(), Some(connection.host)),
-            None => ("the peer".to_owned(), None),
-        };
+        let Some(connection) = &self.connection else { return };
+        let (name, peer) = (connection.name.to_string(), connection.host);
+        let Some(report) = self.silence.note(is_known, self.connector.host().clock.mono()) else { return };
         let observed = self.connector.observed();
         let (kind, text) = match report {
             SilenceReport::Began => (
@@ -229,7 +228,7 @@ impl PeerTask {
                 format!("{name} receives the same messages with its pipeline {observed} again"),
             ),
         };
-        self.connector.report(kind, peer, text);
+        self.connector.report(kind, Some(peer), text);
     }
 
     /// Logs why a question was not answered: it is asked again.
@@ -250,11 +249,11 @@ impl PeerTask {
 
 fn record_by_peer(
     host: &Host,
-    peer: HostId,
     pair: &Pair,
-    seen: &ObservedPair,
+    answer: &PeerAnswer,
     judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
 ) -> SettledPair {
-    let (tree, ended) = record::answered_by_peer((&host.clock, host.id), peer, pair, seen, judge);
+    let (tree, ended) =
+        record::answered_by_peer((&host.clock, host.id), answer.peer, pair, &answer.seen, judge);
     SettledPair { position: pair.input.position, tree, ended }
 }
