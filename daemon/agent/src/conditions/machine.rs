@@ -1,35 +1,121 @@
-//! Whether the host is a machine at all.
+//! What kind of machine the host is: hardware, a virtual machine or a container.
+//!
+//! The signs are those of `systemd-detect-virt`.
 
-use super::files::text;
+use std::path::Path;
+
+use super::files::{entries, text};
 use super::{Finding, Places};
 
-/// What tells a container's first process from a host's (cgroup names).
-const CONTAINERS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
+/// Names in the control groups of a container's processes. They are seen where the container has no namespace of control
+/// groups of its own.
+const GROUPS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
+
+/// Files that container managers make in the root of each container, with the manager.
+const MARKS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
+
+/// What vendor or product of virtual machines begin with.
+const VIRTUAL_PRODUCTS: [&str; 17] = [
+    "Amazon EC2",
+    "Apple Virtualization",
+    "BHYVE",
+    "Bochs",
+    "Google Compute Engine",
+    "Hyper-V",
+    "innotek GmbH",
+    "KVM",
+    "KubeVirt",
+    "OpenStack",
+    "Parallels",
+    "QEMU",
+    "VMW",
+    "VMware",
+    "Virtual Machine",
+    "VirtualBox",
+    "Xen",
+];
 
 /// A virtual machine shares its hardware with others that it cannot see: nothing speaks against it, but what is not seen
 /// is not known either.
 pub(super) fn kind(places: &Places) -> Finding {
     const ABOUT: &str = "machine";
-    let (sys, proc) = (&places.sys, &places.proc);
-    let hypervisor = text(&proc.join("cpuinfo")).is_some_and(|info| {
-        let flags = info.lines().find(|line| line.starts_with("flags"));
-        flags.is_some_and(|flags| flags.split_ascii_whitespace().any(|flag| flag == "hypervisor"))
-    }) || text(&sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
-    let groups = text(&proc.join("self/cgroup")).unwrap_or_default();
-    let container = CONTAINERS.iter().find(|name| groups.contains(**name));
-    let made = |name: &str| text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
-    let product =
-        [made("sys_vendor"), made("product_name")].into_iter().flatten().collect::<Vec<_>>().join(" ");
-    let product = if product.is_empty() { product } else { format!(" ({product})") };
-    match (hypervisor, container) {
-        (true, _) => Finding::unknown(
+    let products = products(&places.sys);
+    let product = if products.is_empty() { String::new() } else { format!(" ({})", products.join(" ")) };
+    match (is_virtual(places, &products), container(places)) {
+        (Some(true), _) => Finding::unknown(
             ABOUT,
             format!("a virtual machine{product}: what else its hardware does cannot be seen from inside"),
         ),
-        (false, Some(name)) => Finding::unknown(
+        (_, Some(name)) => Finding::unknown(
             ABOUT,
             format!("a container ({name}): it shares its host with what is not seen from inside"),
         ),
-        (false, None) => Finding::good(ABOUT, format!("not virtual{product}, as far as can be seen")),
+        (Some(false), None) => Finding::good(ABOUT, format!("not virtual{product}, as far as can be seen")),
+        (None, None) => Finding::unknown(
+            ABOUT,
+            format!("neither the processor nor a device tree says whether it is virtual{product}"),
+        ),
     }
+}
+
+/// Vendor and product, as the firmware names them.
+fn products(sys: &Path) -> Vec<String> {
+    let named = |name: &str| text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
+    [named("sys_vendor"), named("product_name")].into_iter().flatten().collect()
+}
+
+/// Returns whether the host is a virtual machine; `None` where nothing tells, as on ARM servers.
+fn is_virtual(places: &Places, products: &[String]) -> Option<bool> {
+    // Amazon rents whole machines, too.
+    let is_whole = products.iter().any(|name| name.ends_with(".metal"));
+    let is_named =
+        products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
+    let has_hypervisor = text(&places.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
+    let by_processor = processor_flag(&places.proc);
+    let by_tree = device_tree_is_virtual(&places.proc.join("device-tree"));
+    let signs = [by_processor, by_tree];
+    if has_hypervisor || (is_named && !is_whole) || signs.contains(&Some(true)) {
+        return Some(true);
+    }
+    (is_whole || signs.contains(&Some(false))).then_some(false)
+}
+
+/// Returns whether the processor says that it is virtual. Those of ARM have no such flag.
+fn processor_flag(proc: &Path) -> Option<bool> {
+    let info = text(&proc.join("cpuinfo"))?;
+    let flags = info.lines().find(|line| line.starts_with("flags"))?;
+    Some(flags.split_ascii_whitespace().any(|flag| flag == "hypervisor"))
+}
+
+/// Returns whether a board's device tree is that of a virtual machine. `None` where there is no tree.
+fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
+    let model = text(&tree.join("model"))?;
+    let is_virtual = model.starts_with("linux,dummy-virt")
+        || text(&tree.join("hypervisor/compatible")).is_some()
+        || !entries(tree, "fw-cfg@").is_empty();
+    Some(is_virtual)
+}
+
+/// The container manager, where the host is a container.
+fn container(places: &Places) -> Option<String> {
+    let named = text(&places.root.join("run/systemd/container")).filter(|name| !name.is_empty());
+    let marked = || {
+        let found = MARKS.iter().find(|(file, _)| places.root.join(file).exists());
+        found.map(|(_, manager)| (*manager).to_owned())
+    };
+    named.or_else(marked).or_else(|| {
+        let groups = text(&places.proc.join("self/cgroup"))?;
+        // `0::/system.slice/docker-1f0c.scope`
+        let parts = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
+        let mut parts = parts.flat_map(|path| path.split('/'));
+        parts.find_map(|part| GROUPS.into_iter().find(|name| is_of_container(part, name))).map(str::to_owned)
+    })
+}
+
+/// Returns whether a part of a control group's path is a container of a manager, and no service of the host such as
+/// `docker.service`.
+fn is_of_container(part: &str, manager: &str) -> bool {
+    let Some(rest) = part.strip_prefix("cri-").unwrap_or(part).strip_prefix(manager) else { return false };
+    let follows = |mark: &str| rest.starts_with(mark);
+    !part.ends_with(".service") && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(follows))
 }

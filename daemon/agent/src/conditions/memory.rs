@@ -1,4 +1,4 @@
-//! Whether memory is short.
+//! Memory that lies in the swap.
 
 use peernet_stream::Grade;
 

@@ -31,6 +31,8 @@ pub struct Places {
     pub sys: PathBuf,
     /// procfs.
     pub proc: PathBuf,
+    /// The file system's root, where container managers leave their marks.
+    pub root: PathBuf,
     /// Folders that are written to while it runs, with what they are for: `results`, `spool`.
     pub folders: Vec<(String, PathBuf)>,
     /// Where the command `iw` may be, which tells a wireless interface's power save.
@@ -46,6 +48,7 @@ impl Default for Places {
         Self {
             sys: "/sys".into(),
             proc: "/proc".into(),
+            root: "/".into(),
             folders: Vec::new(),
             iw: ["iw", "/usr/sbin/iw", "/sbin/iw"].map(PathBuf::from).to_vec(),
             network: true,

@@ -29,6 +29,7 @@ impl Board {
         Places {
             sys: at("sys"),
             proc: at("proc"),
+            root: at("root"),
             folders: Vec::new(),
             iw: vec![at("iw")],
             network: true,
@@ -169,6 +170,64 @@ fn what_others_take_of_the_processors_is_named() {
     assert_eq!(board.only("stolen time").0, Grade::Doubtful, "2 %");
     let (grade, found) = board.only("CPU quota");
     assert_eq!((grade, found.contains("1.50 processors")), (Grade::Doubtful, true), "{found}");
+}
+
+#[test]
+fn container_is_known_by_marks_where_its_groups_are_hidden() {
+    for (file, content, manager) in [
+        ("root/.dockerenv", "", "docker"),
+        ("root/run/.containerenv", "engine=\"podman-5\"", "podman"),
+        ("root/run/systemd/container", "systemd-nspawn", "systemd-nspawn"),
+        ("proc/self/cgroup", "0::/kubepods.slice/kubepods-pod7.slice/cri-containerd-1f.scope", "kubepods"),
+        ("proc/self/cgroup", "4:memory:/lxc.payload.robot/init.scope\n0::/", "lxc"),
+    ] {
+        let board = Board::new();
+        board.has("proc/cpuinfo", "flags\t: fpu sse2");
+        board.has("proc/self/cgroup", "0::/");
+        assert_eq!(board.only("machine").0, Grade::Good);
+        board.has(file, content);
+        let (grade, found) = board.only("machine");
+        let expected = format!("a container ({manager})");
+        assert!(grade == Grade::Unknown && found.starts_with(&expected), "{file}: {found}");
+    }
+}
+
+#[test]
+fn host_service_of_container_manager_is_no_container() {
+    let board = Board::new();
+    board.has("proc/cpuinfo", "flags\t: fpu sse2");
+    for group in ["docker.service", "docker-registry.service", "containerd.service", "dockerish.slice"] {
+        board.has("proc/self/cgroup", &format!("0::/system.slice/{group}"));
+        assert_eq!(board.only("machine").0, Grade::Good, "{group}");
+    }
+}
+
+#[test]
+fn virtual_machine_is_known_without_the_flag_of_x86() {
+    let of = |files: &[(&str, &str)]| {
+        let board = Board::new();
+        board.has("proc/cpuinfo", "Features\t: fp asimd");
+        files.iter().for_each(|(file, content)| board.has(file, content));
+        let (grade, found) = board.only("machine");
+        (grade, found.starts_with("a virtual machine"))
+    };
+    let (vendor, product) = ("sys/class/dmi/id/sys_vendor", "sys/class/dmi/id/product_name");
+    let model = "proc/device-tree/model";
+    assert_eq!(of(&[]), (Grade::Unknown, false), "nothing tells");
+    assert_eq!(of(&[(vendor, "Ampere")]), (Grade::Unknown, false));
+    assert_eq!(of(&[(vendor, "QEMU"), (product, "KVM Virtual Machine")]), (Grade::Unknown, true));
+    assert_eq!(
+        of(&[(vendor, "Microsoft Corporation"), (product, "Virtual Machine")]),
+        (Grade::Unknown, true)
+    );
+    assert_eq!(of(&[(vendor, "Amazon EC2"), (product, "m6g.large")]), (Grade::Unknown, true));
+    assert_eq!(of(&[(vendor, "Amazon EC2"), (product, "m6g.metal")]).0, Grade::Good);
+    assert_eq!(of(&[(model, "Raspberry Pi 4 Model B")]).0, Grade::Good);
+    assert_eq!(of(&[(model, "linux,dummy-virt")]), (Grade::Unknown, true));
+    assert_eq!(
+        of(&[(model, "board"), ("proc/device-tree/hypervisor/compatible", "xen")]),
+        (Grade::Unknown, true)
+    );
 }
 
 #[test]
