@@ -7,7 +7,7 @@ use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
-use peernet_networks::Address;
+use peernet_networks::{Address, PeerClock};
 use peernet_stream::{Event, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
@@ -78,8 +78,8 @@ impl Agent {
     /// `stop` is cancelled; then [`Running::join`] sees it to its end.
     ///
     /// # Errors
-    /// When the host has no identity or the port cannot be had. A pipeline that cannot start is no error: it
-    /// is reported, and the others run.
+    /// One of [`StartError`]: of the host's name, its state directory, spool, keys, threads or ports. Nothing was started
+    /// then. A pipeline that cannot start is no error: it is reported, and the others run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
@@ -116,49 +116,41 @@ async fn start(
     let name = config.agent.host_name()?;
     let state = StateLock::take(&config.agent.state_dir)?;
     close_to_others(&config);
+    // All that is read from the state directory is read before anything starts: what fails here leaves nothing half begun.
     let id = host_id(&config.agent.state_dir)?;
+    let secret =
+        config.agent.aggregator.as_ref().map(|_| host_secret(&config.agent.state_dir)).transpose()?;
     let fingerprints = argument_key(&config.agent.state_dir)?;
+    let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
     let (feed, exit) = crate::feed::entrance(&config.agent, &clock, counter);
     let feed = feed.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
-    let (publish, own) = watch::channel(host_clock::not_asked_yet(&clock));
+    let (publish_clock, host_clock) = watch::channel(host_clock::not_asked_yet(&clock));
     let near = Near {
         name: name.clone(),
         clock: Arc::clone(&clock),
-        own: own.clone(),
+        own: host_clock.clone(),
         feed: feed.clone(),
         incidents: incidents.clone(),
     };
-    let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let links = Links::new(near, &config.clock, probes.clone());
     let places = Arc::new(Places::of(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { feed, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
-    let doors = io.within(Doors::open(&config, &probes, &host)).await?;
-    let serves = doors.as_ref().map(Doors::addresses).unwrap_or_default();
-
+    let endpoints = io.within(Doors::open(&config, &probes, &host)).await?;
+    let serves = endpoints.as_ref().map(Doors::addresses).unwrap_or_default();
     for address in &serves {
         tracing::info!(%address, network = %address.network(), "peers may ask for models");
     }
 
-    let (travelling, beside) = (io.handle(), Handle::current());
+    // Nothing fails from here on.
     let mut tasks = Tasks::new(&stop);
-    let watching = host_clock::run(
-        config.clock.clone(),
-        config.rehearsal.clone(),
-        Arc::clone(&host.clock),
-        events.incidents.clone(),
-        publish,
-        tasks.stop(),
-    );
-    tasks.keep(&beside, "host clock", watching);
-    tasks.keep_or_fail(travelling, "links", links.clone().run(tasks.stop()));
-    let (figures, metrics) = watch::channel(HostMetrics::default());
-    tasks.keep(&beside, "telemetry", telemetry::run(Arc::clone(&host.clock), figures, tasks.stop()));
+    let metrics = start_observing_host(&mut tasks, &config, &host, events.incidents.clone(), publish_clock);
+    tasks.keep_or_fail(io.handle(), "links", links.clone().run(tasks.stop()));
     let pipelines = TaskTracker::new();
     let observed = ObservedPipelines::of(&config);
     let context = PipelineContext {
@@ -170,44 +162,83 @@ async fn start(
         fingerprints,
         places: Arc::clone(&places),
     };
-    let board = start_pipelines(&mut tasks, travelling, &pipelines, &config, &context);
-    let live = LiveSources { board, metrics, links, clock: own.clone() };
+    let board = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
+    let live = LiveSources { board, metrics, links, clock: host_clock.clone() };
     let (count, served) = watch::channel(Served::default());
-    if let Some(doors) = doors {
-        // Pipelines may compute on this very host: they finish first.
-        let (told, ended) = (tasks.stop(), CancellationToken::new());
+    if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
-        let context = ServeContext { host, incidents, bank, observed, own, places };
-        let serving = serve::run(doors, context, count, ended.clone());
-        tasks.keep(&beside, "order of stopping", async move {
-            told.cancelled().await;
-            pipelines.close();
-            pipelines.wait().await;
-            ended.cancel();
+        let context = ServeContext { host, incidents, bank, observed, own: host_clock, places };
+        start_serving(&mut tasks, io.handle(), pipelines, |ended| {
+            serve::run(endpoints, context, count, ended)
         });
-        tasks.keep_or_fail(travelling, "serve", serving);
     }
-    let outbox = match (exit, spool, &config.agent.aggregator) {
-        (Some(exit), Some(spool), Some(address)) => {
-            let description = describe(&host, &bank, &serves);
-            let identity = (description, host_secret(&config.agent.state_dir)?);
+    let outbox = match (exit, spool, secret, &config.agent.aggregator) {
+        (Some(exit), Some(spool), Some(secret), Some(address)) => {
+            let identity = (describe(&host, &bank, &serves), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
             let sources = Sources { clock, incidents: events.incidents, runs: events.runs, live };
-            Some(Outbox::start(&config, address.clone(), exit, spool, identity, sources))
+            let outbox = Outbox::start(&config, address.clone(), exit, spool, identity, sources);
+            watch_outbox(&mut tasks, &outbox);
+            Some(outbox)
         }
         _ => None,
     };
-    if let Some(outbox) = &outbox {
-        // It outlives the other tasks, but they are not to outlive it.
-        let (ended, told) = (outbox.ended(), tasks.stop());
-        tasks.keep(&beside, "outbox", async move {
-            let _ = told.run_until_cancelled(ended.cancelled()).await;
-        });
-    }
     tracing::info!(host = %host.name, id = %host.id, "the agent is up");
     let stop_timeout = config.agent.stop_timeout();
     let parts = Parts { tasks, outbox, io, stop_timeout, _state: state };
     Ok(Running { host, bank, live, serves, served, tap, parts })
+}
+
+/// Starts the tasks that watch this host's clocks and its hardware. Returns the figures of the hardware.
+fn start_observing_host(
+    tasks: &mut Tasks,
+    config: &AgentConfig,
+    host: &Host,
+    incidents: Incidents,
+    publish_clock: watch::Sender<PeerClock>,
+) -> watch::Receiver<HostMetrics> {
+    let runtime = Handle::current();
+    let watching = host_clock::run(
+        config.clock.clone(),
+        config.rehearsal.clone(),
+        Arc::clone(&host.clock),
+        incidents,
+        publish_clock,
+        tasks.stop(),
+    );
+    tasks.keep(&runtime, "host clock", watching);
+    let (publish, metrics) = watch::channel(HostMetrics::default());
+    tasks.keep(&runtime, "telemetry", telemetry::run(Arc::clone(&host.clock), publish, tasks.stop()));
+    metrics
+}
+
+/// Starts to serve peers on those threads, until the pipelines have ended: they may compute on this very host.
+fn start_serving<F, E>(
+    tasks: &mut Tasks,
+    threads: &Handle,
+    pipelines: TaskTracker,
+    serve: impl FnOnce(CancellationToken) -> F,
+) where
+    F: Future<Output = Result<(), E>> + Send + 'static,
+    E: std::error::Error + Send + Sync + 'static,
+{
+    let (stop, ended) = (tasks.stop(), CancellationToken::new());
+    let serving = serve(ended.clone());
+    tasks.keep(&Handle::current(), "order of stopping", async move {
+        stop.cancelled().await;
+        pipelines.close();
+        pipelines.wait().await;
+        ended.cancel();
+    });
+    tasks.keep_or_fail(threads, "serve", serving);
+}
+
+/// Ends the tasks when the outbox has ended. It outlives them when they are stopped.
+fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
+    let (ended, stop) = (outbox.ended(), tasks.stop());
+    tasks.keep(&Handle::current(), "outbox", async move {
+        let _ = stop.run_until_cancelled(ended.cancelled()).await;
+    });
 }
 
 /// Takes away what others may do with the agent's files: those of earlier builds, and those that `peernet` just made.

@@ -43,7 +43,7 @@ pub struct AgentConfig {
     /// `[probes]`: small packets that relate two hosts' clocks.
     #[serde(default)]
     pub probes: ProbesConfig,
-    /// `[rehearsal]`: makes this host's wall clock wrong on purpose.
+    /// `[rehearsal]`: makes this host's clocks wrong on purpose: the wall clock, and by its drift or a step the free-running one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rehearsal: Option<RehearsalConfig>,
     /// `[serve]`: where peers may ask for this host's models; without it they may not.

@@ -84,6 +84,8 @@ impl Feed {
         let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
         let Some(entrance) = &self.outbox else { return };
         entrance.count(Some(pipeline), Some(run));
+        // Looking and sending are two steps: each thread that hands in at the same moment may take one place of the
+        // reserve, which is larger than there are such threads.
         let room = entrance.queue.capacity() > RESERVE;
         if !room || entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(Some(pipeline), Some(run));

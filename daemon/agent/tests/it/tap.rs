@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use peernet_agent::Agent;
+use peernet_agent::{Agent, StartError};
 use peernet_stream::{Event, PipelineState};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
@@ -12,6 +12,22 @@ use crate::harness::{VERSION, clock, config};
 const LINE: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
     [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 10 }\n\
     placement = { kind = 'local', model = 'echo' }\nwarm_up = { iterations = 0 }\n";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn unreadable_host_secret_is_refused_before_anything_starts() {
+    let state = tempfile::tempdir().expect("a folder");
+    std::fs::write(state.path().join("host-secret"), "my notes").expect("written");
+    let mut config = config(LINE);
+    config.agent.name = Some("edge".parse().expect("a name"));
+    config.agent.state_dir = state.path().to_owned();
+    config.agent.aggregator = Some("tcp://127.0.0.1:9".parse().expect("an address"));
+    let (tap, mut events) = mpsc::channel(1000);
+    let started =
+        Agent::start_observed(config, VERSION, clock("system"), CancellationToken::new(), tap).await;
+    let error = started.expect_err("the secret is none");
+    assert!(matches!(error, StartError::Identity(_)) && error.to_string().contains("host-secret"), "{error}");
+    assert_eq!(events.recv().await, None, "no pipeline ran");
+}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_counted() {
