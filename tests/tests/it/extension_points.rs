@@ -188,6 +188,59 @@ fn kind_is_named_in_its_own_file_and_where_it_is_registered() {
     }
 }
 
+/// The variant's name as configurations write it: `ZmqTcp` is `zmq-tcp`.
+fn kebab_case(variant: &str) -> String {
+    let mut name = String::new();
+    for letter in variant.chars() {
+        if letter.is_ascii_uppercase() && !name.is_empty() {
+            name.push('-');
+        }
+        name.push(letter.to_ascii_lowercase());
+    }
+    name
+}
+
+/// The values of `kind` in the JSON and TOML of a source file, such as `"kind": "text"` or `kind = 'text'`, without those of
+/// comments and of its tests, which stand at the end.
+fn kinds_in_text(source: &str) -> Vec<String> {
+    let code = source.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let value = |after: &str| {
+        let is_quote = |letter: char| ['"', '\'', '\\'].contains(&letter);
+        let after = after.trim_start_matches(is_quote).trim_start();
+        let after = after.strip_prefix([':', '='])?.trim_start();
+        let value = after.trim_start_matches(is_quote);
+        let end = value.find(is_quote)?;
+        (value.len() < after.len()).then(|| value[..end].to_owned())
+    };
+    lines.flat_map(|line| line.split("kind").skip(1).filter_map(value).collect::<Vec<_>>()).collect()
+}
+
+#[test]
+fn text_of_configurations_names_no_kind() {
+    assert_eq!(kinds_in_text("json!({ \"kind\": \"text\" }); // kind"), ["text"]);
+    assert_eq!(kinds_in_text("let a = \"kind = 'a'\\nkind = \\\"b\\\"\";\n// kind = 'c'"), ["a", "b"]);
+    assert_eq!(kinds_in_text("kind == \"a\"\n#[cfg(test)]\nmod tests { \"kind = 'b'\" }"), [""; 0]);
+    let kinds: Vec<Kind> = REGISTRATIONS.iter().flat_map(|(registry, file)| kinds(registry, file)).collect();
+    let mut wrong = Vec::new();
+    for file in all_sources() {
+        let named = kinds_in_text(&fs::read_to_string(&file).expect("is readable"));
+        // A name that several extension points have may stand in the files of each.
+        let is_own = |kind: &Kind| file.starts_with(&kind.own) || file == kind.registration;
+        for name in named {
+            let mut same = kinds.iter().filter(|kind| kebab_case(&kind.variant) == name).peekable();
+            if same.peek().is_some() && !same.any(is_own) {
+                wrong.push(format!("{}: kind {name}", file.display()));
+            }
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "kinds are named outside their own files; give a kind's file a constructor:\n{}",
+        wrong.join("\n")
+    );
+}
+
 #[test]
 fn contributing_names_the_registration_file_of_each_extension_point() {
     let text = fs::read_to_string(peernet_tests::root().join("CONTRIBUTING.md")).expect("is there");

@@ -6,6 +6,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::{Context, bail};
 use peernet_agent::AgentConfig;
 use peernet_networks::Address;
+use peernet_sensors::SensorConfig;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -64,9 +65,10 @@ impl Plan {
         let largest = sizes.last().copied().unwrap_or_default();
         let iterations = arguments.repeats.get().saturating_mul(per_round);
         let warm_up = arguments.warm_up.saturating_mul(per_round);
+        let payloads = order.iter().map(|size| *size as usize).collect();
         let pipeline = json!({
             "name": "calibration",
-            "sensor": { "kind": "synthetic", "sizes_bytes": order },
+            "sensor": SensorConfig::size_sweep(payloads),
             "placement": {
                 "kind": "remote",
                 "peer": peer,

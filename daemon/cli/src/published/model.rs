@@ -5,9 +5,8 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::bank::Folders;
-use peernet_inference::{Bank, LoadError, ModelConfig, OnnxRuntimeConfig};
+use peernet_inference::{Bank, LoadError, ModelConfig, OnnxRuntimeConfig, SharedKeys};
 use peernet_logger::Slug;
-use serde_json::{Value, json};
 
 use super::Arguments;
 
@@ -31,28 +30,26 @@ pub(super) fn of(arguments: &Arguments, runtime: &OnnxRuntimeConfig) -> Result<M
 fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     let (wanted, given) = (arguments.model_name.as_str(), arguments.device.as_deref());
     if wanted == "dummy" {
-        return read(json!({ "kind": "sleep", "name": wanted }));
+        return Ok(ModelConfig::sleep(slug(wanted)));
     }
     if wanted == "echo" {
-        return read(json!({ "kind": "echo", "name": wanted }));
+        return Ok(ModelConfig::echo(slug(wanted)));
     }
     let device = device(given.unwrap_or(DEVICE));
     // A user's own program or object is run because this very command line names it.
-    let mut external = match super::program(wanted)? {
-        Some(command) => json!({ "kind": "exec", "name": slug(program_of(command)), "command": command }),
-        None if wanted.contains("::") => json!({
-            "kind": "python", "name": slug(wanted), "object": wanted, "pickle": arguments.pickle,
-        }),
+    let shared = |name| {
+        let shared = SharedKeys::of(slug(name));
+        if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
+    };
+    Ok(match super::program(wanted)? {
+        Some(command) => ModelConfig::program(shared(program_of(command)), command),
+        None if wanted.contains("::") => ModelConfig::python_object(shared(wanted), wanted, arguments.pickle),
         None => {
             let found = Folders::search(&arguments.models_dir).find(wanted);
             let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;
-            return Ok(found.configuration(device));
+            found.configuration(device)
         }
-    };
-    if given.is_some() {
-        external["device"] = device.into();
-    }
-    read(external)
+    })
 }
 
 /// The name of a device, as the bank has it.
@@ -92,7 +89,7 @@ fn program_of(command: &str) -> &str {
 }
 
 /// A name that can stand in results and on pages: `my_model::Net` becomes `my_model-Net`.
-fn slug(text: &str) -> String {
+fn slug(text: &str) -> Slug {
     let mut name = String::new();
     for char in text.chars() {
         let char = if char.is_ascii_alphanumeric() || "._-".contains(char) { char } else { '-' };
@@ -102,11 +99,7 @@ fn slug(text: &str) -> String {
     }
     let name = name.trim_matches(|char: char| !char.is_ascii_alphanumeric());
     let name: String = name.chars().take(64).collect();
-    if name.parse::<Slug>().is_ok() { name } else { "model".to_owned() }
-}
-
-fn read(config: Value) -> Result<ModelConfig, Failure> {
-    serde_json::from_value(config).map_err(|error| Failure::new(Exit::Usage, error))
+    name.parse().unwrap_or_else(|_| "model".parse().expect("is a name"))
 }
 
 #[cfg(test)]
@@ -115,7 +108,9 @@ mod tests {
 
     #[test]
     fn names_of_objects_and_commands_become_names_of_models() {
-        let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)].map(slug);
+        let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)]
+            .map(slug)
+            .map(|name| name.to_string());
         assert_eq!(text, ["my_model-Net", "infer", "model", &"x".repeat(64)]);
         assert_eq!(program_of("TOKEN=x ./infer"), "sh");
     }

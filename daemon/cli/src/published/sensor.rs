@@ -5,7 +5,6 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_clock::ClockIdentity;
 use peernet_sensors::{SensorConfig, SensorError, SensorKind, TransformConfig};
-use serde_json::{Value, json};
 
 use super::Arguments;
 
@@ -60,10 +59,10 @@ pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformCo
                 let path = path.display();
                 missing(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
             })?;
-            (read(json!({ "kind": "images", "path": path }))?, arguments.encoding.transforms())
+            (SensorConfig::pictures(path.into()), arguments.encoding.transforms())
         }
-        SensorType::Synthetic => (read(json!({ "kind": "synthetic", "size_bytes": size }))?, Vec::new()),
-        SensorType::Text => (read(json!({ "kind": "text", "length": size }))?, Vec::new()),
+        SensorType::Synthetic => (SensorConfig::random_bytes(size), Vec::new()),
+        SensorType::Text => (SensorConfig::random_text(size), Vec::new()),
         SensorType::External => {
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
                 missing("the sensor external needs --sensor-object: module::object or exec:COMMAND")
@@ -88,15 +87,10 @@ fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
 
 /// A user's own object or program, which is to be run because this very command line names it.
 fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
-    let config = match super::program(object)? {
-        Some(command) => json!({ "kind": "exec", "command": command }),
-        None => json!({ "kind": "python", "object": object, "pickle": pickle }),
-    };
-    read(config)
-}
-
-fn read(config: Value) -> Result<SensorConfig, Failure> {
-    serde_json::from_value(config).map_err(|error| Failure::new(Exit::Usage, error))
+    Ok(match super::program(object)? {
+        Some(command) => SensorConfig::program(command),
+        None => SensorConfig::python_object(object, pickle),
+    })
 }
 
 #[cfg(test)]

@@ -4,16 +4,23 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{ExchangeError, FingerprintKey, Program, Request, Role, Said};
+use peernet_external::exec::{CommandLine, ExchangeError, FingerprintKey, Program, Request, Role, Said};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
-use super::{Keys, LoadContext, ModelKind, SharedKeys};
+use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
 /// The variable in which the program finds its device.
 const DEVICE: &str = "PEERNET_DEVICE";
+
+impl ModelConfig {
+    /// A program of the user's own, as a line for the shell.
+    pub fn program(shared: SharedKeys, command: &str) -> Self {
+        ModelTable { shared, own: ExecConfig::of(CommandLine::Shell(command.to_owned())) }.into()
+    }
+}
 
 impl ModelKind for ExecConfig {
     fn untold_keys(&self) -> &'static [&'static str] {

@@ -9,8 +9,15 @@ use peernet_external::python::{PythonError, PythonObject, Role, Stage};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
-use super::{Keys, LoadContext, ModelKind, SharedKeys};
+use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
+
+impl ModelConfig {
+    /// A Python object of the user's own; `pickle` as in [`PythonConfig`].
+    pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
+        ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::of(object) } }.into()
+    }
+}
 
 impl ModelKind for PythonConfig {
     fn untold_keys(&self) -> &'static [&'static str] {

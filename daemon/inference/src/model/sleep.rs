@@ -4,11 +4,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use peernet_logger::{Recorder, stage};
+use peernet_logger::{Recorder, Slug, stage};
 use peernet_sample::{Description, Sample};
 use serde::{Deserialize, Serialize};
 
-use super::{LoadContext, ModelKind, SharedKeys};
+use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
 /// Longest stage: a day. Milliseconds.
@@ -52,6 +52,18 @@ impl ModelKind for SleepConfig {
 
     fn load(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         Ok(Arc::new(Sleep { config: self.clone() }))
+    }
+}
+
+impl ModelConfig {
+    /// A model that takes 100 ms.
+    pub fn sleep(name: Slug) -> Self {
+        let own = SleepConfig {
+            preprocessing_ms: ten_ms(),
+            inference_ms: eighty_ms(),
+            postprocessing_ms: ten_ms(),
+        };
+        ModelTable { shared: SharedKeys::of(name), own }.into()
     }
 }
 

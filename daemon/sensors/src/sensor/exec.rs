@@ -2,12 +2,14 @@
 
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{ExchangeError, FingerprintKey, Notes, Program, Request, Role, Said};
+use peernet_external::exec::{
+    CommandLine, ExchangeError, FingerprintKey, Notes, Program, Request, Role, Said,
+};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
-use super::{DROPPED_SAMPLES, SensorKind};
+use super::{DROPPED_SAMPLES, SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
 /// A program that is asked for each sample.
@@ -44,6 +46,13 @@ impl SensorKind for ExecConfig {
 
     fn hide_secrets(&mut self) {
         hide_values(&mut self.env);
+    }
+}
+
+impl SensorConfig {
+    /// A program of the user's own, as a line for the shell.
+    pub fn program(command: &str) -> Self {
+        ExecConfig::of(CommandLine::Shell(command.to_owned())).into()
     }
 }
 

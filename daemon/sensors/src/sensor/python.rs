@@ -7,7 +7,7 @@ use peernet_external::python::{PythonObject, Role};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
-use super::SensorKind;
+use super::{SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
 /// A Python object that is asked for each sample.
@@ -30,6 +30,13 @@ impl SensorKind for PythonConfig {
 
     fn hide_secrets(&mut self) {
         hide_values(&mut self.env);
+    }
+}
+
+impl SensorConfig {
+    /// A Python object of the user's own; `pickle` as in [`PythonConfig`].
+    pub fn python_object(object: &str, pickle: bool) -> Self {
+        PythonConfig { pickle, ..PythonConfig::of(object) }.into()
     }
 }
 

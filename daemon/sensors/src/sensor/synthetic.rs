@@ -8,7 +8,7 @@ use rand::rngs::StdRng;
 use rand::{RngCore, SeedableRng};
 use serde::{Deserialize, Serialize};
 
-use super::{SensorKind, default_seed};
+use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
 /// The largest payload: 1 GiB.
@@ -49,6 +49,18 @@ impl SensorKind for SyntheticConfig {
         let buffer = Bytes::from(buffer);
         let payloads = sizes.iter().map(|size| buffer.slice(..*size)).collect();
         Ok(Box::new(Synthetic { payloads, next: 0 }))
+    }
+}
+
+impl SensorConfig {
+    /// Random payloads of one size in bytes.
+    pub fn random_bytes(size: usize) -> Self {
+        SyntheticConfig { size_bytes: Some(size), sizes_bytes: Vec::new(), seed: default_seed() }.into()
+    }
+
+    /// Random payloads of these sizes in bytes, one after the other, over and over.
+    pub fn size_sweep(sizes_bytes: Vec<usize>) -> Self {
+        SyntheticConfig { size_bytes: None, sizes_bytes, seed: default_seed() }.into()
     }
 }
 

@@ -8,7 +8,7 @@ use rand::distr::{Alphanumeric, SampleString};
 use rand::rngs::StdRng;
 use serde::{Deserialize, Serialize};
 
-use super::{SensorKind, default_seed};
+use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
 /// The longest text: 64 MiB. It is made anew each time.
@@ -33,6 +33,13 @@ impl SensorKind for TextConfig {
             )));
         }
         Ok(Box::new(Text { length: self.length, random: StdRng::seed_from_u64(self.seed) }))
+    }
+}
+
+impl SensorConfig {
+    /// Random texts of so many characters.
+    pub fn random_text(length: usize) -> Self {
+        TextConfig { length, seed: default_seed() }.into()
     }
 }
 

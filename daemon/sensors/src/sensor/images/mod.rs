@@ -61,6 +61,13 @@ const fn yes() -> bool {
     true
 }
 
+impl ImagesConfig {
+    /// Pictures with all defaults.
+    fn of(path: PathBuf) -> Self {
+        Self { path, order: Order::default(), seed: default_seed(), repeat: yes(), labels: None }
+    }
+}
+
 impl SensorKind for ImagesConfig {
     fn open(&self, _clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         Ok(Box::new(Images::open(self)?))
@@ -68,9 +75,14 @@ impl SensorKind for ImagesConfig {
 }
 
 impl SensorConfig {
+    /// The picture, or the pictures of the folder by name, over and over.
+    pub fn pictures(path: PathBuf) -> Self {
+        ImagesConfig::of(path).into()
+    }
+
     /// The picture, or each picture of the folder once, by name.
     pub fn pictures_once(path: PathBuf) -> Self {
-        ImagesConfig { path, order: Order::Name, seed: default_seed(), repeat: false, labels: None }.into()
+        ImagesConfig { repeat: false, ..ImagesConfig::of(path) }.into()
     }
 }
 
