@@ -1,5 +1,5 @@
-//! Who may ask. So far everyone who reaches the address, which is why that is this machine alone unless the
-//! configuration says otherwise. Tokens with roles will be checked here, in front of every route.
+//! Checks of each request: the name by which it asks for this server, and the site it comes from. Whoever reaches the address
+//! may ask, which is why that is this machine alone unless the configuration says otherwise.
 
 use std::net::Ipv6Addr;
 

@@ -30,6 +30,9 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 /// Longest time until an answer begins. A stream may then go on for ever.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// Paths, with all below them, that programs read: the API, Prometheus and supervisors.
+const FOR_PROGRAMS: [&str; 4] = ["/api", "/metrics", "/healthz", "/readyz"];
+
 /// The whole server.
 pub(crate) fn build(app: App) -> Router {
     let header = |name: HeaderName, value| {
@@ -71,7 +74,15 @@ fn panicked(panic: Box<dyn std::any::Any + Send>) -> Response {
     WebError::Panicked(text.to_owned()).into_response()
 }
 
-/// Renders an error by its path, as problem+json under `/api` and as a page elsewhere, those of the router itself included.
+/// Returns whether programs, not browsers, read what a path answers.
+fn is_for_programs(path: &str) -> bool {
+    FOR_PROGRAMS
+        .iter()
+        .any(|root| path.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
+}
+
+/// Renders an error by its path, as problem+json where programs read and as a page elsewhere, those of the router itself
+/// included.
 async fn render_error(State(app): State<App>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
@@ -86,7 +97,7 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
         }
         None => return response,
     };
-    let (form, body) = if path == "/api" || path.starts_with("/api/") {
+    let (form, body) = if is_for_programs(&path) {
         let body = serde_json::to_string(&problem).unwrap_or_default();
         ("application/problem+json", body)
     } else {

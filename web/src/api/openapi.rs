@@ -61,8 +61,10 @@ pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
         if !path.starts_with("/api/") {
             continue;
         }
-        let reads = item.get.iter_mut().map(|operation| (operation, false));
-        let changes = item.put.iter_mut().chain(&mut item.delete).map(|operation| (operation, true));
+        let reads = [&mut item.get, &mut item.head, &mut item.options, &mut item.trace];
+        let changes = [&mut item.put, &mut item.post, &mut item.delete, &mut item.patch];
+        let reads = reads.into_iter().flatten().map(|operation| (operation, false));
+        let changes = changes.into_iter().flatten().map(|operation| (operation, true));
         for (operation, changes) in reads.chain(changes) {
             ERRORS.into_iter().chain([TOO_LARGE]).for_each(|error| add(operation, error));
             if changes {
@@ -116,6 +118,27 @@ mod tests {
         for reference in found {
             let pointer = reference.strip_prefix('#').expect("a reference into the document");
             assert!(document.pointer(pointer).is_some(), "{reference} leads nowhere");
+        }
+    }
+
+    #[test]
+    fn every_operation_of_the_api_tells_of_the_standard_errors() {
+        let mut document = super::super::document();
+        let item = document.paths.paths.get_mut("/api/v1/runs").expect("a resource");
+        // Operations that the document does not have yet.
+        (item.post, item.patch) = (item.get.clone(), item.get.clone());
+        super::complete(&mut document);
+        let document = serde_json::to_value(document).expect("JSON");
+        let paths = document["paths"].as_object().expect("paths");
+        for (path, item) in paths.iter().filter(|(path, _)| path.starts_with("/api/")) {
+            for (method, operation) in item.as_object().expect("operations") {
+                let answers = &operation["responses"];
+                for (status, ..) in super::ERRORS {
+                    assert!(answers[status].is_object(), "{method} {path} lacks {status}");
+                }
+                let changes = ["put", "post", "delete", "patch"].contains(&method.as_str());
+                assert_eq!(answers["403"].is_object(), changes, "{method} {path}");
+            }
         }
     }
 

@@ -37,7 +37,7 @@ pub(crate) use self::error::render as render_problem;
 pub(crate) use self::kind::PageTopic;
 
 /// All pages. The navigation and the list of topics have their entries in this order.
-static PAGES: [PageKind; 12] = [
+static PAGES: &[PageKind] = &[
     overview::PAGE,
     pipelines::PAGE,
     runs::PAGE,

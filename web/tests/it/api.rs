@@ -311,6 +311,7 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
         ("/api/v1", 404, "/api/v1"),
         ("/api/", 404, "/api/"),
         ("/api", 404, "/api"),
+        ("/metrics/nothing", 404, "/metrics/nothing"),
     ] {
         let answer = bed.get(address).await;
         assert_eq!(answer.status.as_u16(), status, "{address}: {}", answer.text());
@@ -321,12 +322,15 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
         assert!(!problem["title"].as_str().expect("a title").is_empty());
         assert!(problem["detail"].as_str().expect("a detail").contains(word), "{address}: {problem}");
     }
-    let request =
-        Request::builder().method(Method::POST).uri("/api/v1/runs").body(Body::empty()).expect("a request");
-    let answer = bed.request(request).await;
-    assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED);
-    assert_eq!(answer.json()["status"], 405);
-    assert!(answer.header("allow").contains("GET"), "{:?}", answer.headers);
+    for address in ["/api/v1/runs", "/metrics", "/readyz"] {
+        let request =
+            Request::builder().method(Method::POST).uri(address).body(Body::empty()).expect("a request");
+        let answer = bed.request(request).await;
+        assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED, "{address}");
+        assert_eq!(answer.header("content-type"), "application/problem+json", "{address}");
+        assert_eq!(answer.json()["status"], 405, "{address}");
+        assert!(answer.header("allow").contains("GET"), "{address}: {:?}", answer.headers);
+    }
 }
 
 #[tokio::test]
