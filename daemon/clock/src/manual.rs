@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
 use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, Span, Stamp, WallTime};
 
-/// A clock for tests: stands still until [`advance`](Self::advance) or [`step_wall`](Self::step_wall).
+/// A clock for tests: each of its clocks moves only by the methods of this type.
 #[derive(Debug)]
 pub struct ManualClock {
     wall: AtomicI64,
@@ -39,7 +39,7 @@ impl ManualClock {
         self.mono.fetch_add(span.nanos(), Ordering::SeqCst);
     }
 
-    /// Lets the machine sleep: only the wall clock goes on, and a new epoch begins.
+    /// Lets the machine sleep: the wall clock and the boot clock go on, and a new epoch begins.
     pub fn sleep(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
         self.slept.fetch_add(span.nanos(), Ordering::SeqCst);

@@ -55,6 +55,10 @@ impl Piece {
         let away = t - self.begin;
         self.error + away * (self.drift + away * self.change / 2.0)
     }
+
+    fn drift(&self, t: f64) -> f64 {
+        self.drift + (t - self.begin) * self.change
+    }
 }
 
 impl Wall {
@@ -87,13 +91,13 @@ impl Wall {
         wall
     }
 
-    /// Runs faster from a time on.
+    /// Runs faster from a time on, at one drift: replaces the pieces that follow.
     pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
         let begin = at.nanos() as f64;
         let piece = Piece {
             begin,
             error: self.error(begin),
-            drift: self.piece(begin).drift + ppm * 1e-6,
+            drift: self.piece(begin).drift(begin) + ppm * 1e-6,
             change: 0.0,
         };
         self.pieces.retain(|piece| piece.begin < begin);
@@ -117,8 +121,8 @@ impl Wall {
     /// Set forward or back from a time on.
     pub(crate) fn stepped(mut self, at: Span, by: Span) -> Self {
         let begin = at.nanos() as f64;
-        let (error, known) = (self.error(begin), self.piece(begin));
-        let drift = known.drift + (begin - known.begin) * known.change;
+        let known = self.piece(begin);
+        let (error, drift) = (known.error(begin), known.drift(begin));
         let later = self.pieces.partition_point(|piece| piece.begin < begin);
         self.pieces.insert(later, Piece { begin, error, drift, change: known.change });
         self.pieces[later..].iter_mut().for_each(|piece| piece.error += by.nanos() as f64);
