@@ -5,7 +5,7 @@ use peernet_sample::{Part, PixelFormat};
 use crate::ImageError;
 use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
-/// Bytes of decoded pixels.
+/// Bytes of decoded pixels of a size that passed [`check_size`]: others may be more than a `u64` holds.
 pub(crate) fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * u64::from(format.channels())
 }

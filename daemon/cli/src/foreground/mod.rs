@@ -93,9 +93,7 @@ impl Ready {
             return Err(Failure::new(Exit::Configuration, anyhow!("{}", problems.join("\n"))));
         }
         if let Some(rehearsal) = clock.rehearsal() {
-            complain(format_args!(
-                "REHEARSAL: this host's wall clock is made wrong on purpose ({rehearsal})"
-            ));
+            complain(format_args!("REHEARSAL: this host's clocks are made wrong on purpose ({rehearsal})"));
         }
         Ok(Self { config, truth, clock })
     }

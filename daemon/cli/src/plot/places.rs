@@ -52,9 +52,12 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for parts in &all {
         let name = if parts.is_empty() { "run".to_owned() } else { parts[common..].join("-") };
-        let numbered = (2..).map(|number| format!("{name}-{number}"));
-        let free = std::iter::once(name.clone()).chain(numbered).find(|name| !names.contains(name));
-        names.push(free.unwrap_or(name));
+        let (mut free, mut number) = (name.clone(), 1);
+        while names.contains(&free) {
+            number += 1;
+            free = format!("{name}-{number}");
+        }
+        names.push(free);
     }
     names
 }

@@ -93,7 +93,7 @@ async fn live(configuration: Configuration) -> Result<Exit, Failure> {
     if let Some(config) = configuration.agent {
         if let Some(rehearsal) = agent_clock.rehearsal() {
             warn!(
-                "REHEARSAL: this agent's wall clock is made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
+                "REHEARSAL: this agent's clocks are made wrong on purpose ({rehearsal}); for a host in earnest use remove the table [rehearsal]"
             );
         }
         lifecycle
