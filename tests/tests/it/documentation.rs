@@ -151,10 +151,11 @@ const EXPERIMENTS: [(&str, &str); 4] = [
 ];
 
 /// The same for tables whose keys depend on their kind, which stands for `KIND`.
-const KINDS: [(&str, &str); 5] = [
+const KINDS: [(&str, &str); 6] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
     ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
     ("transforms", "[[pipeline]]\ntransforms = [{ kind = \"KIND\", zz = 1 }]"),
+    ("actuator", "[[pipeline]]\nactuator = { kind = \"KIND\", zz = 1 }"),
     ("placement", "[[pipeline]]\nplacement = { kind = \"KIND\", zz = 1 }"),
     ("load", "[[pipeline]]\nload = { mode = \"KIND\", zz = 1 }"),
 ];
