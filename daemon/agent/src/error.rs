@@ -42,11 +42,11 @@ pub enum ReflectorError {
     #[error("{0} ([probes] port, or reflect = false to answer none)")]
     Bind(#[from] peernet_probes::BindError),
     /// The name to listen on leads nowhere.
-    #[error("cannot answer probes on {listen}: {reason}; give [serve] listen an address of this machine")]
+    #[error("cannot answer probes on {listen}: {source}; give [serve] listen an address of this machine")]
     Address {
         /// Where the host listens for peers.
         listen: Address,
         /// What is wrong with it.
-        reason: String,
+        source: io::Error,
     },
 }

@@ -32,10 +32,9 @@ pub(super) async fn bind_all(
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
     let mut wanted = Vec::with_capacity(listen.len());
     for address in listen {
-        let at = resolve(address, port).await.map_err(|error| ReflectorError::Address {
-            listen: address.clone(),
-            reason: error.to_string(),
-        })?;
+        let at = resolve(address, port)
+            .await
+            .map_err(|error| ReflectorError::Address { listen: address.clone(), source: error })?;
         wanted.push(at);
     }
     let mut by_reach = wanted.clone();

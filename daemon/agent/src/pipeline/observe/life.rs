@@ -57,16 +57,17 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
                     run.end("finished", &runner.context);
                     *run = begin(runner, config, &source, observation.peer(), true).await;
                 }
-                SessionEnded::Limit => break "finished",
-                SessionEnded::Stopped => break "stopped",
+                SessionEnded::Limit => break Some("finished"),
+                SessionEnded::Stopped => break Some("stopped"),
                 SessionEnded::SourceLost(error) => {
                     report_trouble(runner, run.id(), Some(&error.to_string()));
-                    break "";
+                    // The run goes on with the next source.
+                    break None;
                 }
             }
         };
         source.close().await;
-        if !reason.is_empty() {
+        if let Some(reason) = reason {
             run.end(reason, &runner.context);
             if let Some((_, observation)) = underway {
                 observation.close().await;
