@@ -3,7 +3,6 @@
 use peernet_aggregator::LinkPicture;
 use peernet_clock::{ExchangeCounts, Span};
 use peernet_store::{ClockPoint, ClockSeries, DelayAssumptions, LinkRow};
-use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
