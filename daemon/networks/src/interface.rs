@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io;
-use std::net::IpAddr;
+use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
 
 use nix::ifaddrs::getifaddrs;
@@ -52,12 +52,12 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
 
 /// A network interface that this host lacks.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("this host has no network interface {name:?} with an IPv4 address; there is {known}")]
+#[error("this host has no network interface {name:?} with an IPv4 address; there is {}", list(.known))]
 pub struct UnknownInterface {
     /// The interface as it was given.
     pub name: String,
-    /// Those that there are.
-    pub known: String,
+    /// Those that there are, with their addresses.
+    pub known: Vec<(String, Ipv4Addr)>,
 }
 
 /// Checks that this host has network interfaces with these names or IPv4 addresses.
@@ -68,15 +68,25 @@ pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
     // Where the system does not list them, joining a domain tells.
     let Ok(entries) = getifaddrs() else { return Ok(()) };
     let with_address = |entry: nix::ifaddrs::InterfaceAddress| {
-        let address = entry.address?.as_sockaddr_in()?.ip().to_string();
+        let address = entry.address?.as_sockaddr_in()?.ip();
         Some((entry.interface_name, address))
     };
-    let known: Vec<(String, String)> = entries.filter_map(with_address).collect();
-    let is_known =
-        |wanted: &&String| known.iter().any(|(name, address)| name == *wanted || address == *wanted);
+    let known: Vec<(String, Ipv4Addr)> = entries.filter_map(with_address).collect();
+    let is_known = |wanted: &&String| {
+        known.iter().any(|(name, address)| name == *wanted || address.to_string() == **wanted)
+    };
     let Some(name) = names.iter().find(|name| !is_known(name)) else { return Ok(()) };
-    let known: Vec<String> = known.iter().map(|(name, address)| format!("{name} ({address})")).collect();
-    Err(UnknownInterface { name: name.clone(), known: known.join(", ") })
+    Err(UnknownInterface { name: name.clone(), known })
+}
+
+/// Returns whether an interface is wireless, by its folder in sysfs.
+pub fn is_wireless(folder: &Path) -> bool {
+    ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
+}
+
+fn list(interfaces: &[(String, Ipv4Addr)]) -> String {
+    let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+    words.join(", ")
 }
 
 fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
@@ -87,7 +97,7 @@ fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
 fn describe(sysfs: &Path, name: String) -> NetworkInterface {
     let folder = sysfs.join(&name);
     let number = |file: &str| fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u32>().ok();
-    let is_wireless = ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists());
+    let is_wireless = is_wireless(&folder);
     let kind = number("type").map(|hardware| match hardware {
         _ if is_wireless => "wireless".to_owned(),
         ETHERNET => "ethernet".to_owned(),

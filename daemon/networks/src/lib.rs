@@ -13,7 +13,7 @@ mod settings;
 mod statistics;
 mod transport;
 
-pub use interface::{UnknownInterface, check_interfaces, interface_of};
+pub use interface::{UnknownInterface, check_interfaces, interface_of, is_wireless};
 pub use message::{
     ClockSocketName, MAX_CONDITIONS, NoClockSocketName, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock,
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use peernet_networks::is_wireless;
 use peernet_stream::Grade;
 
 use super::files::{entries, text};
@@ -15,10 +16,9 @@ const ABOUT: &str = "Wi-Fi power save";
 ///
 /// Only nl80211 tells; `iw` asks it. Where `iw` is missing nothing is claimed.
 pub(super) fn power_save(places: &Places) -> Vec<Finding> {
-    let wireless =
-        |path: &std::path::PathBuf| path.join("phy80211").exists() || path.join("wireless").exists();
     let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
-    let interfaces = entries(&places.sys.join("class/net"), "").into_iter().filter(wireless).filter(up);
+    let interfaces =
+        entries(&places.sys.join("class/net"), "").into_iter().filter(|path| is_wireless(path)).filter(up);
     interfaces.map(|path| of(places, &path)).collect()
 }
 
