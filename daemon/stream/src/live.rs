@@ -106,6 +106,17 @@ pub enum PlacementKind {
     None,
 }
 
+impl PlacementKind {
+    /// The word for it in storage, in results and in the API.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Local => "local",
+            Self::Remote => "remote",
+            Self::None => "none",
+        }
+    }
+}
+
 /// What happened within one second of the edge's wall clock, by the iterations' ends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Second {

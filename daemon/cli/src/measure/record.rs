@@ -83,12 +83,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
 
 fn where_it_computed(told: &Told) -> Placement {
     Placement {
-        kind: match told.kind {
-            PlacementKind::Local => "local",
-            PlacementKind::Remote => "remote",
-            PlacementKind::None => "none",
-        }
-        .to_owned(),
+        kind: told.kind.name().to_owned(),
         network: told.network.clone(),
         address: told.address.clone(),
     }

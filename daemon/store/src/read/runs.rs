@@ -11,7 +11,7 @@ use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{ExperimentSummary, GapRow, Known, RunDetail, RunFilter, RunSummary};
-use crate::write::{UNKNOWN, placement_word};
+use crate::write::UNKNOWN;
 
 const WHAT: &str = "runs";
 
@@ -164,7 +164,7 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
 fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
-        .find(|kind| placement_word(*kind) == row.placement)
+        .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
     Ok(RunSummary {
         number: row.number,

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{HostDescription, PlacementKind, RunDescription, RunEnded};
+use peernet_stream::{HostDescription, RunDescription, RunEnded};
 use serde::Serialize;
 use sqlx::SqliteConnection;
 
@@ -213,7 +213,7 @@ impl Entities {
         .bind(reported.map(|run| run.to_string()))
         .bind(pipeline)
         .bind(run.started.unix_nanos())
-        .bind(placement_word(placement.kind))
+        .bind(placement.kind.name())
         .bind(placement.peer.as_ref().map(ToString::to_string))
         .bind(placement.network.as_deref())
         .bind(placement.address.as_deref())
@@ -245,7 +245,7 @@ impl Entities {
              WHERE number = ? AND model = ? AND version = ''",
         )
         .bind(pipeline)
-        .bind(placement_word(placement.kind))
+        .bind(placement.kind.name())
         .bind(placement.peer.as_ref().map(ToString::to_string))
         .bind(placement.network.as_deref())
         .bind(placement.address.as_deref())
@@ -313,15 +313,6 @@ impl Lookup {
             None => run,
         };
         (uuid, (uuid != run).then_some(run))
-    }
-}
-
-/// As in the column `placement`.
-pub(crate) const fn placement_word(kind: PlacementKind) -> &'static str {
-    match kind {
-        PlacementKind::Local => "local",
-        PlacementKind::Remote => "remote",
-        PlacementKind::None => "none",
     }
 }
 

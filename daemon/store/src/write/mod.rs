@@ -27,7 +27,7 @@ use peernet_stream::{BatchHead, HostSecret, Mark, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
 pub use self::connections::ConnectionSample;
-pub(crate) use self::entities::{UNKNOWN, newest_runs, placement_word, stored_hosts, unknown_runs};
+pub(crate) use self::entities::{UNKNOWN, newest_runs, stored_hosts, unknown_runs};
 use self::file::DatabaseFile;
 pub use self::file::{CommitError, FormerFiles};
 use self::names::Names;

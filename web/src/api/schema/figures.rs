@@ -87,13 +87,8 @@ pub(crate) struct Placement {
 
 impl From<&stream::Placement> for Placement {
     fn from(placement: &stream::Placement) -> Self {
-        let kind = match placement.kind {
-            stream::PlacementKind::Local => "local",
-            stream::PlacementKind::Remote => "remote",
-            stream::PlacementKind::None => "none",
-        };
         Self {
-            kind,
+            kind: placement.kind.name(),
             peer: placement.peer.as_ref().map(ToString::to_string),
             network: placement.network.clone(),
             address: placement.address.clone(),
