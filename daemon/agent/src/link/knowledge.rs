@@ -1,18 +1,20 @@
 //! What an edge knows of its own clocks and a cloud's. No I/O: time comes in as an argument.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, Judged, Learned, Offset, OneWayDelay, ProvenSkew, RawTime, RelatedClocks, Relation,
-    Span, Stamp, Verdict, WallTime, Witnessed,
+    Direction, Doubt, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks, Relation, Span, Stamp,
+    Verdict, WallTime, Witnessed,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
-use uuid::Uuid;
 
+use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
+use super::network_sessions::NetworkSessions;
+use super::reports::{ExcessSkew, Restart, RestartReports, SuspectedJump};
 use super::second::Second;
 use super::told_clock::ToldClock;
 use crate::host_clock::shown;
@@ -26,69 +28,12 @@ pub(super) struct Knowledge {
     peer: HostId,
     name: Slug,
     relation: Relation,
-    /// Random id of the clock window at hand; another whenever what was learnt is void.
-    window: u64,
-    /// What was learnt is void: another window begins as soon as a time is known to close the second at.
-    void: bool,
+    window: ClockWindow,
     second: Second,
-    /// The last second that was closed, for each network in use.
-    last: Vec<ClockSample>,
-    /// Sessions by their networks. The last network stays when its sessions are over: what follows them is told of it.
-    networks: BTreeMap<NetworkName, usize>,
+    networks: NetworkSessions,
     edge: ToldClock,
     cloud: ToldClock,
     restarts: RestartReports,
-}
-
-/// Suspected jumps are reported at most once in such a time: a route that flaps makes one after the other.
-const JUMP_REPORT_INTERVAL: Span = Span::from_seconds(60);
-
-/// Decides what is reported of a restart of the relation, and of doubts about its assumptions.
-#[derive(Debug, Default)]
-struct RestartReports {
-    /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
-    stepped: (bool, bool),
-    /// The last restart was reported as a doubt.
-    is_in_doubt: bool,
-    /// It was reported that the exchanges prove a skew beyond the limit.
-    is_skew_told: bool,
-    /// When a suspected jump was reported last, and how many were not since.
-    jump_told: Option<RawTime>,
-    jumps_untold: u32,
-}
-
-impl RestartReports {
-    /// Notes whose clock was stepped. A step without a restart counts only while another one waits for its report.
-    const fn note_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
-        let counts = restarted || self.stepped.0 || self.stepped.1;
-        self.stepped.0 |= counts && edge;
-        self.stepped.1 |= counts && cloud;
-    }
-
-    /// Returns the report of a restart that moved the offset by `moved`; `doubt` is the assumption that the clocks seem not to
-    /// keep, with its limit.
-    fn restarted(&mut self, moved: Option<Span>, doubt: Option<(Doubt, f64)>) -> Option<Restart> {
-        let (edge, cloud) = std::mem::take(&mut self.stepped);
-        // Clocks beyond the limit begin anew several times a second: that is reported once, until they keep it again.
-        let was_in_doubt = std::mem::replace(&mut self.is_in_doubt, doubt.is_some());
-        (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
-    }
-
-    /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
-    fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
-        if self.jump_told.is_some_and(|told| (at - told).abs() < JUMP_REPORT_INTERVAL) {
-            self.jumps_untold = self.jumps_untold.saturating_add(1);
-            return None;
-        }
-        self.jump_told = Some(at);
-        Some(SuspectedJump { moved, untold: std::mem::take(&mut self.jumps_untold) })
-    }
-
-    /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
-    fn proven(&mut self, excess: Option<ExcessSkew>) -> Option<ExcessSkew> {
-        let was_told = std::mem::replace(&mut self.is_skew_told, excess.is_some());
-        excess.filter(|_| !was_told)
-    }
 }
 
 /// Samples and restarts to report.
@@ -102,38 +47,6 @@ pub(super) struct News {
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess: Option<ExcessSkew>,
-}
-
-/// The offset jumped, and no host noticed a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SuspectedJump {
-    /// By how much.
-    pub(super) moved: Span,
-    /// How many were suspected since the last report, without one of their own.
-    pub(super) untold: u32,
-}
-
-/// The exchanges prove a skew beyond the limit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct ExcessSkew {
-    /// The skew that is proven.
-    pub(super) proven: ProvenSkew,
-    /// The limit, parts per million.
-    pub(super) limit_ppm: f64,
-}
-
-/// A clock was stepped: the relation began anew.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Restart {
-    /// By how much the offset moved, where that is known.
-    pub(super) moved: Option<Span>,
-    /// Whether it was the edge's clock, as far as known.
-    pub(super) edge: bool,
-    /// Whether it was the cloud's.
-    pub(super) cloud: bool,
-    /// The assumption, with its limit in parts per million or parts per million per second, where it is more likely that the clocks do not
-    /// keep it.
-    pub(super) doubt: Option<(Doubt, f64)>,
 }
 
 /// A message that has arrived, and how many bits it had.
@@ -159,11 +72,9 @@ impl Knowledge {
             peer,
             name,
             relation,
-            window: random(),
-            void: false,
+            window: ClockWindow::begin(),
             second,
-            last: Vec::new(),
-            networks: BTreeMap::new(),
+            networks: NetworkSessions::default(),
             edge,
             cloud,
             restarts: RestartReports::default(),
@@ -174,17 +85,12 @@ impl Knowledge {
 
     /// A session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
-        *self.networks.entry(network.clone()).or_default() += 1;
+        self.networks.join(network);
     }
 
     /// A session over this network is over.
     pub(super) fn leave(&mut self, network: &NetworkName) {
-        if let Some(sessions) = self.networks.get_mut(network) {
-            *sessions = sessions.saturating_sub(1);
-        }
-        if self.networks.values().any(|sessions| *sessions > 0) {
-            self.networks.retain(|_, sessions| *sessions > 0);
-        }
+        self.networks.leave(network);
     }
 
     /// An exchange of data over a network finished: judges the delays of its two ways.
@@ -330,10 +236,9 @@ impl Knowledge {
     pub(super) fn now(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;
-        let last = self.last.iter().find(|last| last.network == *network);
-        let last = last.filter(|last| current && last.at == previous && last.window == self.window);
+        let last = self.window.last_second(network).filter(|last| current && last.at == previous);
         // What holds since a step is not told under the name of the window before it.
-        let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.void);
+        let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
@@ -358,9 +263,7 @@ impl Knowledge {
         let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let restarted = self.relation.counts().restarts > before;
         if restarted {
-            // It is not to be shown any more.
-            self.last.clear();
-            self.void = true;
+            self.window.make_void();
         }
         self.restarts.note_steps(restarted, (edge_new, cloud_new));
         answer
@@ -393,12 +296,11 @@ impl Knowledge {
 
     /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
     fn begin_window(&mut self, now: Stamp, news: &mut News) {
-        if std::mem::take(&mut self.void) {
+        if self.window.is_void() {
             let is_current = now.wall.unix_seconds() == self.second.at;
             let at = if is_current { now } else { edge_time(now, self.second.end()) };
             self.close(at, None, now.wall, news);
-            self.last.clear();
-            self.window = random();
+            self.window = ClockWindow::begin();
         }
     }
 
@@ -406,11 +308,11 @@ impl Knowledge {
     fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, news: &mut News) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
-                self.networks.keys().chain(self.second.networks()).collect();
+                self.networks.names().chain(self.second.networks()).collect();
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             news.samples.extend_from_slice(&samples);
-            self.last = samples;
+            self.window.keep(samples);
         }
         self.second = Second::new(now.unix_seconds());
     }
@@ -436,7 +338,7 @@ impl Knowledge {
             peer: self.peer,
             peer_name: self.name.clone(),
             at: at.wall,
-            window: self.window,
+            window: self.window.id(),
             max_drift_ppm: settings.max_drift_ppm,
             upper: self.second.upper,
             lower: self.second.lower,
@@ -467,10 +369,6 @@ fn edge_time(now: Stamp, at: WallTime) -> Stamp {
 /// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.
 const fn whose(witnessed: &Witnessed) -> (u32, Option<u32>) {
     (witnessed.edge_epoch, witnessed.cloud_epoch)
-}
-
-fn random() -> u64 {
-    Uuid::new_v4().as_u64_pair().0
 }
 
 #[cfg(test)]

@@ -6,15 +6,19 @@
 //! second. A [`NamedReflector`](named_reflector::NamedReflector) of the configuration has a relation of its own.
 
 mod answers;
+mod clock_window;
 mod connections;
 mod correction;
 mod judged_stamps;
 mod knowledge;
 mod named_reflector;
+mod network_sessions;
 mod pair;
+mod probe_pace;
 mod probe_target;
 mod probing;
 mod registry;
+mod reports;
 mod second;
 mod shared;
 mod thinned;

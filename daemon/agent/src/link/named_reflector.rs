@@ -10,9 +10,10 @@ use peernet_clock::{Interval, Offset, RelatedClocks, Relation, RelationSettings,
 use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 
 use super::answers::Answers;
+use super::probe_pace::ProbePace;
 use super::probe_target::{ProbeTarget, RESULTS};
 use super::shared::{Shared, lock};
 use crate::config::ReflectorAddress;
@@ -39,12 +40,7 @@ impl NamedReflector {
     }
 
     /// Probes it as long as it is polled.
-    pub(super) async fn probe(
-        &self,
-        shared: &Shared,
-        peer: &Slug,
-        rate_hz: &watch::Sender<f64>,
-    ) -> Infallible {
+    pub(super) async fn probe(&self, shared: &Shared, peer: &Slug, pace: &ProbePace) -> Infallible {
         let target = ProbeTarget {
             peer: peer.clone(),
             host: self.address.host.clone(),
@@ -55,7 +51,7 @@ impl NamedReflector {
             clocks: RelatedClocks::RawToWall,
         };
         let (results, mut arriving) = mpsc::channel(RESULTS);
-        let mut probing = pin!(target.probe(shared, rate_hz, &self.probing, results));
+        let mut probing = pin!(target.probe(shared, pace, &self.probing, results));
         let mut answers = Answers::new(peer.clone(), false);
         loop {
             tokio::select! {

@@ -20,13 +20,11 @@ use super::correction::{bits, correct};
 use super::judged_stamps::Crossing;
 use super::knowledge::{Knowledge, News, Way};
 use super::named_reflector::NamedReflector;
+use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
 use super::words::{excess_in_words, jump_in_words, restart_in_words, wall_set_in_words};
 use crate::incidents::Concerning;
 use crate::same_clock::NotProven;
-
-/// Data this long ago does not keep the probes at their full rate.
-const IN_USE: Span = Span::from_seconds(3);
 
 /// A session waits no longer for the proof that both ends read one clock: a cloud that has connected answers within a millisecond.
 const FIRST_PROOF: Duration = Duration::from_millis(500);
@@ -36,25 +34,28 @@ const FIRST_PROOF: Duration = Duration::from_millis(500);
 #[derive(Debug)]
 pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
-    pub(super) peer: HostId,
-    pub(super) name: Slug,
-    /// The cloud's clock.
-    pub(super) clock: ClockIdentity,
+    pub(super) cloud: LinkedCloud,
     /// Whether it is proven that both processes read one clock; `None` until the first attempt is over.
     same_clock: watch::Sender<Option<bool>>,
-    /// Which clocks of the two hosts are related.
-    pub(super) clocks: RelatedClocks,
     /// Sessions with the cloud, the oldest first; none any more when the link is over.
     pub(super) sessions: watch::Sender<Vec<Session>>,
-    /// Probes per second.
-    pub(super) rate_hz: watch::Sender<f64>,
+    pub(super) pace: ProbePace,
     knowledge: Mutex<Knowledge>,
     pub(super) probing: Mutex<Probing>,
     /// The reflector that the configuration names for the cloud.
     reflector: Option<NamedReflector>,
     connections: Mutex<Connections>,
-    /// When data last came back.
-    used: Mutex<MonoTime>,
+}
+
+/// The cloud of a link.
+#[derive(Debug)]
+pub(super) struct LinkedCloud {
+    pub(super) id: HostId,
+    pub(super) name: Slug,
+    /// Its clock.
+    pub(super) clock: ClockIdentity,
+    /// Which clocks of the two hosts are related.
+    pub(super) clocks: RelatedClocks,
 }
 
 impl Link {
@@ -71,20 +72,21 @@ impl Link {
         let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
         let link = Self {
             shared: Arc::clone(shared),
-            peer: accepted.host,
-            name: accepted.name.clone(),
-            clock: accepted.clock.clone(),
+            cloud: LinkedCloud {
+                id: accepted.host,
+                name: accepted.name.clone(),
+                clock: accepted.clock.clone(),
+                clocks,
+            },
             same_clock: watch::Sender::new(None),
-            clocks,
             sessions: watch::Sender::new(Vec::new()),
-            rate_hz: watch::Sender::new(0.0),
+            pace: ProbePace::new(now.mono),
             knowledge: Mutex::new(knowledge),
             probing: Mutex::new(Probing::Off("about to begin".to_owned())),
             reflector,
             connections: Mutex::default(),
-            used: Mutex::new(now.mono),
         };
-        link.pace(now.mono);
+        link.adjust_pace(now.mono);
         link
     }
 
@@ -114,8 +116,8 @@ impl Link {
         ways: [Way; 2],
         now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
-        *lock(&self.used) = now.mono;
-        self.pace(now.mono);
+        self.pace.note_data(now.mono);
+        self.adjust_pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
         match witnessed {
             Some(witnessed) => knowledge.judge(network, witnessed, ways, now),
@@ -138,7 +140,7 @@ impl Link {
     /// A second may be over.
     pub(super) fn turn(&self) {
         let now = self.shared.host.clock.stamp();
-        self.pace(now.mono);
+        self.adjust_pace(now.mono);
         let news = lock(&self.knowledge).turn(now);
         self.tell(news);
     }
@@ -171,13 +173,15 @@ impl Link {
         if before == Some(is_proven) {
             return;
         }
-        self.pace(self.shared.host.clock.mono());
+        self.adjust_pace(self.shared.host.clock.mono());
         match proof {
-            Ok(()) => tracing::info!(peer = %self.name, "both processes read one clock: delays are exact"),
-            Err(why) if before == Some(true) => {
-                tracing::warn!(peer = %self.name, "delays are measured from now on: {why}");
+            Ok(()) => {
+                tracing::info!(peer = %self.cloud.name, "both processes read one clock: delays are exact");
             }
-            Err(why) => tracing::debug!(peer = %self.name, "delays are measured: {why}"),
+            Err(why) if before == Some(true) => {
+                tracing::warn!(peer = %self.cloud.name, "delays are measured from now on: {why}");
+            }
+            Err(why) => tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}"),
         }
     }
 
@@ -186,7 +190,7 @@ impl Link {
         let mut same_clock = self.same_clock.subscribe();
         let known = same_clock.wait_for(Option::is_some);
         if tokio::time::timeout(FIRST_PROOF, known).await.is_err() {
-            tracing::debug!(peer = %self.name, "not known yet whether both processes read one clock");
+            tracing::debug!(peer = %self.cloud.name, "not known yet whether both processes read one clock");
         }
     }
 
@@ -196,13 +200,13 @@ impl Link {
 
     /// The cloud's name.
     pub(crate) const fn name(&self) -> &Slug {
-        &self.name
+        &self.cloud.name
     }
 
     /// Probes the reflector that the configuration names for the cloud, if it names one, as long as it is polled.
     pub(super) async fn probe_named_reflector(&self) -> Infallible {
         match &self.reflector {
-            Some(reflector) => reflector.probe(&self.shared, &self.name, &self.rate_hz).await,
+            Some(reflector) => reflector.probe(&self.shared, &self.cloud.name, &self.pace).await,
             None => std::future::pending().await,
         }
     }
@@ -230,20 +234,20 @@ impl Link {
         }
         let mut probing = lock(&self.probing).clone();
         if let Probing::On { rate_hz, .. } = &mut probing {
-            *rate_hz = *self.rate_hz.borrow();
+            *rate_hz = self.pace.rate_hz();
         }
         let clock = &self.shared.host.clock;
         let connections = lock(&self.connections).of(&sessions, clock.mono());
         let now = clock.stamp();
-        let rate_hz = *self.rate_hz.borrow();
+        let rate_hz = self.pace.rate_hz();
         let reflector = self.reflector.as_ref().map(|it| it.live(rate_hz, now, clock.wall_ahead()));
         let knowledge = lock(&self.knowledge);
         let (edge, cloud) = knowledge.clocks();
         let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
             pipelines.sort_unstable();
             LinkLive {
-                peer: self.peer,
-                peer_name: self.name.clone(),
+                peer: self.cloud.id,
+                peer_name: self.cloud.name.clone(),
                 networks: vec![network.to_string()],
                 pipelines,
                 same_clock: self.is_same_clock(),
@@ -262,13 +266,8 @@ impl Link {
         networks.into_iter().map(link).collect()
     }
 
-    /// Probes go out quickly while data does. Between two ends on one clock there is nothing to be estimated: the
-    /// slow ones only show that the path is there and the clock really one.
-    fn pace(&self, now: MonoTime) {
-        let probes = &self.shared.probes;
-        let busy = now - *lock(&self.used) < IN_USE;
-        let wanted = if busy && !self.is_same_clock() { probes.rate_hz } else { probes.idle_rate_hz };
-        self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
+    fn adjust_pace(&self, now: MonoTime) {
+        self.pace.adjust(&self.shared.probes, self.is_same_clock(), now);
     }
 
     fn tell(&self, news: News) {
@@ -276,7 +275,7 @@ impl Link {
         for sample in news.samples {
             host.feed.event(None, Event::Clock(Box::new(sample)));
         }
-        let (edge, cloud) = (&host.name, &self.name);
+        let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [
             news.restart.map(|restart| restart_in_words(restart, edge, cloud)),
             news.jump.map(|jump| jump_in_words(jump, edge, cloud)),
@@ -284,7 +283,7 @@ impl Link {
             news.excess.map(|excess| excess_in_words(excess, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
-            let what = Concerning { peer: Some(self.peer), ..Concerning::default() };
+            let what = Concerning { peer: Some(self.cloud.id), ..Concerning::default() };
             host.incidents.report(IncidentKind::ClockStep, what, text);
         }
     }

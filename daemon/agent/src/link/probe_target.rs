@@ -10,9 +10,10 @@ use peernet_clock::RelatedClocks;
 use peernet_logger::Slug;
 use peernet_probes::{Key, OpenError, ProbeResult, Prober, ProberConfig};
 use peernet_stream::Probing;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+use super::probe_pace::ProbePace;
 use super::shared::{Shared, lock};
 
 /// A probe without an answer for so long is lost.
@@ -51,11 +52,11 @@ enum ProbingError {
 }
 
 impl ProbeTarget {
-    /// Probes as long as it is polled, at a rate that may change. Says in `shown` how, or why it does not.
+    /// Probes as long as it is polled, at the link's pace. Says in `shown` how, or why it does not.
     pub(super) async fn probe(
         &self,
         shared: &Shared,
-        rate_hz: &watch::Sender<f64>,
+        pace: &ProbePace,
         shown: &Mutex<Probing>,
         results: mpsc::Sender<ProbeResult>,
     ) -> Infallible {
@@ -67,9 +68,9 @@ impl ProbeTarget {
             match self.open(shared).await {
                 Ok((prober, target)) => {
                     let stamps = prober.stamps_in_words().to_owned();
-                    let rate = *rate_hz.borrow();
-                    *lock(shown) = Probing::On { address: format!("udp://{target}"), rate_hz: rate, stamps };
-                    prober.run(rate_hz.subscribe(), results.clone(), CancellationToken::new()).await;
+                    let address = format!("udp://{target}");
+                    *lock(shown) = Probing::On { address, rate_hz: pace.rate_hz(), stamps };
+                    prober.run(pace.subscribe(), results.clone(), CancellationToken::new()).await;
                     *lock(shown) = Probing::Off(ProbingError::Ended.to_string());
                 }
                 Err(error) => {

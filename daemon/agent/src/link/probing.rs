@@ -42,7 +42,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
     let mut probing = pin!(probe(link, &session, results));
     let clock = &link.shared.host.clock;
     let mut proving = pin!(prove(&session.clock_peers, clock, |proof| link.set_same_clock(proof)));
-    let mut answers = Answers::new(link.name.clone(), link.shared.probes.key.is_some());
+    let mut answers = Answers::new(link.cloud.name.clone(), link.shared.probes.key.is_some());
     loop {
         let second = pin!(tokio::time::sleep(until_next_second(clock.wall().unix_nanos())));
         tokio::select! {
@@ -88,18 +88,18 @@ async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
 /// Probes the cloud of a session as long as it is polled; says at the link why it does not.
 async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
     let Some(port) = session.probes else {
-        *lock(&link.probing) = Probing::Off(format!("{} answers no probes", link.name));
+        *lock(&link.probing) = Probing::Off(format!("{} answers no probes", link.cloud.name));
         return std::future::pending().await;
     };
     let target = ProbeTarget {
-        peer: link.name.clone(),
+        peer: link.cloud.name.clone(),
         host: session.host.clone(),
         port,
         key: link.shared.probes.key_for(session),
         instance: Some(session.instance),
-        clocks: link.clocks,
+        clocks: link.cloud.clocks,
     };
-    target.probe(&link.shared, &link.rate_hz, &link.probing, results).await
+    target.probe(&link.shared, &link.pace, &link.probing, results).await
 }
 
 /// From a moment to the next second of the same clock.

@@ -165,7 +165,7 @@ impl Links {
 
     /// The task of a link.
     async fn tend(self, link: Arc<Link>) {
-        let peer = link.name.clone();
+        let peer = link.name().clone();
         if AssertUnwindSafe(probing::tend(link)).catch_unwind().await.is_err() {
             self.0.died.send_replace(Some(LinkPanic { peer }));
         }
@@ -196,8 +196,8 @@ impl Drop for Attached {
     fn drop(&mut self) {
         let mut open = self.links.open();
         let over = self.link.leave(self.session, &self.network);
-        if over && open.get(&self.link.peer).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
-            open.remove(&self.link.peer);
+        if over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
+            open.remove(&self.link.cloud.id);
         }
     }
 }
@@ -212,5 +212,5 @@ fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String 
 /// nobody knows how its clock was set in between.
 fn is_same_cloud(link: &Link, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
     let known = link.sessions.borrow().first().map(|session| session.instance);
-    link.clock == accepted.clock && link.clocks == clocks && known == Some(accepted.instance)
+    link.cloud.clock == accepted.clock && link.cloud.clocks == clocks && known == Some(accepted.instance)
 }

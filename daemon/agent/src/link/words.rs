@@ -3,7 +3,7 @@
 use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
-use super::knowledge::{ExcessSkew, Restart, SuspectedJump};
+use super::reports::{ExcessSkew, Restart, SuspectedJump};
 use crate::incidents::far_in_words;
 
 /// That a clock was stepped, by how much, and whose.
