@@ -8,7 +8,6 @@ use super::{Outcome, Scene, WINDOW, way, wire};
 /// Stops the edge for so long; `and` is done meanwhile. Returns what came of it, and when it stopped and went on.
 fn stop(what: &'static str, length: Span, and: impl FnOnce(&Scene)) -> (Outcome, RawTime, RawTime) {
     let scene = Scene::new(what, wire(way(2, 0, 0), way(2, 0, 0)), "", |[edge, _]| {
-        // Ahead: a monotonic clock that goes back, which none does, would keep the process's timers waiting.
         edge.change(Span::from_seconds(77), 150.0, 0.0);
     });
     scene.settle();
