@@ -14,8 +14,16 @@ fn wire(folder: &Path) -> Network {
     Network::wire(folder, way(40), way(5))
 }
 
+/// What 300 iterations came to.
+struct Outcome {
+    iterations: Vec<Iteration>,
+    edge: HostClock,
+    cloud: HostClock,
+    is_jump_suspected: bool,
+}
+
 /// Runs 300 iterations with both clocks rehearsed; what they claim is trusted.
-fn run(discipline: &str) -> (Vec<Iteration>, HostClock, HostClock) {
+fn run(discipline: &str) -> Outcome {
     let plant = Plant::new(wire);
     let more = format!("discipline = \"{discipline}\"");
     let _cloud = plant.cloud(&rehearsal(700.0, -20.0, &more));
@@ -29,19 +37,26 @@ fn run(discipline: &str) -> (Vec<Iteration>, HostClock, HostClock) {
     plant.finished(1);
     let iterations = plant.iterations();
     assert!(iterations.len() >= 300, "{}", iterations.len());
-    (iterations, edge, cloud)
+    let is_jump_suspected = plant.api.json("/api/v1/incidents").to_string().contains("clock-step");
+    Outcome { iterations, edge, cloud, is_jump_suspected }
 }
 
-/// A delay is as good as it says: `ok` when its interval is no wider than half of it, else `limited`.
-fn as_good_as_it_says(delay: &Delay) {
+/// A delay is as good as it says: `ok` when its interval is no wider than half of it, else `limited`. Where a jump was suspected, as jitter
+/// makes it happen now and then, a narrow one is `limited` as well until the window is full again.
+fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
-    let expected = if (hi - lo).nanos() * 2 > value.nanos() { "limited" } else { "ok" };
-    assert_eq!(delay.verdict, expected, "{delay:?}");
+    let is_wide = (hi - lo).nanos() * 2 > value.nanos();
+    let may_be = match (is_wide, is_jump_suspected) {
+        (true, _) => ["limited"].as_slice(),
+        (false, false) => &["ok"],
+        (false, true) => &["ok", "limited"],
+    };
+    assert!(may_be.contains(&delay.verdict.as_str()), "{delay:?}");
 }
 
 #[test]
 fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
-    let (iterations, edge, cloud) = run("none");
+    let Outcome { iterations, edge, cloud, is_jump_suspected } = run("none");
     let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
     let smallest = iterations.iter().map(|iteration| {
         let there_and_back = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
@@ -55,8 +70,8 @@ fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
     }
     let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
     for iteration in settled {
-        as_good_as_it_says(&iteration.up);
-        as_good_as_it_says(&iteration.down);
+        as_good_as_it_says(&iteration.up, is_jump_suspected);
+        as_good_as_it_says(&iteration.down, is_jump_suspected);
     }
     // The way back is shorter than the asymmetry that nobody can exclude.
     assert!(iterations.iter().any(|iteration| iteration.down.verdict == "limited"));
@@ -64,15 +79,15 @@ fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
 
 #[test]
 fn disciplined_clocks_tell_what_exchanges_cannot() {
-    let (iterations, edge, cloud) = run("exact");
+    let Outcome { iterations, edge, cloud, is_jump_suspected } = run("exact");
     let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
     }
     for iteration in &iterations {
-        as_good_as_it_says(&iteration.up);
-        as_good_as_it_says(&iteration.down);
-        assert_eq!(iteration.up.verdict, "ok");
+        as_good_as_it_says(&iteration.up, is_jump_suspected);
+        as_good_as_it_says(&iteration.down, is_jump_suspected);
+        assert!(is_jump_suspected || iteration.up.verdict == "ok", "{:?}", iteration.up);
     }
 }
