@@ -3,6 +3,10 @@
 //! A message that waits on its way moves the middle of an exchange's bounds by half of what it waits, and makes its round trip longer
 //! by all of it. A middle that moves further than half of what the round trip grew was not moved by waiting: either the path changed,
 //! or a clock jumped. The two look the same in exchanges.
+//!
+//! When the edge's clock is set back, the exchanges under way have one bound from before the jump and one from after it, and seem to take
+//! less time than the path needs. Their round trips would hide the jump in those that follow, so that they count only when one that
+//! was sent later is as short: the path became shorter then.
 
 use std::collections::VecDeque;
 
@@ -27,6 +31,8 @@ pub(super) struct Floor {
     /// The shortest round trip, and how much longer the others of a few half seconds are: as much longer than the path's own it may be.
     shortest: i64,
     spread: i64,
+    /// An exchange seemed to be shorter than the path: one that is sent from here on was not under way together with it.
+    shortened_until: Option<RawTime>,
 }
 
 /// An exchange with a short round trip.
@@ -68,7 +74,7 @@ impl Floor {
         let longer = point.round_trip.saturating_sub(self.shortest).saturating_abs();
         let newest = self.points.back()?;
         // Mostly the middle is where the newest one was.
-        let tolerance = TOLERANCE.max(self.shortest / TOLERANCE_SHARE);
+        let tolerance = self.tolerance();
         let moved = |known: &FloorPoint| point.middle.saturating_sub(known.middle);
         if self.points.len() < LEAST_TO_SUSPECT
             || (longer / 2).saturating_add(tolerance) > moved(newest).abs()
@@ -90,9 +96,36 @@ impl Floor {
         Some(Suspicion { moved: Span::from_nanos(moved), last_before: (last.sent, last.returned) })
     }
 
+    fn tolerance(&self) -> i64 {
+        TOLERANCE.max(self.shortest / TOLERANCE_SHARE)
+    }
+
+    /// Whether an exchange seems to be shorter than the path, and none that was not under way together with it was.
+    fn may_span_jump(&mut self, point: &FloorPoint) -> bool {
+        let shorter = self.shortest.saturating_sub(point.round_trip);
+        let explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
+        let is_short = self.points.len() >= LEAST_TO_SUSPECT && shorter > explained;
+        match self.shortened_until {
+            Some(until) if until <= point.sent => {
+                self.shortened_until = None;
+                false
+            }
+            Some(_) => is_short,
+            None => {
+                // By the clock that it was sent by it returned later by what it seems to be shorter.
+                let apart = Span::from_nanos(shorter.saturating_add(explained));
+                self.shortened_until = is_short.then(|| point.returned + apart);
+                is_short
+            }
+        }
+    }
+
     /// Takes an exchange, and drops those of more than `window` before it.
     pub(super) fn insert(&mut self, exchange: &Exchange, window: Span) {
         let point = FloorPoint::from(exchange);
+        if self.may_span_jump(&point) {
+            return;
+        }
         let stretch = |point: &FloorPoint| point.sent.nanos().div_euclid(STRETCH);
         match self.points.back_mut() {
             Some(last) if stretch(last) == stretch(&point) => {
@@ -121,6 +154,7 @@ impl Floor {
     /// Forgets all.
     pub(super) fn clear(&mut self) {
         self.points.clear();
+        self.shortened_until = None;
     }
 
     fn measure(&mut self) {

@@ -22,10 +22,15 @@ struct Seen {
 }
 
 /// Judges ten exchanges a second for so many seconds; the assumption is violated from `at` on.
-fn see(world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
+fn see(world: &World, path: Path, settings: RelationSettings, times: (f64, f64)) -> Seen {
+    see_at(10.0, world, path, settings, times)
+}
+
+/// The same with so many exchanges a second.
+fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
     let mut relation = Relation::new(settings);
     let mut seen = Seen::default();
-    for trip in path.trips(world, (0.0, end), 10.0, &mut Dice(12)) {
+    for trip in path.trips(world, (0.0, end), hz, &mut Dice(12)) {
         let judged = relation.judge(&trip.witnessed());
         let after = trip.ended / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
@@ -105,6 +110,42 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
     }
 }
 
+/// Of the edge's clock, while exchanges are under way: set back, they seem to take less time than the path needs.
+#[test]
+fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
+    for (way, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)] {
+        for millis in [-39, -15, -3, 3, 15, 39] {
+            let jump = Span::from_millis(millis);
+            let world = drifting(20.0);
+            let world = World { edge: world.edge.stepped(Span::from_seconds(30), jump), ..world };
+            let seen = see_at(60.0, &world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
+            // 3 ms are within the jitter; a jump beyond the round trip contradicts what was known and is a step.
+            let is_suspected = way.0 > 1.0 && millis.abs() >= 15;
+            let in_time = |after: f64| after < 0.1;
+            assert!(!is_suspected || seen.jumped.is_some_and(in_time), "{way:?} {jitter} {jump}: {seen:?}");
+            assert!(in_time(seen.last_wrong), "{way:?} {jitter} {jump}: {seen:?}");
+        }
+    }
+}
+
+/// As when a route changes: narrower bounds, and no jump.
+#[test]
+fn path_that_becomes_shorter_is_no_jump() {
+    let world = drifting(20.0);
+    let mut relation = Relation::new(free_running(200.0));
+    let (mut dice, mut widths) = (Dice(4), Vec::new());
+    for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
+        for trip in route.trips(&world, seconds, 20.0, &mut dice) {
+            let judged = relation.judge(&trip.witnessed());
+            assert_eq!(judged.learned, Learned::Taken);
+            assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
+            widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
+        }
+    }
+    let at_once = widths.iter().filter(|(ended, _)| *ended > 30.3e9);
+    assert!(at_once.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
+}
+
 /// Whatever the path, the jump and the change of rate.
 #[test]
 fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
@@ -116,13 +157,17 @@ fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
         let (jump, ppm) = (log(1e4, 3e8) as i64, log(5.0, 180.0));
         let at = Span::from_seconds(30);
         let world = drifting(10.0);
-        let cloud = match seed % 4 {
-            0 => world.cloud.stepped(at, Span::from_nanos(jump)),
-            1 => world.cloud.stepped(at, Span::from_nanos(-jump)),
-            2 => world.cloud.faster(at, ppm),
-            _ => world.cloud.faster(at, -ppm),
+        let change = |clock: Wall| match seed % 4 {
+            0 => clock.stepped(at, Span::from_nanos(jump)),
+            1 => clock.stepped(at, Span::from_nanos(-jump)),
+            2 => clock.faster(at, ppm),
+            _ => clock.faster(at, -ppm),
         };
-        let seen = see(&World { cloud, ..world }, path, free_running(200.0), (30.0, 60.0));
+        let world = match seed % 8 < 4 {
+            true => World { cloud: change(world.cloud), ..world },
+            false => World { edge: change(world.edge), ..world },
+        };
+        let seen = see(&world, path, free_running(200.0), (30.0, 60.0));
         assert!(seen.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
         longest = longest.max(seen.last_wrong);
     }

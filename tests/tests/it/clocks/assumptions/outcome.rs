@@ -98,7 +98,14 @@ impl Outcome {
     /// At the end all delays are good.
     pub(super) fn is_good_at_the_end(&self) {
         let bad: Vec<&Judged> = self.last().filter(|delay| !delay.is_good).collect();
-        assert!(bad.is_empty(), "{}: {} of the last, the first of them {:?}; incidents: {}", self.what, bad.len(), bad[0], self.incidents);
+        assert!(
+            bad.is_empty(),
+            "{}: {} of the last, the first of them {:?}; incidents: {}",
+            self.what,
+            bad.len(),
+            bad[0],
+            self.incidents
+        );
     }
 
     /// At the end no delay is believed.
