@@ -185,12 +185,14 @@ class Scene:
             ahead_ns = _wall_less_raw_ns()
             text = self._edge(it, f"{edge.address}:{events}", f"{cloud.address}:{data}")
             agent = it.daemon("edge", text, edge)
-            since_ns = 0 if self.false_time_s is not None else _since_ns(agent, edge, web) - ahead_ns
+            # libfaketime shows the free-running clock on the scale of the wall clock.
+            wall = self.false_time_s is not None
+            since_ns = time.time_ns() if wall else _since_ns(agent, edge, web) - ahead_ns
             agent.wait_until("its run is stored", lambda: it.is_stored("small"), self.seconds + 60)
             run = store.run_of(it.database, "small")
             if run is None:
                 raise Failure("the run that was stored is gone")
-            rows = {direction: store.delays(it.database, run, direction) for direction in DIRECTIONS}
+            rows = {direction: store.delays(it.database, run, direction, wall=wall) for direction in DIRECTIONS}
             return {direction: self._judged(of, since_ns, direction) for direction, of in rows.items()}
 
     def _judged(self, rows: list[store.Delay], since_ns: int, direction: str) -> list[Judged]:
@@ -198,10 +200,10 @@ class Scene:
         for row in rows:
             bounds = None if row.lo is None or row.hi is None else (row.lo, row.hi)
             if direction == "upload":
-                edge, cloud = self._edge_ns(row.sent_raw_ns - since_ns), self._cloud_ns(row.received_raw_ns - since_ns)
+                edge, cloud = self._edge_ns(row.sent_ns - since_ns), self._cloud_ns(row.received_ns - since_ns)
                 truth = cloud - edge
             else:
-                edge, cloud = self._edge_ns(row.received_raw_ns - since_ns), self._cloud_ns(row.sent_raw_ns - since_ns)
+                edge, cloud = self._edge_ns(row.received_ns - since_ns), self._cloud_ns(row.sent_ns - since_ns)
                 truth = edge - cloud
             judged.append(Judged(edge * 1e-9, row.verdict, row.value, bounds, truth * 1e-9))
         return judged

@@ -83,28 +83,29 @@ def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Delay:
-    """A one-way delay as it was reported, seconds, beside what the two free-running clocks showed."""
+    """A one-way delay as it was reported, seconds, beside what the two hosts' clocks showed."""
 
-    sent_raw_ns: int
-    received_raw_ns: int
+    sent_ns: int
+    received_ns: int
     value: float | None
     lo: float | None
     hi: float | None
     verdict: str
 
-    def edge_raw_ns(self, direction: str) -> int:
+    def edge_ns(self, direction: str) -> int:
         """The edge's stamp."""
-        return self.sent_raw_ns if direction == "upload" else self.received_raw_ns
+        return self.sent_ns if direction == "upload" else self.received_ns
 
 
-def delays(database: Path, run: Run, name: str) -> list[Delay]:
-    """The delays of one name, in the order of iterations."""
+def delays(database: Path, run: Run, name: str, *, wall: bool = False) -> list[Delay]:
+    """The delays of one name, in the order of iterations, with the stamps of the free-running clocks or of the wall clocks."""
+    sent, received = ("sent_ns", "received_ns") if wall else ("sent_raw_ns", "received_raw_ns")
     query = (
-        "SELECT transit.sent_raw_ns, transit.received_raw_ns, node.value, node.lo, node.hi, coalesce(verdict.text, '')"
+        f"SELECT transit.{sent}, transit.{received}, node.value, node.lo, node.hi, coalesce(verdict.text, '')"
         " FROM iteration JOIN node ON node.run = iteration.run AND node.iteration = iteration.number"
         " JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node"
         " JOIN name ON name.id = node.name LEFT JOIN verdict ON verdict.id = transit.verdict"
-        f" WHERE {COUNTED} AND name.text = ? AND transit.sent_raw_ns IS NOT NULL AND transit.received_raw_ns IS NOT NULL"
+        f" WHERE {COUNTED} AND name.text = ? AND transit.{sent} IS NOT NULL AND transit.{received} IS NOT NULL"
     )
     with _open(database) as connection:
         return [Delay(*row) for row in connection.execute(query, (run.number, name))]
