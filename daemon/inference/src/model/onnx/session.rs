@@ -58,7 +58,25 @@ pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuil
 }
 
 pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
-    LoadError::Session { file: plan.file.clone(), device: plan.device.to_string(), reason: error.to_string() }
+    LoadError::Session {
+        file: plan.file.clone(),
+        device: plan.device.to_string(),
+        reason: reason(&error.to_string()),
+    }
+}
+
+/// What ONNX Runtime says without where in its source it says so, in one line, and what to do where its words do not tell.
+fn reason(text: &str) -> String {
+    // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid device ID: 7".
+    let said = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, said)| said);
+    let said =
+        said.split_once(" : ").filter(|(code, _)| code.parse::<u32>().is_ok()).map_or(said, |(_, it)| it);
+    let line = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    if line.contains("Failed to load library") {
+        format!("{line}; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?")
+    } else {
+        line
+    }
 }
 
 fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize]) -> Result<(), LoadError> {
@@ -84,4 +102,24 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
 
 fn mismatch(plan: &Plan, reason: String) -> LoadError {
     LoadError::File { file: plan.file.clone(), reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::reason;
+
+    #[test]
+    fn refusal_is_one_line_without_the_source_of_the_library() {
+        let said = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
+                    options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
+                    (inclusive) and 1 (exclusive).\n";
+        let short = "FAIL : options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
+                     (inclusive) and 1 (exclusive).";
+        assert_eq!(reason(said), short);
+        let library = "[ONNXRuntimeError] : 1 : FAIL : Failed to load library /opt/libcuda.so with error: file too short";
+        assert!(reason(library).ends_with(
+            "file too short; are the device's own libraries, such as CUDA's, in LD_LIBRARY_PATH?"
+        ));
+        assert_eq!(reason("no such operator"), "no such operator");
+    }
 }
