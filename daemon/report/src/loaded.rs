@@ -45,9 +45,9 @@ impl Loaded {
     /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
     /// other programs.
     pub fn lacking(&self) -> Option<String> {
-        let reason = &self.record.reason;
-        self.damage().map(|damage| damage.to_string()).or_else(|| match reason == NO_RECORD {
-            true => Some(reason.clone()),
+        let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
+        self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
+            true => Some(NO_RECORD.to_owned()),
             false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
         })
     }

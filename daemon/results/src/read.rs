@@ -30,7 +30,7 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
     let record = record.unwrap_or_else(|| {
         let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
-        RunRecord { reason: reason.to_owned(), ..alone(path, &rows, flagged) }
+        RunRecord { reason: reason.into(), ..alone(path, &rows, flagged) }
     });
     Ok(Loaded { folder, record, rows })
 }

@@ -14,7 +14,8 @@ pub use statistics::{Kept, RunStatistics, StageStatistics};
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use peernet_stream::{
-    ClockSample, Condition, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts, Placement,
+    ClockSample, Condition, EndReason, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts,
+    Placement,
 };
 use serde::Serialize;
 
@@ -59,8 +60,8 @@ pub struct RunSummary {
     pub started: WallTime,
     /// When it ended; `None` while it goes on, or when its end never reached the store.
     pub ended: Option<WallTime>,
-    /// `finished`, `stopped`, or what went wrong.
-    pub reason: Option<String>,
+    /// Why it ended.
+    pub reason: Option<EndReason>,
     /// When the newest stored iteration began, on the edge's wall clock.
     pub last_iteration: Option<WallTime>,
     /// Iterations by outcome, warm-up left out.

@@ -6,6 +6,7 @@ use peernet_clock::WallTime;
 use serde::{Deserialize, Serialize};
 
 use super::clock::ClockSample;
+use super::end_reason::EndReason;
 use super::experiment::{Condition, ExperimentPlace};
 use super::live::Placement;
 use peernet_logger::{HostId, RunId, Slug, Tree};
@@ -86,8 +87,8 @@ pub struct RunEnded {
     pub run: RunId,
     /// When, on the edge's wall clock.
     pub ended: WallTime,
-    /// `finished`, `stopped`, or what went wrong.
-    pub reason: String,
+    /// Why.
+    pub reason: EndReason,
 }
 
 /// One iteration and its tree.

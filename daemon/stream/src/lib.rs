@@ -18,6 +18,7 @@ mod clock;
 pub mod codec;
 mod connection;
 mod counts;
+mod end_reason;
 mod estimate_basis;
 mod event;
 mod experiment;
@@ -47,6 +48,7 @@ pub use connection::{
 pub use counts::{
     CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled, Settled,
 };
+pub use end_reason::EndReason;
 pub use estimate_basis::EstimateBasis;
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};

@@ -206,7 +206,7 @@ fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
     facts.extend(
         run.facts.iter().find(|(name, _)| name.eq_ignore_ascii_case("load")).map(|(_, load)| load.clone()),
     );
-    facts.extend(summary.reason.clone());
+    facts.extend(summary.reason.as_ref().map(ToString::to_string));
     facts
 }
 

@@ -29,7 +29,7 @@ pub(crate) enum End {
 impl End {
     pub(crate) fn of(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
         if run.ended.is_some() {
-            return Self::Told(run.reason.clone().unwrap_or_else(|| "ended".to_owned()));
+            return Self::Told(run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string));
         }
         let connected = || picture.hosts.iter().any(|host| host.id == run.host && host.connected);
         let current = picture.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));

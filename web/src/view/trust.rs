@@ -7,7 +7,7 @@ use peernet_report::trust::{
     Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
 };
 use peernet_store::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
-use peernet_stream::Grade;
+use peernet_stream::{EndReason, Grade};
 use serde::Deserialize;
 
 use super::accuracy;
@@ -117,7 +117,7 @@ pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCou
             .and_then(|stage| UnknownLabels::new(stage.figures.count, &run.facts)),
         ..Evidence::default()
     };
-    Report::of(&evidence.ended(run.summary.reason.as_deref()).with_facts(&run.facts))
+    Report::of(&evidence.ended(run.summary.reason.as_ref()).with_facts(&run.facts))
 }
 
 /// What a run's configuration asks for.
@@ -154,7 +154,7 @@ fn early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<Early> {
         // Of its whole length: the store does not keep when the warm-up ended.
         seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
     };
-    Early::of(&limit, &came, summary.reason.as_deref().unwrap_or_default())
+    Early::of(&limit, &came, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }
 
 impl From<&Report> for Trust {
@@ -205,7 +205,7 @@ mod tests {
     /// 300 of so many iterations; 59 s of a minute.
     fn detail(configuration: &str, reason: &str) -> RunDetail {
         let mut summary = run(1, PlacementKind::Remote);
-        summary.reason = Some(reason.to_owned());
+        summary.reason = Some(reason.into());
         RunDetail { configuration: configuration.to_owned(), ..summary.into() }
     }
 

@@ -183,7 +183,7 @@ impl Overflow {
 mod tests {
     use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
     use peernet_logger::{HostId, Recorder};
-    use peernet_stream::{Outcome, RunEnded};
+    use peernet_stream::{EndReason, Outcome, RunEnded};
 
     use super::*;
 
@@ -203,7 +203,7 @@ mod tests {
             clock.advance(Span::from_nanos(10));
             feed.iteration(&pipeline, iteration(&clock, run, number));
         }
-        let ended = RunEnded { run, ended: clock.wall(), reason: "stopped".into() };
+        let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
         feed.event(Some(&pipeline), Event::RunEnded(ended));
 
         assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));

@@ -37,14 +37,14 @@ mod tests {
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::RunId;
-    use peernet_stream::RunEnded;
+    use peernet_stream::{EndReason, RunEnded};
 
     use super::super::Feed;
     use super::*;
 
     fn ended() -> Event {
         let ended = WallTime::from_unix_nanos(1);
-        Event::RunEnded(RunEnded { run: RunId::random(), ended, reason: "finished".into() })
+        Event::RunEnded(RunEnded { run: RunId::random(), ended, reason: EndReason::Finished })
     }
 
     #[test]

@@ -4,7 +4,7 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 use peernet_external::exec::hide_arguments;
 use peernet_logger::{RunId, Slug, Tree};
 use peernet_stream::{
-    Condition, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
+    Condition, EndReason, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
 };
 
 use super::context::PipelineContext;
@@ -113,20 +113,20 @@ impl Run {
     }
 
     /// Reports the end.
-    pub(super) fn end(&self, reason: &str, context: &PipelineContext) {
+    pub(super) fn end(&self, reason: EndReason, context: &PipelineContext) {
         end(&self.pipeline, self.id, reason, context);
     }
 }
 
 /// Reports the end of a run that nobody holds any more, if the pipeline has one.
-pub(super) fn end_orphan(pipeline: &Slug, reason: &str, context: &PipelineContext) {
+pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineContext) {
     if let Some(run) = context.events.runs.current(pipeline) {
         end(pipeline, run, reason, context);
     }
 }
 
-fn end(pipeline: &Slug, run: RunId, reason: &str, context: &PipelineContext) {
-    let ended = RunEnded { run, ended: context.host.clock.wall(), reason: reason.to_owned() };
+fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
+    let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
     context.events.runs.ended(pipeline, run);
     context.events.feed.event(Some(pipeline), Event::RunEnded(ended));
 }

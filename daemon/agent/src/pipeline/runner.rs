@@ -9,7 +9,7 @@ use futures::FutureExt;
 use peernet_inference::LoadError;
 use peernet_logger::{HostId, RunId};
 use peernet_networks::Address;
-use peernet_stream::{Condition, IncidentKind, PipelineState, Placement as Description};
+use peernet_stream::{Condition, EndReason, IncidentKind, PipelineState, Placement as Description};
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
@@ -112,12 +112,12 @@ impl Runner {
         let mut run: Option<Run> = None;
         loop {
             let Some(placement) = self.connect(&mut line, run.as_ref().map(Run::id)).await? else {
-                self.end(run.as_ref(), "stopped");
+                self.end(run.as_ref(), EndReason::Stopped);
                 return Ok(());
             };
             // A peer that came back as something else, on another device say, is another configuration.
             if let Some(other) = run.take_if(|run| !run.is_at(&placement.describe())) {
-                self.end(Some(&other), "the peer changed");
+                self.end(Some(&other), EndReason::Failed("the peer changed".to_owned()));
             }
             let current = match &mut run {
                 Some(run) => run,
@@ -134,11 +134,11 @@ impl Runner {
                     self.disconnected(&placement, current.id(), reason);
                     continue;
                 }
-                Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => ("finished".to_owned(), Ok(())),
-                Ended::Stopped => ("stopped".to_owned(), Ok(())),
-                Ended::Broken(error) => (error.to_string(), Err(error.into())),
+                Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => (EndReason::Finished, Ok(())),
+                Ended::Stopped => (EndReason::Stopped, Ok(())),
+                Ended::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
-            self.end(run.as_ref(), &reason);
+            self.end(run.as_ref(), reason);
             if line.schedule.untold() > 0 {
                 let (pipeline, starts) = (&self.config.name, line.schedule.untold());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
@@ -167,7 +167,7 @@ impl Runner {
             if !matches!(ended, Ended::Midnight) {
                 return ended;
             }
-            run.end("finished", &self.context);
+            run.end(EndReason::Finished, &self.context);
             *run = self.begin(line.facts(placement.facts()), placement, true).await;
         }
     }
@@ -178,7 +178,7 @@ impl Runner {
         let message =
             message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("without a message");
         let error = PipelineError::Panicked { message: message.to_owned() };
-        end_orphan(&self.config.name, &error.to_string(), &self.context);
+        end_orphan(&self.config.name, EndReason::Failed(error.to_string()), &self.context);
         error
     }
 
@@ -201,7 +201,7 @@ impl Runner {
         Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
     }
 
-    fn end(&self, run: Option<&Run>, reason: &str) {
+    fn end(&self, run: Option<&Run>, reason: EndReason) {
         if let Some(run) = run {
             run.end(reason, &self.context);
         }

@@ -1,6 +1,6 @@
 //! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
-use peernet_stream::{Outcome, PipelineState, PlacementKind};
+use peernet_stream::{EndReason, Outcome, PipelineState, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 
@@ -134,7 +134,7 @@ async fn a_sensor_that_ends_finishes_the_pipeline() {
         assert_eq!(iteration.outcome, Outcome::Ok);
         assert!(iteration.tree.find(&["sensing", "transform"]).is_some());
     }
-    assert_eq!(seen.ended()[0].reason, "finished");
+    assert_eq!(seen.ended()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }
 
@@ -160,6 +160,6 @@ async fn a_sensor_alone_is_measured_for_a_total_of_iterations() {
     assert_eq!((placement.kind, placement.model.as_str()), (PlacementKind::None, "none"));
     assert_eq!((&placement.peer, &placement.device), (&None, &None));
     assert_eq!(agent.pipeline().placement, *placement);
-    assert_eq!(seen.ended()[0].reason, "finished");
+    assert_eq!(seen.ended()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
 }

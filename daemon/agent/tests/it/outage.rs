@@ -1,6 +1,6 @@
 //! Clouds that are not there, go away and come back.
 
-use peernet_stream::{IncidentKind, Outcome, PipelineState};
+use peernet_stream::{EndReason, IncidentKind, Outcome, PipelineState};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
@@ -98,7 +98,7 @@ async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_i
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_contiguous(&seen.iterations());
-    assert_eq!(seen.ended()[0].reason, "stopped");
+    assert_eq!(seen.ended()[0].reason, EndReason::Stopped);
     second.stop().await.expect("stops well");
 }
 

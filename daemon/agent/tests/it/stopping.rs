@@ -1,6 +1,6 @@
 //! Stopping: what has begun is finished and handed over.
 
-use peernet_stream::Outcome;
+use peernet_stream::{EndReason, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, assert_contiguous};
 
@@ -20,7 +20,7 @@ async fn what_is_under_way_is_finished_and_handed_over() {
     let last = seen.lives.last().expect("it told of itself");
     assert_eq!(last.pipelines[0].state, peernet_stream::PipelineState::Finished);
     assert_eq!((last.accounting.waiting, last.accounting.stored), (0, last.accounting.produced));
-    assert_eq!(seen.ended()[0].reason, "stopped");
+    assert_eq!(seen.ended()[0].reason, EndReason::Stopped);
     assert_contiguous(&seen.iterations());
     assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
 }

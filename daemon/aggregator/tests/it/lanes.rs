@@ -5,7 +5,8 @@ use peernet_logger::{HostId, RunId, stage};
 use peernet_statistics::Summary;
 use peernet_store::RunFilter;
 use peernet_stream::{
-    ClockSample, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState, RunEnded, Second,
+    ClockSample, EndReason, Event, HostClock, Iteration, OutcomeCounts, PipelineLive, PipelineState,
+    RunEnded, Second,
 };
 
 use crate::bed::Bed;
@@ -52,7 +53,7 @@ async fn what_agents_send_is_what_readers_get() {
         agent.offer([Event::RunEnded(RunEnded {
             run: *run,
             ended: generate::at(60.0),
-            reason: "finished".into(),
+            reason: EndReason::Finished,
         })]);
     }
     tokio::join!(one.until_stored(), two.until_stored());
@@ -65,7 +66,7 @@ async fn what_agents_send_is_what_readers_get() {
         let which = runs.iter().position(|run| *run == summary.id).expect("one of them");
         assert_eq!(summary.counts.ok, sent[which].len() as u64);
         assert_eq!(summary.host, [one.id, two.id][which]);
-        assert_eq!(summary.reason.as_deref(), Some("finished"));
+        assert_eq!(summary.reason, Some(EndReason::Finished));
         for iteration in sent[which].iter().step_by(37) {
             let detail = store.iteration(summary.number, iteration.number).await.expect("answers");
             assert_eq!(detail.expect("stored").tree, iteration.tree);

@@ -124,10 +124,7 @@ impl Eyes for Watch<'_> {
             }
             Event::Clock(second) => self.seen.clocks.push(*second),
             Event::RunEnded(run) => {
-                return Some(match run.reason.as_str() {
-                    "finished" => Ended::Finished,
-                    reason => Ended::Failed(format!("the sweep ended early: {reason}")),
-                });
+                return Some(Ended::of_run(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),

@@ -2,6 +2,8 @@
 
 use std::convert::Infallible;
 
+use peernet_stream::EndReason;
+
 /// How it ended; `Own` is what only one command can meet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Ended<Own = Infallible> {
@@ -13,4 +15,16 @@ pub(crate) enum Ended<Own = Infallible> {
     Failed(String),
     /// What the command has another answer to.
     Own(Own),
+}
+
+impl<Own> Ended<Own> {
+    /// Takes the reason why the agent's run ended; `what` is the word for the run in the command's messages.
+    pub(crate) fn of_run(reason: EndReason, what: &str) -> Self {
+        match reason {
+            EndReason::Finished => Self::Finished,
+            EndReason::Stopped => Self::Interrupted,
+            EndReason::Failed(reason) => Self::Failed(format!("the {what} ended early: {reason}")),
+            EndReason::Unknown => Self::Failed(format!("the {what} ended early")),
+        }
+    }
 }

@@ -4,17 +4,18 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_report::rows::{Outcome, Rows};
 use peernet_statistics::number::counted;
+use peernet_stream::EndReason;
 
 use super::unavailable;
 use crate::foreground::Ended;
 
 impl Ended {
     /// As it stands in `run.json`.
-    pub(super) fn reason(&self) -> String {
+    pub(super) fn reason(&self) -> EndReason {
         match self {
-            Self::Finished => "finished".to_owned(),
-            Self::Interrupted => "stopped".to_owned(),
-            Self::Failed(reason) => reason.clone(),
+            Self::Finished => EndReason::Finished,
+            Self::Interrupted => EndReason::Stopped,
+            Self::Failed(reason) => EndReason::Failed(reason.clone()),
             Self::Own(never) => match *never {},
         }
     }

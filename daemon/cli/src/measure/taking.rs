@@ -205,11 +205,7 @@ impl Eyes for Taking<'_> {
                 self.taken.ended = Some(run.ended);
                 // A time daemon may have been heard only since the run began.
                 self.meet(running);
-                return Some(match run.reason.as_str() {
-                    "finished" => Ended::Finished,
-                    "stopped" => Ended::Interrupted,
-                    reason => Ended::Failed(format!("the run ended early: {reason}")),
-                });
+                return Some(Ended::of_run(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
                 // Later ones are told by the end of the run, or passed over.

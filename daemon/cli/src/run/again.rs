@@ -8,6 +8,7 @@ use peernet_report::loaded::RowsDamage;
 use peernet_report::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
+use peernet_stream::EndReason;
 
 use super::Beside;
 use super::folder::Folder;
@@ -89,7 +90,7 @@ pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<R
 }
 
 fn mismatch(told: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
-    if told.reason != "finished" {
+    if told.reason != EndReason::Finished {
         return Some(Mismatch::Unfinished);
     }
     if told.counts == Counts::default() {

@@ -4,6 +4,7 @@ use crate::exit::{Exit, Failure};
 use peernet_clock::SharedClock;
 use peernet_report::record::User;
 use peernet_results::{Overwrite, ResultFolder};
+use peernet_stream::EndReason;
 
 use super::beside::Beside;
 use super::children::{self, Exited, News};
@@ -133,7 +134,8 @@ impl Execution<'_> {
             // Some iterations may have no answer although all were tried.
             let incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
             let record = || ResultFolder::open(folder).ok().map(|loaded| loaded.record);
-            exit.is_well() || incomplete && record().is_some_and(|record| record.reason == "finished")
+            exit.is_well()
+                || incomplete && record().is_some_and(|record| record.reason == EndReason::Finished)
         };
         let stage = match ended.interrupted {
             true => Stage::Interrupted,

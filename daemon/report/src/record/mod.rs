@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Condition, ExperimentPlace, Hardware};
+use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -37,8 +37,8 @@ pub struct RunRecord {
     pub started: Option<DateTime<Utc>>,
     /// When it ended.
     pub ended: Option<DateTime<Utc>>,
-    /// Why it ended: `finished`, `stopped`, or what went wrong.
-    pub reason: String,
+    /// Why it ended.
+    pub reason: EndReason,
     /// Version of the program that measured.
     pub version: String,
     /// The command that was typed.

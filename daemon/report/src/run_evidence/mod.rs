@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::record::RunRecord;
 use crate::rows::Rows;
-use crate::trust::{Came, Early, Evidence, Limits, Load, Missing, Starts, broken, lasted};
+use crate::trust::{Came, Early, Evidence, Limits, Load, Missing, Starts, lasted};
 
 impl Evidence {
     /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
@@ -49,7 +49,7 @@ pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
         seconds: lasted(rows),
     };
     let early = Early::of(&limits(record), &came, &record.reason);
-    match (broken(&record.reason), early) {
+    match (record.reason.failure(), early) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
         (Some(reason), None) => Some(format!("broke off: {reason}")),
         (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),

@@ -47,7 +47,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
 
 #[test]
 fn the_record_adds_what_rows_cannot_know() {
-    let mut record = RunRecord { reason: "the model crashed".to_owned(), ..RunRecord::default() };
+    let mut record = RunRecord { reason: "the model crashed".into(), ..RunRecord::default() };
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
@@ -67,7 +67,7 @@ fn the_record_adds_what_rows_cannot_know() {
 fn a_run_that_is_not_what_was_ordered_says_so_first() {
     let judged = |limit: serde_json::Value, reason: &str| {
         let record = RunRecord {
-            reason: reason.to_owned(),
+            reason: reason.into(),
             pipeline: serde_json::json!({ "limit": limit }),
             ..RunRecord::default()
         };

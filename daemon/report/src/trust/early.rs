@@ -1,13 +1,11 @@
 //! Runs that ended before they were to end.
 
 use peernet_statistics::number::{counted, fixed, significant};
+use peernet_stream::EndReason;
 use serde::Deserialize;
 
 use super::Counts;
 use crate::rows::Rows;
-
-/// Ends of a run that are no trouble.
-const GOOD_ENDS: [&str; 3] = ["", "finished", "stopped"];
 
 /// What a run was asked for: its pipeline's `limit`. What is not there is no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
@@ -63,8 +61,8 @@ impl Came {
 
 impl Early {
     /// What a run that ended for `reason` lacks of its order; `None` where it has all, or had no limit.
-    pub fn of(limits: &Limits, came: &Came, reason: &str) -> Option<Self> {
-        let (finished, interrupted) = (reason == "finished", reason == "stopped");
+    pub fn of(limits: &Limits, came: &Came, reason: &EndReason) -> Option<Self> {
+        let interrupted = *reason == EndReason::Stopped;
         let orders = [
             (limits.iterations, came.measured as f64, Unit::Iterations),
             (limits.total, (came.measured + came.warm_up) as f64, Unit::Iterations),
@@ -76,7 +74,7 @@ impl Early {
         });
         let early = reached.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // Seconds are never met to the millisecond: of a run with such a limit its own word is taken.
-        let whole = early.share() >= 1.0 || (finished && limits.duration_s.is_some());
+        let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
         (!whole).then_some(early)
     }
 
@@ -93,11 +91,6 @@ impl Early {
             Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*came, 1), significant(*of)),
         }
     }
-}
-
-/// What became of a run that neither finished nor was stopped.
-pub(crate) fn broken(reason: &str) -> Option<&str> {
-    (!GOOD_ENDS.contains(&reason)).then_some(reason)
 }
 
 /// From the first to the last iteration that is no warm-up, seconds.

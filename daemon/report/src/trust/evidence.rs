@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
-use peernet_stream::Condition;
+use peernet_stream::{Condition, EndReason};
 
-use super::early::broken;
 use super::{Course, Early, Restarts, Starts};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
@@ -138,8 +137,8 @@ impl Evidence {
 
     /// With the reason for its end.
     #[must_use]
-    pub fn ended(self, reason: Option<&str>) -> Self {
-        Self { broken: reason.and_then(broken).map(str::to_owned), ..self }
+    pub fn ended(self, reason: Option<&EndReason>) -> Self {
+        Self { broken: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
     /// With what the run's description says of rehearsals, labels and classes.

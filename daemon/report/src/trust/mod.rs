@@ -21,8 +21,8 @@ mod tests;
 mod trend;
 
 pub use course::{Beginning, Course, Outliers, batch_means};
+pub(crate) use early::lasted;
 pub use early::{Came, Early, Limits, Unit};
-pub(crate) use early::{broken, lasted};
 pub use evidence::{Clocks, Counts, Evidence, Missing};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;

@@ -141,7 +141,7 @@ fn results_that_are_not_of_a_whole_run_say_so() {
     let folder = tempfile::tempdir().expect("a folder");
     let told = |limit: u64, reason: &str| {
         let pipeline = serde_json::json!({ "limit": { "total": limit } });
-        let written = RunRecord { reason: reason.to_owned(), pipeline, ..record() };
+        let written = RunRecord { reason: reason.into(), pipeline, ..record() };
         let text = serde_json::to_vec(&written).expect("JSON");
         std::fs::write(folder.path().join("run.json"), text).expect("writable");
         ResultFolder::open(folder.path()).expect("readable").lacking()

@@ -3,7 +3,7 @@
 use peernet_clock::WallTime;
 use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
 use peernet_logger::stage;
-use peernet_stream::{OutcomeCounts, Placement, PlacementKind};
+use peernet_stream::{EndReason, OutcomeCounts, Placement, PlacementKind};
 use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
@@ -182,7 +182,7 @@ fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError
         },
         started: wall(row.started_ns),
         ended: row.ended_ns.map(WallTime::from_unix_nanos),
-        reason: row.end_reason.clone(),
+        reason: row.end_reason.clone().map(EndReason::from),
         last_iteration: row.last_iteration_ns.map(WallTime::from_unix_nanos),
         counts: OutcomeCounts {
             ok: count(row.ok),

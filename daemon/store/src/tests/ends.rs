@@ -1,7 +1,7 @@
 //! Runs whose agent was killed, runs known by their iterations only, and what a batch put aside leaves behind.
 
 use peernet_logger::RunId;
-use peernet_stream::{BatchHead, Event, RunEnded, codec};
+use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::stored::Stored;
@@ -22,7 +22,7 @@ async fn ends(bed: &Bed) -> Vec<Option<(f64, String)>> {
     let mut runs = bed.store.runs(&crate::RunFilter::default()).await.expect("answers");
     runs.reverse();
     let end = |ended: peernet_clock::WallTime| (ended - generate::at(0.0)).seconds();
-    runs.into_iter().map(|run| Some((end(run.ended?), run.reason?))).collect()
+    runs.into_iter().map(|run| Some((end(run.ended?), run.reason?.to_string()))).collect()
 }
 
 #[tokio::test]
@@ -48,7 +48,7 @@ async fn a_goodbye_ends_runs_whose_end_was_not_told() {
     let first = bed.run_of(10).await;
     bed.commit(&[Work::Goodbye(bed.cloud)]).await;
     assert_eq!(ends(&bed).await, [None]);
-    let end = RunEnded { run: first, ended: generate::at(9.0), reason: "stopped".into() };
+    let end = RunEnded { run: first, ended: generate::at(9.0), reason: EndReason::Stopped };
     let ended = bed.batch(vec![Event::RunEnded(end)]);
     let begun = bed.batch(vec![generate::run_started(RunId::random(), "line", generate::at(10.0))]);
     bed.commit(&[ended, begun, Work::Goodbye(bed.edge)]).await;
@@ -74,7 +74,7 @@ async fn a_new_run_of_the_pipeline_ends_the_one_before() {
     bed.commit(&[late]).await;
     assert_eq!(ends(&bed).await[0], Some((3.0, LEFT.to_owned())));
     assert_eq!(bed.count("SELECT ok FROM run WHERE number = 1").await, 15);
-    let end = RunEnded { run: first, ended: generate::at(2.5), reason: "stopped".into() };
+    let end = RunEnded { run: first, ended: generate::at(2.5), reason: EndReason::Stopped };
     let later = iterations(&bed, first, 16..=16);
     let real = bed.batch(vec![Event::RunEnded(end)]);
     let later = bed.batch(later);

@@ -3,7 +3,7 @@
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
-use peernet_stream::{Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
+use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
 use super::{Bed, generate};
 use crate::figures::Figures;
@@ -99,7 +99,7 @@ async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
         };
         events.push(Event::Iteration(iteration));
     }
-    events.push(Event::RunEnded(RunEnded { run, ended: generate::at(9.0), reason: "finished".into() }));
+    events.push(Event::RunEnded(RunEnded { run, ended: generate::at(9.0), reason: EndReason::Finished }));
     let work = bed.batch(events);
     bed.commit(&[work]).await;
 
@@ -111,8 +111,8 @@ async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
     );
     assert_eq!(detail.summary.total.expect("figures").count, 2);
     assert_eq!(
-        (detail.summary.ended, detail.summary.reason.as_deref()),
-        (Some(generate::at(9.0)), Some("finished"))
+        (detail.summary.ended, detail.summary.reason),
+        (Some(generate::at(9.0)), Some(EndReason::Finished))
     );
     assert_eq!(detail.summary.placement, generate::remote());
     assert_eq!(detail.facts[0], ("Sensor".to_owned(), "30 images".to_owned()));

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, stage};
-use peernet_stream::{Event, RunEnded};
+use peernet_stream::{EndReason, Event, RunEnded};
 use sqlx::SqliteConnection;
 
 use super::clocks::sample;
@@ -297,7 +297,7 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
     // Stored when it was older than any period.
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
     events.extend(iterations(&bed, run, 1..=288));
-    events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: "stopped".into() }));
+    events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
     arrive(&mut bed, events, day(100.0)).await;
     let mut connection = bed.other().await;
     let mut retention = Retention::new(short());
@@ -398,7 +398,7 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
     // The pinned run may go on: of its edge, all stays from its begin on.
     work_off(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
-    let ended = RunEnded { run: pinned, ended: day(4.0), reason: "stopped".into() };
+    let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
     let work = bed.batch(vec![Event::RunEnded(ended)]);
     bed.commit(&[work]).await;
     // What was kept for it is looked at again a period later.

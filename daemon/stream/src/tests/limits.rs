@@ -1,5 +1,6 @@
 //! What is dropped, how it is counted, where the gap stands: of runs and their iterations.
 
+use super::super::EndReason;
 use super::world::World;
 use super::*;
 use peernet_logger::{Anchor, Measure, Name, NodeId, RunId, Slug, Tree, Unit, stage};
@@ -87,7 +88,7 @@ fn a_run_can_still_be_ended_when_iterations_no_longer_fit() {
     let (mut world, run) = (of(10), RunId::random());
     (1..=20).for_each(|number| offer(&mut world, &iteration(run, number, tree()), 0));
     let dropped = world.sending.accounting().dropped;
-    let ended = RunEnded { run, ended: at(1).wall, reason: "finished".into() };
+    let ended = RunEnded { run, ended: at(1).wall, reason: EndReason::Finished };
     offer(&mut world, &Event::RunEnded(ended), 1);
     assert_eq!(world.sending.accounting().dropped, dropped);
     let events = drain(&mut world);
@@ -120,7 +121,7 @@ fn a_loss_that_goes_on_is_reported_once_a_second_and_before_its_run_ends() {
         offer(&mut world, &iteration(run, 2 * n, broken.clone()), 2 * n as i64);
         offer(&mut world, &iteration(run, 2 * n + 1, tree()), 2 * n as i64 + 1);
     }
-    let ended = RunEnded { run, ended: at(3_000).wall, reason: "finished".into() };
+    let ended = RunEnded { run, ended: at(3_000).wall, reason: EndReason::Finished };
     offer(&mut world, &Event::RunEnded(ended), 3_000);
     let before = world.sending.accounting();
     assert_eq!((before.dropped, before.produced), (1_500, before.waiting + before.dropped));

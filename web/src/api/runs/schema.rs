@@ -82,7 +82,7 @@ impl From<&store::RunSummary> for Run {
             placement: Placement::from(&run.placement),
             started: time(run.started),
             ended: run.ended.map(time),
-            reason: run.reason.clone(),
+            reason: run.reason.as_ref().map(ToString::to_string),
             last_iteration: run.last_iteration.map(time),
             counts: run.counts.into(),
             warm_up: run.warm_up,

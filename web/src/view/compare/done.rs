@@ -2,18 +2,16 @@
 //! the same experiment, and so is one that was finished and lost its results, or one of several users.
 
 use peernet_store::RunSummary;
+use peernet_stream::EndReason;
 
 use super::LeftOut;
-
-/// What a run says of itself that came to its end.
-const FINISHED: &str = "finished";
 
 /// The runs that count, in their order, and those that do not. A run that goes on counts.
 pub(super) fn parted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
     let (mut counted, mut left_out) = (Vec::<RunSummary>::with_capacity(runs.len()), Vec::new());
     for run in runs {
-        if let Some(reason) = run.reason.clone().filter(|reason| reason != FINISHED) {
-            left_out.push(LeftOut { run: run.number, why: reason });
+        if let Some(reason) = run.reason.as_ref().filter(|reason| **reason != EndReason::Finished) {
+            left_out.push(LeftOut { run: run.number, why: reason.to_string() });
             continue;
         }
         if let Some(before) = counted.iter().position(|known| is_again(known, &run)) {
@@ -44,9 +42,9 @@ mod tests {
     #[test]
     fn each_repeat_of_a_configuration_counts_once_and_only_if_it_was_finished() {
         let host = HostId::random();
-        let of = |number, rate: &str, repeat, reason: Option<&str>| RunSummary {
+        let of = |number, rate: &str, repeat, reason| RunSummary {
             host,
-            reason: reason.map(str::to_owned),
+            reason,
             experiment: Some(ExperimentPlace {
                 name: "rates".to_owned(),
                 id: "x".to_owned(),
@@ -55,14 +53,14 @@ mod tests {
             }),
             ..run(number, PlacementKind::Local)
         };
-        let other_user = RunSummary { host: HostId::random(), ..of(5, "10", 0, Some("finished")) };
+        let other_user = RunSummary { host: HostId::random(), ..of(5, "10", 0, Some(EndReason::Finished)) };
         let runs = vec![
-            of(1, "10", 0, Some("finished")),
-            of(2, "20", 0, Some("stopped")),
-            of(3, "20", 0, Some("finished")),
-            of(4, "10", 1, Some("finished")),
+            of(1, "10", 0, Some(EndReason::Finished)),
+            of(2, "20", 0, Some(EndReason::Stopped)),
+            of(3, "20", 0, Some(EndReason::Finished)),
+            of(4, "10", 1, Some(EndReason::Finished)),
             other_user,
-            of(6, "10", 0, Some("finished")),
+            of(6, "10", 0, Some(EndReason::Finished)),
             of(7, "20", 1, None),
         ];
         let (counted, left_out) = parted(runs);

@@ -1,7 +1,7 @@
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_store::{Bound, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
-use peernet_stream::{OutcomeCounts, Placement};
+use peernet_stream::{EndReason, OutcomeCounts, Placement};
 
 use super::series::{RunCourse, RunCourses};
 use super::*;
@@ -18,7 +18,7 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         placement: Placement { ..samples::placement(kind) },
         started: samples::NOW,
         ended: Some(samples::NOW + Span::from_seconds(60)),
-        reason: Some("finished".to_owned()),
+        reason: Some(EndReason::Finished),
         last_iteration: Some(samples::NOW + Span::from_seconds(59)),
         counts: OutcomeCounts { ok: 300, ..OutcomeCounts::default() },
         warm_up: 5,

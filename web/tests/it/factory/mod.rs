@@ -17,8 +17,9 @@ pub(crate) use numbers::Numbers;
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_stream::{
-    Condition, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics, Incident,
-    IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription, RunEnded,
+    Condition, EndReason, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics,
+    Incident, IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription,
+    RunEnded,
 };
 
 /// The cameras' pipelines and the rack that serves two of them.
@@ -183,7 +184,7 @@ impl Factory {
             let mut events = self.run(0, RunId::random(), iterations, true, Some(place));
             for event in &mut events {
                 if let Event::RunEnded(ended) = event {
-                    ended.reason = (*reason).to_owned();
+                    ended.reason = (*reason).into();
                 }
             }
             self.agents[0].offer(events);
@@ -243,7 +244,7 @@ impl Factory {
             at = at + step;
         }
         if ended {
-            events.push(Event::RunEnded(RunEnded { run, ended: at, reason: "finished".into() }));
+            events.push(Event::RunEnded(RunEnded { run, ended: at, reason: EndReason::Finished }));
         }
         events
     }

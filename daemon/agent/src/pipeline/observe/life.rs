@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_logger::RunId;
-use peernet_stream::{IncidentKind, PipelineState};
+use peernet_stream::{EndReason, IncidentKind, PipelineState};
 
 use super::peer::{PeerStamps, PeerTold};
 use super::session::{Observation, SessionEnded};
@@ -32,7 +32,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
             if let Some((mut run, mut observation)) = underway {
                 let reason = "the agent stopped before the output message came";
                 observation.give_up(reason, &mut run, runner).await;
-                run.end("stopped", &runner.context);
+                run.end(EndReason::Stopped, &runner.context);
                 observation.close().await;
             }
             return Ok(());
@@ -54,11 +54,11 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
         let reason = loop {
             match observation.run(&mut source, run, runner).await {
                 SessionEnded::Midnight => {
-                    run.end("finished", &runner.context);
+                    run.end(EndReason::Finished, &runner.context);
                     *run = begin(runner, config, &source, observation.peer(), true).await;
                 }
-                SessionEnded::Limit => break Some("finished"),
-                SessionEnded::Stopped => break Some("stopped"),
+                SessionEnded::Limit => break Some(EndReason::Finished),
+                SessionEnded::Stopped => break Some(EndReason::Stopped),
                 SessionEnded::SourceLost(error) => {
                     report_trouble(runner, run.id(), Some(&error.to_string()));
                     // The run goes on with the next source.

@@ -9,7 +9,7 @@ use peernet_inference::Bank;
 use peernet_logger::HostId;
 use peernet_networks::PeerClock;
 use peernet_sample::{Description, Sample};
-use peernet_stream::{Event, Outcome};
+use peernet_stream::{EndReason, Event, Outcome};
 use tokio::sync::{oneshot, watch};
 
 use super::super::cycle::{Awaited, Cycle};
@@ -133,10 +133,11 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     }
     let ended = ended.expect("seen");
     assert_eq!(Some(ended.run), started);
-    assert_eq!(incident.expect("seen").text, ended.reason);
+    let reason = ended.reason.failure().expect("it broke off").to_owned();
+    assert_eq!(incident.expect("seen").text, reason);
     let (shown, _) = crate::live::Board::new(vec![display]).look();
-    assert_eq!(shown[0].state, PipelineState::Failed(ended.reason.clone()));
-    ended.reason
+    assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
+    reason
 }
 
 #[tokio::test]
@@ -175,7 +176,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     line.sensing = Some(Awaited { run: asked(run.id()), start, begun, sample });
     drop(Cycle::new(&mut line, &mut run, &context));
     assert!(line.sensing.is_none());
-    run.end("stopped", &context);
+    run.end(EndReason::Stopped, &context);
     let mut outcomes = Vec::new();
     loop {
         match exit.next().await.expect("the end is recorded") {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_stream::{Event, PipelineState};
+use peernet_stream::{EndReason, Event, PipelineState};
 
 use super::{idle, line, nobody, spooled, state};
 use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
@@ -61,7 +61,10 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
     let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
     let state = stopping.expect("does not wait for the aggregator").expect("stops well");
     let left = spooled(&file).await;
-    assert!(left.iter().any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == "stopped")));
+    assert!(
+        left.iter()
+            .any(|event| matches!(event, Event::RunEnded(ended) if ended.reason == EndReason::Stopped))
+    );
 
     let aggregator = Aggregator::up((address, seen)).await;
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;

@@ -1,6 +1,6 @@
 //! What does not fit is counted, and everything is accounted for.
 
-use super::super::super::RunEnded;
+use super::super::super::{EndReason, RunEnded};
 use super::*;
 use peernet_logger::RunId;
 
@@ -70,7 +70,7 @@ fn the_end_of_a_run_reports_what_it_lost() {
     agent.offer(8);
     assert_eq!(agent.accounting().dropped, 4);
     agent.pass(200);
-    let ended = RunEnded { run, ended: agent.now().wall, reason: "finished".into() };
+    let ended = RunEnded { run, ended: agent.now().wall, reason: EndReason::Finished };
     agent.sending.offer(&Event::RunEnded(ended), agent.now());
     agent.sending.flush(agent.now().wall);
     agent.settle();
