@@ -64,6 +64,28 @@ pub enum PipelineState {
     Away,
 }
 
+impl PipelineState {
+    /// The word for it in the API and on the pages.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::Waiting(_) => "waiting",
+            Self::Running => "running",
+            Self::Finished => "finished",
+            Self::Failed(_) => "failed",
+            Self::Away => "away",
+        }
+    }
+
+    /// Why it waits or failed.
+    pub fn reason(&self) -> Option<&str> {
+        match self {
+            Self::Waiting(reason) | Self::Failed(reason) => Some(reason),
+            Self::Starting | Self::Running | Self::Finished | Self::Away => None,
+        }
+    }
+}
+
 /// Where a pipeline computes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Placement {

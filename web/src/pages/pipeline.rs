@@ -28,7 +28,7 @@ use crate::view::chart::{ChartCard, Mark};
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
-use crate::view::now::state_chip;
+use crate::view::now::{state_chip, trouble};
 use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::runs::RunLine;
 use crate::view::speed::{self, Way};
@@ -151,9 +151,10 @@ async fn runs(app: &AppState, pipeline: &PipelinePicture) -> Result<Vec<RunSumma
 /// The page's sentence: how long it takes and what takes longest.
 fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
     let name = &pipeline.pipeline;
+    if let Some(trouble) = trouble(&pipeline.state) {
+        return format!("{name} {trouble}");
+    }
     match (&pipeline.state, &stack.total) {
-        (PipelineState::Failed(reason), _) => format!("{name} stopped: {reason}"),
-        (PipelineState::Waiting(reason), _) => format!("{name} waits: {reason}"),
         (PipelineState::Away, _) => format!("{name}: its host is not connected"),
         (_, None) => format!("{name}: no iteration in this time"),
         (_, Some(total)) => {

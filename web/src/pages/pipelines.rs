@@ -52,13 +52,11 @@ struct Line {
 }
 
 fn state(pipeline: &PipelinePicture) -> String {
-    match &pipeline.state {
-        PipelineState::Starting => "starting".to_owned(),
-        PipelineState::Running => "running".to_owned(),
-        PipelineState::Finished => "finished".to_owned(),
-        PipelineState::Waiting(reason) => format!("waiting: {reason}"),
-        PipelineState::Failed(reason) => format!("failed: {reason}"),
-        PipelineState::Away => "away: its host is not connected".to_owned(),
+    let state = &pipeline.state;
+    let away = (*state == PipelineState::Away).then_some("its host is not connected");
+    match state.reason().or(away) {
+        Some(reason) => format!("{}: {reason}", state.name()),
+        None => state.name().to_owned(),
     }
 }
 

@@ -9,6 +9,7 @@ use peernet_stream::PipelineState;
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
+use super::now::{state_chip, trouble};
 use super::{awaited, link, place};
 use crate::zone::Zone;
 
@@ -125,15 +126,9 @@ fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture) -> Vec<Note> {
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
     let mut notes = Vec::new();
-    match &pipeline.state {
-        PipelineState::Failed(reason) => {
-            notes.push(note(Chip::new(Tone::Bad, "failed", "failed"), format!("stopped: {reason}")));
-        }
-        PipelineState::Waiting(reason) => {
-            notes.push(note(Chip::new(Tone::Warn, "stale", "waiting"), format!("waits: {reason}")));
-        }
-        PipelineState::Starting | PipelineState::Running | PipelineState::Finished | PipelineState::Away => {}
-    }
+    notes.extend(
+        state_chip(&pipeline.state).zip(trouble(&pipeline.state)).map(|(chip, text)| note(chip, text)),
+    );
     if pipeline.state != PipelineState::Running {
         return notes;
     }

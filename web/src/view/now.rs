@@ -72,14 +72,26 @@ impl Cell {
 
 /// The chip of a state other than running.
 pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
-    match state {
-        PipelineState::Running => None,
-        PipelineState::Starting => Some(Chip::new(Tone::Quiet, "stale", "starting")),
-        PipelineState::Waiting(_) => Some(Chip::new(Tone::Warn, "stale", "waiting")),
-        PipelineState::Finished => Some(Chip::new(Tone::Quiet, "ok", "finished")),
-        PipelineState::Failed(_) => Some(Chip::new(Tone::Bad, "failed", "failed")),
-        PipelineState::Away => Some(Chip::new(Tone::Warn, "stale", "away")),
-    }
+    let (tone, icon) = match state {
+        PipelineState::Running => return None,
+        PipelineState::Starting => (Tone::Quiet, "stale"),
+        PipelineState::Waiting(_) | PipelineState::Away => (Tone::Warn, "stale"),
+        PipelineState::Finished => (Tone::Quiet, "ok"),
+        PipelineState::Failed(_) => (Tone::Bad, "failed"),
+    };
+    Some(Chip::new(tone, icon, state.name()))
+}
+
+/// What keeps a pipeline from running, in words: `waits: the cloud loads its model`.
+pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
+    let what = match state {
+        PipelineState::Failed(_) => "stopped",
+        PipelineState::Waiting(_) => "waits",
+        PipelineState::Starting | PipelineState::Running | PipelineState::Finished | PipelineState::Away => {
+            return None;
+        }
+    };
+    state.reason().map(|reason| format!("{what}: {reason}"))
 }
 
 /// A quantile of `total` within the window of all quantiles.

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
-use peernet_stream::PipelineState;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -84,14 +83,6 @@ impl From<&LiveSecond> for Second {
 impl Pipeline {
     /// A pipeline with its last `seconds`.
     pub(crate) fn new(picture: &PipelinePicture, seconds: usize) -> Self {
-        let (state, reason) = match &picture.state {
-            PipelineState::Starting => ("starting", None),
-            PipelineState::Waiting(reason) => ("waiting", Some(reason.clone())),
-            PipelineState::Running => ("running", None),
-            PipelineState::Finished => ("finished", None),
-            PipelineState::Failed(reason) => ("failed", Some(reason.clone())),
-            PipelineState::Away => ("away", None),
-        };
         let windows = picture.windows.iter().map(|window| Window {
             seconds: window.seconds,
             covered_s: window.covered_s,
@@ -106,8 +97,8 @@ impl Pipeline {
             host: picture.host_name.to_string(),
             host_id: picture.host.to_string(),
             name: picture.pipeline.to_string(),
-            state,
-            reason,
+            state: picture.state.name(),
+            reason: picture.state.reason().map(str::to_owned),
             run: picture.run_number,
             placement: Placement::from(&picture.placement),
             load: picture.load.clone(),
