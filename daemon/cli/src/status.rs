@@ -7,6 +7,7 @@ use crate::output::say;
 use chrono::{DateTime, SecondsFormat};
 use peernet_report::table::text;
 use peernet_statistics::number;
+use peernet_stream::PlacementKind;
 use serde::Deserialize;
 
 use crate::api::Api;
@@ -141,8 +142,8 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
     let Placement { kind, peer, address, model } = &pipeline.placement;
     let place = match peer.as_ref().or(address.as_ref()) {
         Some(there) => format!("{model} on {there}"),
-        None if kind == "none" => "sensor alone".to_owned(),
-        None if kind == "local" => format!("{model} on board"),
+        None if kind == PlacementKind::None.name() => "sensor alone".to_owned(),
+        None if kind == PlacementKind::Local.name() => format!("{model} on board"),
         None => model.clone(),
     };
     let ends = [Some(&pipeline.host), peer.as_ref()];

@@ -1,6 +1,7 @@
 //! Histograms of a run: the six published ones, or that of any column.
 
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
+use peernet_stream::PlacementKind;
 
 use super::columns::{account, heading, titled, too_large, unit, values};
 use super::missing_data::MissingData;
@@ -24,12 +25,13 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
 
 /// Those of a run that it can have.
 pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
-    let remote = !matches!(record.placement.kind.as_str(), "local" | "none");
+    let is_at = |kind| record.placement.is(kind);
+    let remote = !is_at(PlacementKind::Local) && !is_at(PlacementKind::None);
     let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, what)| {
         let histogram = histogram(record, rows, column, what);
         let expected = match *column {
             "sensing" => true,
-            "inference" => record.placement.kind != "none",
+            "inference" => !is_at(PlacementKind::None),
             _ => remote,
         };
         (expected || !histogram.values.is_empty()).then(|| Drawing::new(*stem, Shown::Histogram(histogram)))

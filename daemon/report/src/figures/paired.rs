@@ -1,6 +1,7 @@
 //! A model's latency on the robot and in the cloud.
 
 use peernet_statistics::number::counted;
+use peernet_stream::PlacementKind;
 
 use super::columns::{heading, not_shown, unit, values};
 use super::missing_data::MissingData;
@@ -16,7 +17,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     let shown: Vec<&Loaded> = runs.iter().filter(|run| !values(&run.rows, column).is_empty()).collect();
     let models = distinct(shown.iter().map(|run| model(&run.record)));
     let mut sides = distinct(shown.iter().map(|run| side(&run.record)));
-    sides.sort_by_key(|(kind, _)| kind != "local");
+    sides.sort_by_key(|(kind, _)| kind != PlacementKind::Local.name());
     if sides.len() < 2 {
         return Err(MissingData::SecondPlace { column: column.to_owned() });
     }
@@ -73,7 +74,8 @@ fn model(record: &RunRecord) -> String {
 /// Where it ran, and on what.
 fn side(record: &RunRecord) -> (String, String) {
     let device = record.model.as_ref().and_then(|model| model.device.clone()).unwrap_or_default();
-    let kind = if record.placement.kind.is_empty() { "remote" } else { &record.placement.kind };
+    let kind = record.placement.kind.as_str();
+    let kind = if kind.is_empty() { PlacementKind::Remote.name() } else { kind };
     (kind.to_owned(), device)
 }
 

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware};
+use peernet_stream::{Condition, EndReason, ExperimentPlace, Hardware, PlacementKind};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -88,7 +88,7 @@ pub struct RunRecord {
 impl RunRecord {
     /// Whether nothing was computed: a sensor alone.
     pub fn is_sensor_alone(&self) -> bool {
-        self.placement.kind == "none"
+        self.placement.is(PlacementKind::None)
     }
 }
 
@@ -134,12 +134,19 @@ pub struct HostRecord {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {
-    /// `local`, `remote` or `none`.
+    /// `local`, `remote` or `none`; empty, or another word, in results of other programs.
     pub kind: String,
     /// Kind of network, such as `zmq-tcp`, for a remote one.
     pub network: Option<String>,
     /// Address of the peer, likewise.
     pub address: Option<String>,
+}
+
+impl Placement {
+    /// Returns whether the record names this kind.
+    pub fn is(&self, kind: PlacementKind) -> bool {
+        self.kind == kind.name()
+    }
 }
 
 /// The model of a run.
