@@ -2,7 +2,7 @@
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{ExchangeError, FingerprintKey, Program, Request, Role};
+use peernet_external::exec::{FingerprintKey, Program, Request, Role};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
@@ -20,7 +20,7 @@ impl ActuatorKind for ExecConfig {
         let command = self.command.to_string();
         match Program::start(self, Role::Actuator, &format!("actuator {command}"), clock) {
             Ok(program) => Ok(Box::new(Exec { command, program })),
-            Err(error) => Err(failed(&command, &error)),
+            Err(error) => Err(ActuatorError::Program { command, error }),
         }
     }
 
@@ -42,19 +42,15 @@ impl ActuatorKind for ExecConfig {
 
     fn check(&self) -> Result<(), ActuatorError> {
         // The program's own check, which does not run it.
-        Self::check(self)
-            .map_err(|reason| ActuatorError(format!("the program of an exec actuator: {reason}")))
+        Self::check(self).map_err(ActuatorError::Command)
     }
-}
-
-fn failed(command: &str, error: &ExchangeError) -> ActuatorError {
-    ActuatorError(format!("the program {command}: {error}"))
 }
 
 impl Actuator for Exec {
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError> {
         let request = Request::Answer { answer, source };
-        let exchange = self.program.ask(request).map_err(|error| failed(&self.command, &error))?;
+        let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
+        let exchange = self.program.ask(request).map_err(failed)?;
         if let Some((from, to)) = exchange.restart() {
             log.timed(stage::ACTUATION_RESTART, from, to);
         }

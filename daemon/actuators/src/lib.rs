@@ -3,10 +3,13 @@
 //! `none` does nothing, `log` writes answers to the log, `exec` hands them to a program of the user's own, `ros` publishes them.
 //! A new kind is one file here, registered in [`ActuatorConfig`].
 
+mod error;
 pub mod exec;
 pub mod log;
 pub mod none;
 pub mod ros;
+
+pub use error::ActuatorError;
 
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
@@ -28,11 +31,6 @@ pub trait Actuator: Send {
         false
     }
 }
-
-/// Why an action failed.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct ActuatorError(pub String);
 
 /// A kind of actuator, implemented by its configuration.
 #[enum_dispatch]

@@ -60,8 +60,7 @@ impl AnswerType {
 
 impl RosActuatorConfig {
     fn checked(&self) -> Result<(RosVersion, MessageType), ActuatorError> {
-        let of = MessageType::try_from(self.message_type.name().to_owned());
-        let of = of.map_err(|error| ActuatorError(error.to_string()))?;
+        let of = MessageType::try_from(self.message_type.name().to_owned())?;
         let version = check_topic(self.ros_version, &self.topic, Some(&of))?;
         Ok((version, of))
     }
@@ -96,12 +95,6 @@ impl ActuatorKind for RosActuatorConfig {
             Ok(remark) => remark.into_iter().collect(),
             Err(error) => vec![error.to_string()],
         }
-    }
-}
-
-impl From<TopicError> for ActuatorError {
-    fn from(error: TopicError) -> Self {
-        Self(error.to_string())
     }
 }
 
@@ -141,11 +134,11 @@ impl Ros {
     }
 
     fn not_text(&self, part: &Part) -> ActuatorError {
-        let (topic, media) = (&self.config.topic, part.description.media.iana());
-        ActuatorError(format!(
-            "an answer of the type {media} is no text for topic {topic}; set type = \"{}\"",
-            AnswerType::Bytes.name()
-        ))
+        ActuatorError::NotText {
+            media: part.description.media.iana().to_string(),
+            topic: self.config.topic.clone(),
+            bytes: AnswerType::Bytes.name(),
+        }
     }
 }
 
