@@ -1,8 +1,10 @@
 //! A program's arguments may hold secrets: what is told of them.
 
+use std::cell::Cell;
 use std::fmt;
 
 use hmac::{Hmac, KeyInit, Mac};
+use serde::{Serialize, Serializer};
 use sha2::Sha256;
 use toml::{Table, Value};
 
@@ -17,7 +19,7 @@ const PROGRAM: &str = "the program ";
 /// The facts that name a program.
 const FACTS: [&str; 3] = ["Sensor", "Model", "Actuator"];
 
-/// The tables of a pipeline that may name a program.
+/// The tables of a pipeline that could name a program in earlier builds.
 const TABLES: [&str; 2] = ["sensor", "actuator"];
 
 /// Makes fingerprints of commands: equal commands have equal ones.
@@ -64,7 +66,50 @@ impl CommandLine {
     }
 }
 
-/// Leaves the program and the number of its arguments of each command in a pipeline's table (TOML).
+thread_local! {
+    // Serde hands no context to nested values. Only they see which keys hold commands: those of a kind are its own.
+    static HIDES_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Calls `write`, in which each command is serialized as its program and the number of its arguments, whatever its key is.
+pub fn without_arguments<T>(write: impl FnOnce() -> T) -> T {
+    /// Also when `write` panics.
+    struct Restore(bool);
+
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            HIDES_ARGUMENTS.set(self.0);
+        }
+    }
+
+    let _restore = Restore(HIDES_ARGUMENTS.replace(true));
+    write()
+}
+
+/// What is told of a command.
+#[derive(Serialize)]
+struct PublicCommand<'a> {
+    arguments: usize,
+    program: &'a str,
+}
+
+impl<'a> From<&'a CommandLine> for PublicCommand<'a> {
+    fn from(command: &'a CommandLine) -> Self {
+        Self { arguments: command.arguments(), program: command.program() }
+    }
+}
+
+impl Serialize for CommandLine {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            command if HIDES_ARGUMENTS.get() => PublicCommand::from(command).serialize(serializer),
+            Self::Shell(line) => line.serialize(serializer),
+            Self::Words(words) => words.serialize(serializer),
+        }
+    }
+}
+
+/// Leaves the program and the number of its arguments of each command in a pipeline's table (TOML) that an earlier build stored.
 pub fn hide_arguments(configuration: &str) -> String {
     // Most have none, and stay as they were written.
     if !configuration.contains("command") {
@@ -78,11 +123,10 @@ pub fn hide_arguments(configuration: &str) -> String {
         if let Some(command) = command
             && let Ok(line) = command.clone().try_into::<CommandLine>()
         {
-            let count = i64::try_from(line.arguments()).unwrap_or(i64::MAX);
-            *command = Value::Table(Table::from_iter([
-                ("program".to_owned(), Value::String(line.program().to_owned())),
-                ("arguments".to_owned(), Value::Integer(count)),
-            ]));
+            match Value::try_from(PublicCommand::from(&line)) {
+                Ok(told) => *command = told,
+                Err(error) => return format!("# cannot be written down: {error}\n"),
+            }
         }
     }
     toml::to_string(&table).unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
@@ -144,6 +188,40 @@ mod tests {
         assert_eq!(table["actuator"]["command"]["program"].as_str(), Some("sh"));
         assert_eq!(hide_arguments(&hidden), hidden, "once is enough");
         assert!(!hide_arguments("command = hunter2").contains("hunter"));
+    }
+
+    #[test]
+    fn commands_lose_their_arguments_whatever_their_key() {
+        /// A kind of program with keys of its own.
+        #[derive(Serialize)]
+        #[serde(tag = "kind", rename_all = "kebab-case")]
+        enum Kind {
+            Service { launch: CommandLine, then: Vec<CommandLine> },
+        }
+
+        #[derive(Serialize)]
+        struct Pipeline {
+            sensor: Kind,
+        }
+
+        let shell = CommandLine::Shell("TOKEN=hunter3 ./act | tee log".to_owned());
+        let launch = words(&["./light", "--token", "hunter2"]);
+        let pipeline = Pipeline { sensor: Kind::Service { launch: launch.clone(), then: vec![shell] } };
+        let write = || toml::to_string(&pipeline).expect("TOML");
+        let hidden = without_arguments(write);
+        assert!(!hidden.contains("hunter"), "{hidden}");
+        let table: Table = hidden.parse().expect("TOML");
+        let told = |program: &str, arguments: i64| {
+            Value::Table(Table::from_iter([
+                ("program".to_owned(), Value::String(program.to_owned())),
+                ("arguments".to_owned(), Value::Integer(arguments)),
+            ]))
+        };
+        assert_eq!(table["sensor"]["launch"], told("./light", 2));
+        assert_eq!(table["sensor"]["then"][0], told("sh", 1));
+
+        let whole: Table = write().parse().expect("TOML");
+        assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch), "only within the call");
     }
 
     #[test]

@@ -24,7 +24,10 @@ const MOST_FILES: usize = 4;
 const READ_BY_OTHERS: u32 = 0o004;
 
 /// A command: a line for the shell, or a program with its arguments.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+///
+/// It is written as it is read, and within [`without_arguments`](super::without_arguments) as its program and the number of its
+/// arguments.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum CommandLine {
     /// Run by `sh -c`, and in the place of that shell where it is one program and its arguments.
