@@ -13,8 +13,7 @@ use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
 use peernet_inference::{Bank, LoadError};
 use peernet_logger::Slug;
-use peernet_networks::{Address, SessionSettings, check_interfaces};
-use peernet_ros::ros2::{self, Ros2Error};
+use peernet_networks::{Address, NetworkKind, SessionSettings};
 use peernet_ros::topics::check_name;
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
@@ -86,12 +85,10 @@ impl Report {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
-        self.unless_ok(format!("{key}.ros2.interfaces"), check_interfaces(&settings.ros2.interfaces));
-    }
-
-    fn version_of_ros(&mut self, key: impl Into<String>, address: &Address) {
-        if address.domain().is_some() && !ros2::IS_BUILT {
-            self.add(key, format!("{address}: {}", Ros2Error::NotBuilt));
+        for network in NetworkKind::ALL {
+            if let Err(error) = network.check_settings(settings) {
+                self.add(format!("{key}.{}", error.key), error.problem);
+            }
         }
     }
 }
@@ -185,7 +182,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
     report.settings("serve.session", &serve.session);
     for address in serve.listen.all() {
         report.unless_ok("serve.network", address.check_network(serve.network));
-        report.version_of_ros("serve.listen", address);
+        report.unless_ok("serve.listen", address.check_host());
         check_listen(report, address);
     }
 }
@@ -226,7 +223,7 @@ fn check_pipeline(
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.settings(&format!("{at}.placement.session"), &remote.session);
         report.unless_ok(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
-        report.version_of_ros(format!("{at}.placement.peer"), &remote.peer);
+        report.unless_ok(format!("{at}.placement.peer"), remote.peer.check_host());
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)
@@ -286,7 +283,7 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
         report.add(format!("{at}.placement.{}", error.key()), error);
     }
     if let Some(peer) = &observed.peer {
-        report.version_of_ros(format!("{at}.placement.peer"), peer);
+        report.unless_ok(format!("{at}.placement.peer"), peer.check_host());
     }
     match observed.version(|name| std::env::var(name).ok()) {
         Ok(version) => {

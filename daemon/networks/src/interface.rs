@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::IpAddr;
 use std::path::Path;
 
 use nix::ifaddrs::getifaddrs;
@@ -50,43 +50,9 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
     Ok(name.map(|name| describe(Path::new(SYSFS), name)))
 }
 
-/// A network interface that this host lacks.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("this host has no network interface {name:?} with an IPv4 address; there is {}", list(.known))]
-pub struct UnknownInterface {
-    /// The interface as it was given.
-    pub name: String,
-    /// Those that there are, with their addresses.
-    pub known: Vec<(String, Ipv4Addr)>,
-}
-
-/// Checks that this host has network interfaces with these names or IPv4 addresses.
-///
-/// # Errors
-/// The first that it lacks.
-pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
-    // Where the system does not list them, joining a domain tells.
-    let Ok(entries) = getifaddrs() else { return Ok(()) };
-    let with_address = |entry: nix::ifaddrs::InterfaceAddress| {
-        let address = entry.address?.as_sockaddr_in()?.ip();
-        Some((entry.interface_name, address))
-    };
-    let known: Vec<(String, Ipv4Addr)> = entries.filter_map(with_address).collect();
-    let is_known = |wanted: &&String| {
-        known.iter().any(|(name, address)| name == *wanted || address.to_string() == **wanted)
-    };
-    let Some(name) = names.iter().find(|name| !is_known(name)) else { return Ok(()) };
-    Err(UnknownInterface { name: name.clone(), known })
-}
-
 /// Returns whether an interface is wireless, by its folder in sysfs.
 pub fn is_wireless(folder: &Path) -> bool {
     ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
-}
-
-fn list(interfaces: &[(String, Ipv4Addr)]) -> String {
-    let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
-    words.join(", ")
 }
 
 fn ip(address: &nix::sys::socket::SockaddrStorage) -> Option<IpAddr> {
@@ -113,13 +79,6 @@ mod tests {
     use std::net::{SocketAddr, UdpSocket};
 
     use super::*;
-
-    #[test]
-    fn interface_is_known_by_name_or_address() {
-        assert_eq!(check_interfaces(&["lo".into(), "127.0.0.1".into()]), Ok(()));
-        let error = check_interfaces(&["eth99".into()]).expect_err("no such interface").to_string();
-        assert!(error.contains("\"eth99\"") && error.contains("lo (127.0.0.1)"), "{error}");
-    }
 
     #[test]
     fn loopback_connection_leaves_by_loopback() {

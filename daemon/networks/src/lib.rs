@@ -13,7 +13,7 @@ mod settings;
 mod statistics;
 mod transport;
 
-pub use interface::{UnknownInterface, check_interfaces, interface_of, is_wireless};
+pub use interface::{interface_of, is_wireless};
 pub use message::{
     ClockSocketName, MAX_CONDITIONS, NoClockSocketName, PeerClock, ProbeKey, RAW_STAMPS_SINCE, RawClock,
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
@@ -26,5 +26,6 @@ pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,
-    NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure, UnknownAddress, datagram, zmtp,
+    NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure, UnknownAddress, UnusableAddress,
+    UnusableSetting, datagram, zmtp,
 };

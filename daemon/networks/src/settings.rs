@@ -1,8 +1,11 @@
 //! Timeouts and limits of a session.
 
+mod ros2;
+
+pub use ros2::Ros2SessionSettings;
+
 use std::time::Duration;
 
-use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
 /// The longest time that can be set: a day. Milliseconds.
@@ -26,7 +29,6 @@ const IN_FLIGHT_BYTES: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES: (u64, u64) = (64 << 10, 1 << 30);
-const ROS2_DEPTH: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
 
 /// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
 /// one holds.
@@ -70,29 +72,6 @@ pub struct SessionSettings {
     pub ros2: Ros2SessionSettings,
 }
 
-/// QoS and interfaces of the topics of ROS 2 that carry sessions.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Ros2SessionSettings {
-    /// Whether payloads that are lost on the way are sent again. All else always is.
-    pub reliability: Reliability,
-    /// Payloads that a topic keeps until they are taken.
-    pub depth: u32,
-    /// Longest time between two payloads that this end promises, and for which it waits for a payload whose companion message
-    /// is there. Milliseconds.
-    // The record of a run has no null, which TOML does not know.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub deadline_ms: Option<u64>,
-    /// Names or IPv4 addresses of the network interfaces to use; none for what the environment variables of ROS 2 say.
-    pub interfaces: Vec<String>,
-}
-
-impl Default for Ros2SessionSettings {
-    fn default() -> Self {
-        Self { reliability: Reliability::default(), depth: 16, deadline_ms: None, interfaces: Vec::new() }
-    }
-}
-
 impl Default for SessionSettings {
     fn default() -> Self {
         Self {
@@ -127,18 +106,19 @@ pub struct InvalidSettings {
     pub problem: String,
 }
 
+fn between(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
+    if (least..=most).contains(&value) {
+        return Ok(());
+    }
+    Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
+}
+
 impl SessionSettings {
     /// Checks what the types alone do not.
     ///
     /// # Errors
     /// When a session with these settings could never work; names the key and what it may be.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        let between = |key, value: u64, (least, most): (u64, u64)| {
-            if (least..=most).contains(&value) {
-                return Ok(());
-            }
-            Err(InvalidSettings { key, value, problem: format!("must be between {least} and {most}") })
-        };
         between("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
         between("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
         between("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
@@ -152,10 +132,7 @@ impl SessionSettings {
         between("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
         between("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
         between("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
-        between("ros2.depth", u64::from(self.ros2.depth), ROS2_DEPTH)?;
-        if let Some(deadline_ms) = self.ros2.deadline_ms {
-            between("ros2.deadline_ms", deadline_ms, OPEN_TIMEOUT_MS)?;
-        }
+        self.ros2.check()?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -188,11 +165,7 @@ impl SessionSettings {
             max_send_bits_per_second: self.max_send_bits_per_second,
             reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS),
             socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES),
-            ros2: Ros2SessionSettings {
-                depth: self.ros2.depth.clamp(1, QosProfile::MAX_DEPTH),
-                deadline_ms: self.ros2.deadline_ms.map(|ms| clamped(ms, OPEN_TIMEOUT_MS)),
-                ..self.ros2
-            },
+            ros2: self.ros2.clamped(),
         }
     }
 

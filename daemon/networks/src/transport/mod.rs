@@ -1,10 +1,11 @@
 //! What a transport is: whole messages of several frames, to and from peers that come and go.
 //!
-//! A new transport is one file here with a `dial` and a `bind`, registered in [`NetworkKind`].
+//! A new transport is one file here, registered in [`NetworkKind`].
 
 mod address;
 mod address_group;
 pub mod datagram;
+mod host_checks;
 mod memory;
 mod ros;
 mod tcp_info;
@@ -14,6 +15,7 @@ pub mod zmtp;
 
 pub use address::{Address, InvalidAddress, NetworkMismatch, NoEventStream, UnknownAddress};
 pub use address_group::AddressGroup;
+pub use host_checks::{UnusableAddress, UnusableSetting};
 
 use std::fmt;
 use std::io;
@@ -30,6 +32,7 @@ use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
 use self::address::AddressForm;
+use self::host_checks::HostChecks;
 use crate::SessionSettings;
 use crate::message::SessionHello;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
@@ -62,6 +65,11 @@ macro_rules! networks {
             /// How the addresses of its peers are written after the scheme.
             pub(crate) const fn address_form(self) -> AddressForm {
                 match self { $(Self::$variant => $module::ADDRESS_FORM),* }
+            }
+
+            /// What this network checks on this host.
+            pub(crate) const fn host_checks(self) -> HostChecks {
+                match self { $(Self::$variant => $module::HOST_CHECKS),* }
             }
 
             /// Binds a socket at an address of this network and closes it again. Blocks.
@@ -109,6 +117,14 @@ impl NetworkKind {
     /// Whether listeners of this network are found by their names, not at a host and a port of their own.
     pub fn has_named_listeners(self) -> bool {
         matches!(self.address_form(), AddressForm::Named { .. })
+    }
+
+    /// Checks on this host the settings that only this network has.
+    ///
+    /// # Errors
+    /// When this host cannot use one of them.
+    pub fn check_settings(self, settings: &SessionSettings) -> Result<(), UnusableSetting> {
+        (self.host_checks().settings)(settings).map_err(|(key, problem)| UnusableSetting { key, problem })
     }
 
     /// Returns the address of a listener of which only the name is known, by the environment variables of this process and
@@ -360,10 +376,14 @@ mod tests {
 
         use peernet_clock::SharedClock;
 
-        use super::super::{Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler};
+        use super::super::{
+            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+        };
         use crate::SessionSettings;
 
         pub(super) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
+
+        pub(super) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
         pub(super) fn try_bind(_: &Address) -> io::Result<()> {
             Ok(())
@@ -397,7 +417,9 @@ mod tests {
 
         use peernet_clock::SharedClock;
 
-        use super::super::{Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler};
+        use super::super::{
+            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+        };
         use super::nowhere;
         use crate::SessionSettings;
 
@@ -445,6 +467,7 @@ mod tests {
         let bound = NetworkKind::Robot.bind(&address, &settings, NonZeroUsize::MIN, &clock).await;
         assert!(matches!(bound, Err(BindFailure::NotLocal)));
         assert!(NetworkKind::Robot.try_bind(&address).is_ok());
+        assert!((NetworkKind::Robot.host_checks().settings)(&settings).is_ok());
         assert!(matches!(NetworkKind::Robot.address_form(), AddressForm::HostPort));
     }
 }

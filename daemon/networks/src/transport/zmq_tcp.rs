@@ -21,7 +21,8 @@ use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     AddressForm, Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, Peer, SendFailure, SendOptions,
+    Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer, SendFailure,
+    SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -30,6 +31,9 @@ use crate::{Address, SessionSettings};
 
 /// How addresses are written.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
+
+/// It works everywhere.
+pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
 /// Payload frames from this size on are read from the kernel straight into a buffer of their own.
 const DIRECT_READ_BYTES: usize = 16 * 1024;

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::interfaces::UnknownInterface;
 use super::peers::{EndpointRole, Refusal};
 use super::qos::InvalidQos;
 
@@ -48,13 +49,8 @@ pub enum Ros2Error {
         source: InvalidQos,
     },
     /// A network interface that does not exist or has no IPv4 address.
-    #[error("there is no network interface `{name}` with an IPv4 address here; there are {known}")]
-    UnknownInterface {
-        /// Name or address of the interface.
-        name: String,
-        /// The interfaces of this host.
-        known: String,
-    },
+    #[error(transparent)]
+    UnknownInterface(#[from] UnknownInterface),
     /// The network interfaces could not be listed.
     #[error("cannot list the network interfaces of this host: {0}")]
     Interfaces(std::io::Error),

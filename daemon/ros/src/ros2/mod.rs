@@ -12,6 +12,7 @@
 mod discovery;
 mod error;
 mod found;
+mod interfaces;
 mod names;
 #[cfg(any(feature = "ros2", test))]
 mod node_list;
@@ -35,6 +36,7 @@ pub const IS_BUILT: bool = cfg!(feature = "ros2");
 
 pub use error::{NoPeer, Ros2Error};
 pub use found::{FoundEndpoint, FoundPublisher};
+pub use interfaces::{UnknownInterface, check_interfaces};
 pub use names::{absolute_topic, dds_type};
 pub use peers::{EndpointId, EndpointRole, InvalidParticipantId, ParticipantId, PeerTable, Refusal};
 pub use qos::{Durability, InvalidQos, QosProfile, Reliability};

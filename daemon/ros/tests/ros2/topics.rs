@@ -220,7 +220,7 @@ async fn payload_without_encapsulation_header_is_refused() {
 async fn unknown_interface_is_named_with_those_that_exist() {
     let settings = Ros2Settings { interfaces: vec!["eth99".into()], ..settings() };
     let error = Ros2Node::new(settings).await.err().expect("no such interface").to_string();
-    assert!(error.contains("`eth99`") && error.contains("127.0.0.1"), "{error}");
+    assert!(error.contains("\"eth99\"") && error.contains("127.0.0.1"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

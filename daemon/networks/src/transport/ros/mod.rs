@@ -7,6 +7,7 @@
 //! connection, which [`edge`] and [`cloud`] open.
 
 mod channel;
+mod checks;
 mod cloud;
 mod connection;
 mod edge;
@@ -22,6 +23,7 @@ mod ros2;
 mod serving;
 mod version;
 
+pub(crate) use checks::HOST_CHECKS;
 pub(crate) use cloud::bind;
 pub(crate) use edge::dial;
 

@@ -17,17 +17,20 @@ use peernet_clock::Span;
 
 use self::radio::MAX_DATAGRAM_BYTES;
 use self::socket::UdpPort;
-use super::AddressForm;
 use super::datagram::MIN_DATAGRAM_BYTES;
 use super::datagram::connection::ConnectionLimits;
 use super::datagram::packet::Terms;
 use super::datagram::reassembly::ReassemblyLimits;
 use super::datagram::sending::QueueLimits;
+use super::{AddressForm, HostChecks};
 use crate::SessionSettings;
 use crate::message::MAX_FRAMES;
 
 /// How addresses are written.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
+
+/// It works everywhere.
+pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
 /// Bytes of the lengths of a message's frames.
 const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;

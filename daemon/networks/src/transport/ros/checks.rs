@@ -1,0 +1,50 @@
+//! What ROS 2 needs of the build and of this host.
+
+use std::error::Error;
+
+use peernet_ros::ros2::{self, Ros2Error, check_interfaces};
+
+use crate::transport::HostChecks;
+use crate::{Address, SessionSettings};
+
+/// The checks of this network.
+pub(crate) const HOST_CHECKS: HostChecks = HostChecks { address: check_address, settings: check_settings };
+
+fn check_address(address: &Address) -> Result<(), Box<dyn Error + Send + Sync>> {
+    // Only addresses of ROS 2 are in a domain.
+    if address.domain().is_some() && !ros2::IS_BUILT { Err(Ros2Error::NotBuilt.into()) } else { Ok(()) }
+}
+
+fn check_settings(settings: &SessionSettings) -> Result<(), (&'static str, Box<dyn Error + Send + Sync>)> {
+    check_interfaces(&settings.ros2.interfaces).map_err(|error| ("ros2.interfaces", error.into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Address, NetworkKind, Ros2SessionSettings, SessionSettings};
+
+    #[test]
+    fn address_in_domain_needs_ros2() {
+        let checked = |text: &str| text.parse::<Address>().expect("an address").check_host();
+        assert!(checked("ros1://robot").is_ok());
+        assert_eq!(checked("ros2://7").is_ok(), peernet_ros::ros2::IS_BUILT);
+        if let Err(error) = checked("ros2://7") {
+            let text = error.to_string();
+            assert!(text.starts_with("ros2://7/peernet: ") && text.contains("cargo feature"), "{text}");
+        }
+    }
+
+    #[test]
+    fn interface_that_is_not_there_is_named_with_its_key() {
+        let interfaces = vec!["eth99".to_owned()];
+        let settings = SessionSettings {
+            ros2: Ros2SessionSettings { interfaces, ..Ros2SessionSettings::default() },
+            ..SessionSettings::default()
+        };
+        assert!(NetworkKind::Ros.check_settings(&SessionSettings::default()).is_ok());
+        let error = NetworkKind::Ros.check_settings(&settings).expect_err("there is none");
+        assert_eq!(error.key, "ros2.interfaces");
+        assert!(error.to_string().contains("\"eth99\""), "{error}");
+        assert!(NetworkKind::ZmqTcp.check_settings(&settings).is_ok());
+    }
+}

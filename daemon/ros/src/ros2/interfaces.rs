@@ -1,0 +1,83 @@
+//! The network interfaces of this host, by name or IPv4 address.
+
+use std::io;
+use std::net::Ipv4Addr;
+
+use nix::ifaddrs::{InterfaceAddress, getifaddrs};
+
+/// A network interface that this host lacks.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("this host has no network interface {name:?} with an IPv4 address; there is {}", list(.known))]
+pub struct UnknownInterface {
+    /// The interface as it was given.
+    pub name: String,
+    /// Those that there are, with their addresses.
+    pub known: Vec<(String, Ipv4Addr)>,
+}
+
+/// Checks that this host has network interfaces with these names or IPv4 addresses.
+///
+/// # Errors
+/// The first that it lacks.
+pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
+    // Where the system does not list them, joining a domain tells.
+    existing().map_or(Ok(()), |existing| find_among(names, &existing).map(drop))
+}
+
+/// Returns those of the existing interfaces that have one of the names or addresses, in the order of `names`.
+pub(super) fn find_among(
+    names: &[String],
+    existing: &[(String, Ipv4Addr)],
+) -> Result<Vec<(String, Ipv4Addr)>, UnknownInterface> {
+    let mut found: Vec<(String, Ipv4Addr)> = Vec::new();
+    for wanted in names {
+        let is_wanted =
+            |(name, address): &&(String, Ipv4Addr)| name == wanted || address.to_string() == *wanted;
+        let before = found.len();
+        found.extend(existing.iter().filter(is_wanted).cloned());
+        if found.len() == before {
+            return Err(UnknownInterface { name: wanted.clone(), known: existing.to_vec() });
+        }
+    }
+    Ok(found)
+}
+
+/// Returns the interfaces with an IPv4 address.
+pub(super) fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
+    let with_address = |interface: InterfaceAddress| {
+        let address = interface.address.as_ref()?.as_sockaddr_in()?.ip();
+        Some((interface.interface_name, address))
+    };
+    Ok(getifaddrs()?.filter_map(with_address).collect())
+}
+
+/// Writes interfaces as `lo (127.0.0.1), eth0 (10.0.0.1)`.
+pub(super) fn list(interfaces: &[(String, Ipv4Addr)]) -> String {
+    let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+    if words.is_empty() { "none".to_owned() } else { words.join(", ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interface_is_found_by_name_and_by_address() {
+        let existing =
+            [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
+        let find = |names: &[&str]| {
+            find_among(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>(), &existing)
+        };
+        assert_eq!(find(&["eth0", "127.0.0.1"]), Ok(vec![existing[1].clone(), existing[0].clone()]));
+        assert_eq!(find(&[]), Ok(Vec::new()));
+        let error = find(&["lo", "eth1"]).expect_err("does not exist").to_string();
+        assert!(error.contains("\"eth1\"") && error.contains("eth0 (10.0.0.1)"), "{error}");
+    }
+
+    #[test]
+    fn loopback_interface_is_there_and_unknown_one_is_not() {
+        assert_eq!(check_interfaces(&["lo".into(), "127.0.0.1".into()]), Ok(()));
+        let error = check_interfaces(&["eth99".into()]).expect_err("no such interface").to_string();
+        assert!(error.contains("\"eth99\"") && error.contains("lo (127.0.0.1)"), "{error}");
+    }
+}
