@@ -2,15 +2,17 @@
 
 use std::time::Duration;
 
+use peernet_statistics::SplitMix64;
+
 use crate::say;
 use crate::time::wall;
 
 /// The variable that repeats a run.
 const SEED: &str = "PEERNET_SEED";
 
-/// Numbers that look random and follow from a seed (SplitMix64).
+/// Numbers that look random and follow from a seed.
 #[derive(Clone, Debug)]
-pub struct Chance(u64);
+pub struct Chance(SplitMix64);
 
 impl Chance {
     /// Seeded by `PEERNET_SEED`, or else anew; says with what, so that it can be repeated.
@@ -23,16 +25,12 @@ impl Chance {
             Err(_) => wall().unix_nanos().cast_unsigned() % 1_000_000,
         };
         say(&format!("{what}: {SEED}={seed}"));
-        Self(seed)
+        Self(SplitMix64::new(seed))
     }
 
     /// The next number, evenly spread over 64 bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// A number below `end`, which is not 0.

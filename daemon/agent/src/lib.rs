@@ -32,7 +32,6 @@ mod observed;
 mod outbox;
 mod pauses;
 mod pipeline;
-mod random;
 mod runs;
 mod same_clock;
 mod serve;

@@ -3,14 +3,13 @@
 use std::time::Duration;
 
 use peernet_logger::HostId;
-
-use crate::random::SplitMix;
+use peernet_statistics::SplitMix64;
 
 /// Growing pauses with jitter, so that many edges do not all come back to a restarted cloud at once.
 #[derive(Debug)]
 pub(crate) struct Pauses {
     next: Duration,
-    random: SplitMix,
+    random: SplitMix64,
 }
 
 impl Pauses {
@@ -23,7 +22,7 @@ impl Pauses {
     pub(crate) fn new(host: HostId) -> Self {
         let [a, b, c, d, e, f, g, h, ..] = *host.as_bytes();
         let seed = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
-        Self { next: Self::SHORTEST, random: SplitMix::new(seed) }
+        Self { next: Self::SHORTEST, random: SplitMix64::new(seed) }
     }
 
     /// The pause before the next try: it doubles each time up to the longest, ± 20 %.

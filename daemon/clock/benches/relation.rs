@@ -8,6 +8,7 @@ use peernet_clock::{
     Clock, ClockIdentity, Direction, Exchange, RawTime, RelatedClocks, Relation, RelationSettings, Span,
     SystemClock, WallTime, Witnessed,
 };
+use peernet_statistics::SplitMix64;
 
 /// Exchanges and questions are timed so many at once.
 const BATCH: usize = 500;
@@ -118,11 +119,8 @@ impl Traffic {
 
 /// Numbers that look random, the same in every run.
 fn exponential(n: u64, mean: f64) -> i64 {
-    let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    let unit = ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64;
-    (-mean * (1.0 - unit).ln()) as i64
+    // Neighbouring seeds give numbers that are not alike.
+    (mean * SplitMix64::new(n).exponential()) as i64
 }
 
 /// Nanoseconds per call: the median over batches.

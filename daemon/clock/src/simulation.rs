@@ -1,23 +1,25 @@
 //! Two hosts' clocks and a network between them, for tests: what is true is known.
 
+use peernet_statistics::SplitMix64;
+
 use crate::{Exchange, RawTime, Span, Witnessed};
 
-/// A small generator of numbers that look random (SplitMix64); the same for the same seed.
+/// Numbers that look random; the same for the same seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(pub(crate) u64);
+pub(crate) struct Dice(SplitMix64);
 
 impl Dice {
-    pub(crate) fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+    pub(crate) const fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
+    }
+
+    pub(crate) const fn bits(&mut self) -> u64 {
+        self.0.bits()
     }
 
     /// From 0 up to 1.
     pub(crate) fn unit(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     pub(crate) fn between(&mut self, lo: f64, hi: f64) -> f64 {
@@ -25,7 +27,7 @@ impl Dice {
     }
 
     pub(crate) fn exponential(&mut self, mean: f64) -> f64 {
-        -mean * (1.0 - self.unit()).ln()
+        mean * self.0.exponential()
     }
 
     pub(crate) fn chance(&mut self, probability: f64) -> bool {

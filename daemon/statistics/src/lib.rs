@@ -1,19 +1,22 @@
 //! Statistics of a stream of numbers in bounded memory: moments without cancellation, a mergeable quantile
 //! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes. [`number`] writes them as people read them.
+//! [`SplitMix64`] makes reproducible random numbers.
 //!
-//! All of them merge: what two hosts, seconds or buckets know adds up to what one would have known that was told
+//! The statistics all merge: what two hosts, seconds or buckets know adds up to what one would have known that was told
 //! everything. [`Moments`] and [`Sketch`] are sent and stored, so that what is read of either is checked first.
 
 mod merge;
 mod moments;
 pub mod number;
 mod sketch;
+mod splitmix;
 mod summary;
 mod windows;
 
 pub use merge::Merge;
 pub use moments::Moments;
 pub use sketch::{PackedError, Sketch};
+pub use splitmix::SplitMix64;
 pub use summary::Summary;
 pub use windows::Windows;
 

@@ -89,7 +89,7 @@ impl Agent {
     /// Measures and spools so many iterations.
     fn fill(&mut self, iterations: u64) {
         let (run, edge, cloud) = (RunId::random(), self.machine.host(), HostId::random());
-        let mut numbers = generate::Numbers(1);
+        let mut numbers = generate::Numbers::new(1);
         self.machine.offer(&generate::run_started(run, "line", generate::at(0.0)), self.clock.stamp());
         for number in 1..=iterations {
             let at = generate::at(number as f64 * 1e-4);

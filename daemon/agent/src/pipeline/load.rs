@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{MonoTime, Span};
+use peernet_statistics::SplitMix64;
 
 use crate::config::LoadConfig;
-use crate::random::SplitMix;
 
 /// The plan of a pipeline's starts.
 ///
@@ -28,7 +28,7 @@ pub(crate) struct Schedule {
 enum Plan {
     Closed,
     Rate { origin: MonoTime, period: f64, number: u64 },
-    Poisson { at: MonoTime, mean: f64, random: SplitMix },
+    Poisson { at: MonoTime, mean: f64, random: SplitMix64 },
 }
 
 /// One start of the plan.
@@ -47,7 +47,7 @@ impl Schedule {
             LoadConfig::Closed {} => Plan::Closed,
             LoadConfig::Rate { hz } => Plan::Rate { origin: now, period: 1e9 / hz, number: 0 },
             LoadConfig::Poisson { hz, seed } => {
-                let mut random = SplitMix::new(seed);
+                let mut random = SplitMix64::new(seed);
                 let mean = 1e9 / hz;
                 Plan::Poisson { at: now + gap(mean, &mut random), mean, random }
             }
@@ -117,7 +117,7 @@ impl Plan {
 }
 
 /// A random gap; at least a nanosecond, so that the plan always moves on.
-fn gap(mean: f64, random: &mut SplitMix) -> Span {
+fn gap(mean: f64, random: &mut SplitMix64) -> Span {
     Span::from_nanos(((mean * random.exponential()).round() as i64).max(1))
 }
 

@@ -75,7 +75,7 @@ impl Plan {
     pub(crate) fn load(&self, agent: u64, start: WallTime) -> Load {
         let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
         let cloud = HostId::random();
-        let mut random = generate::Numbers(agent);
+        let mut random = generate::Numbers::new(agent);
         let (mut before, mut events_before) = (Chain::START, 0);
         let mut frames = Vec::new();
         let mut longest = 0;

@@ -92,7 +92,7 @@ impl Agent {
             events: 0,
             stored: 0,
             window: 0,
-            numbers: generate::Numbers(1),
+            numbers: generate::Numbers::new(1),
             second: 0,
         };
         let ToAgent::Challenge { aggregator, nonce, .. } = agent.receive().await else {

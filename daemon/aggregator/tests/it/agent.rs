@@ -85,7 +85,7 @@ impl Agent {
         // The transport does not tell of lost connections here: patience notices.
         let patience = Span::from_millis(500);
         let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
-        let process = generate::Numbers(clock.mono().nanos() as u64).bits();
+        let process = generate::Numbers::new(clock.mono().nanos() as u64).bits();
         let mut sending =
             Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.connected(clock.mono());

@@ -4,22 +4,24 @@ use peernet_clock::{ClockIdentity, Interval, OneWayDelay, Span, Verdict, WallTim
 use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RunId, Transit, Tree, Unit, stage,
 };
+use peernet_statistics::SplitMix64;
 use peernet_stream::{
     Event, Hardware, HostDescription, Iteration, Outcome, Placement, PlacementKind, RunDescription,
 };
 
-/// A small generator of reproducible numbers (SplitMix64).
+/// Reproducible numbers.
 #[derive(Clone, Debug)]
-pub struct Numbers(pub u64);
+pub struct Numbers(SplitMix64);
 
 impl Numbers {
+    /// Numbers that follow from the seed.
+    pub const fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
+    }
+
     /// The next number, evenly spread over 64 bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// The next number, evenly spread between two.

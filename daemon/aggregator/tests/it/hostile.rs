@@ -126,7 +126,7 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
         sample
     };
     let run = RunId::random();
-    let mut numbers = generate::Numbers(3);
+    let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| {
         let mut iteration = generate::iteration(run, n, hosts, &mut numbers);
@@ -165,7 +165,7 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
     agent.until("it is seen", |_| bed.aggregator().ready() != Readiness::Ready).await;
     let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
     assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
-    let mut numbers = generate::Numbers(3);
+    let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.sending.flush(bed.clock.wall());
@@ -183,7 +183,7 @@ async fn a_run_that_began_before_a_fresh_database_gets_its_name_from_the_live_la
     let mut bed = Bed::new().await;
     let mut agent = bed.agent("edge").await;
     let run = RunId::random();
-    let mut numbers = generate::Numbers(3);
+    let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((4..=9).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;

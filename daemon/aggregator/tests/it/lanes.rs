@@ -14,7 +14,7 @@ use crate::{clocks, generate};
 
 fn iterations(run: RunId, edge: HostId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Iteration> {
     let cloud = HostId::from_bytes([7; 16]);
-    let mut random = generate::Numbers(*numbers.start());
+    let mut random = generate::Numbers::new(*numbers.start());
     numbers.map(|n| generate::iteration(run, n, (edge, cloud), &mut random)).collect()
 }
 

@@ -64,7 +64,7 @@ impl Raw {
 
     /// The next batch's frame, with one iteration.
     pub(crate) fn next(&mut self) -> Vec<u8> {
-        let mut random = generate::Numbers(self.number);
+        let mut random = generate::Numbers::new(self.number);
         let hosts = (self.host, HostId::from_bytes([7; 16]));
         let iteration = generate::iteration(self.run, self.number + 1, hosts, &mut random);
         self.next_of(&[Event::Iteration(iteration)])

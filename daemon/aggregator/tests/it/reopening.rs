@@ -58,7 +58,7 @@ impl Line {
     async fn new(bed: &Bed) -> Self {
         let (mut agent, run) = (bed.agent("edge").await, RunId::random());
         agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
-        Self { agent, run, next: 1, numbers: generate::Numbers(3) }
+        Self { agent, run, next: 1, numbers: generate::Numbers::new(3) }
     }
 
     fn offer(&mut self, count: u64) {

@@ -82,7 +82,7 @@ async fn late_data_lands_in_the_buckets_of_its_time() {
     let mut agent = bed.agent("edge").await;
     let run = RunId::random();
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
-    let mut random = generate::Numbers(5);
+    let mut random = generate::Numbers::new(5);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     // Hours apart and not in their order, each part in a commit of its own, with a restart on the way.
     for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {

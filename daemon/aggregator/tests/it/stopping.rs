@@ -18,7 +18,7 @@ async fn the_file_alone_is_whole_after_a_clean_stop() {
     let mut bed = Bed::new().await;
     let mut agent = bed.agent("edge").await;
     let (run, hosts) = (RunId::random(), (agent.id, HostId::from_bytes([7; 16])));
-    let mut numbers = generate::Numbers(3);
+    let mut numbers = generate::Numbers::new(3);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer((1..=300).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;

@@ -2,6 +2,7 @@
 
 use peernet_agent::config::PipelineConfig;
 use peernet_logger::Slug;
+use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -158,15 +159,7 @@ fn name(labels: &[(String, String)]) -> String {
 
 /// A seed for one purpose, from what distinguishes it. At most 53 bits, which every JSON program keeps.
 fn derived(parts: &[u64]) -> u64 {
-    parts.iter().fold(0, |state, part| splitmix(state ^ part)) >> 11
-}
-
-/// The finaliser of SplitMix64 (Steele, Lea, Flood 2014): neighbours in, nothing alike out.
-fn splitmix(state: u64) -> u64 {
-    let state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let state = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let state = (state ^ (state >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    state ^ (state >> 31)
+    parts.iter().fold(0, |state, part| SplitMix64::new(state ^ part).bits()) >> 11
 }
 
 /// The same with this seed; as it was where it takes none.

@@ -85,7 +85,7 @@ mod tests {
     fn proven(ppm: f64, path: Path, seconds: f64) -> ProvenSkew {
         let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, ppm) };
         let mut proof = SkewProof::default();
-        for trip in path.trips(&world, (0.0, seconds), 10.0, &mut Dice(7)) {
+        for trip in path.trips(&world, (0.0, seconds), 10.0, &mut Dice::new(7)) {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
             proof.insert(upper, lower, 0.0);
         }

@@ -49,7 +49,7 @@ proptest! {
 
     #[test]
     fn the_truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
         for world in worlds(Span::from_nanos(ahead), Span::from_seconds(120), &mut dice) {
             let mut trips = path.trips(&world, (0.0, 100.0), 20.0, &mut dice);
@@ -72,7 +72,7 @@ proptest! {
 
     #[test]
     fn now_the_interval_is_that_of_all_exchanges_of_the_window(seed: u64, path in paths(), hz in 0.2..50.0f64) {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let world = World {
             edge: Wall::drifting(Span::ZERO, 0.0),
             cloud: Wall::wandering(Span::from_seconds(1), LIMIT_PPM, Span::from_seconds(60), &mut dice),
@@ -117,7 +117,7 @@ fn a_jump_that_no_exchange_excludes_is_over_after_the_window() {
     let path = Path { up: 20e6, down: 20e6, jitter: 1e6, loss: 0.0, burst: 0.0 };
     let mut band = band(Span::from_seconds(10));
     let mut wrong = 0;
-    for trip in path.trips(&world, (0.0, 90.0), 20.0, &mut Dice(4)) {
+    for trip in path.trips(&world, (0.0, 90.0), 20.0, &mut Dice::new(4)) {
         let bounds = Bounds::from(&trip.exchange);
         assert!(band.contradiction(&bounds).is_none(), "the jump is smaller than the round trip");
         band.insert(&bounds);
@@ -150,7 +150,7 @@ fn rare_exchanges_count_however_old_they_are() {
 /// Where nothing but drift and whole nanoseconds stands between the bounds and the truth.
 #[test]
 fn even_without_any_delay_the_truth_is_inside() {
-    let mut dice = Dice(11);
+    let mut dice = Dice::new(11);
     for (n, world) in worlds(Span::from_millis(3), Span::from_seconds(700), &mut dice).iter().enumerate() {
         let mut band = band(Span::from_seconds(600));
         let mut t = 0.0;
@@ -172,7 +172,7 @@ fn even_without_any_delay_the_truth_is_inside() {
 
 /// Mean and largest distance of the estimate from the truth, microseconds, at the newest exchange, from 10 s on.
 fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
-    let mut dice = Dice(7);
+    let mut dice = Dice::new(7);
     let mut band = band(Span::from_seconds(600));
     let mut errors = Vec::new();
     for trip in path.trips(world, (0.0, 120.0), hz, &mut dice) {
@@ -188,7 +188,7 @@ fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
 
 #[test]
 fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift() {
-    let mut dice = Dice(3);
+    let mut dice = Dice::new(3);
     for (n, world) in worlds(Span::from_seconds(-1), Span::from_seconds(120), &mut dice).iter().enumerate() {
         // The last two wander as no crystal does: by tens of ppm within seconds.
         let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
@@ -204,7 +204,7 @@ fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift
 fn a_steady_skew_is_found_and_none_is_claimed_from_too_little() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 12.0) };
     let mut band = band(Span::from_seconds(600));
-    for trip in Path::VETH.trips(&world, (0.0, 60.0), 10.0, &mut Dice(5)) {
+    for trip in Path::VETH.trips(&world, (0.0, 60.0), 10.0, &mut Dice::new(5)) {
         band.insert(&Bounds::from(&trip.exchange));
         if trip.ended < 4e9 {
             assert_eq!(band.skew_ppm(), None);
@@ -217,7 +217,7 @@ fn a_steady_skew_is_found_and_none_is_claimed_from_too_little() {
 #[test]
 fn a_past_time_is_known_better_once_exchanges_after_it_are() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 30.0) };
-    let trips = Path::VETH.trips(&world, (0.0, 60.0), 1.0, &mut Dice(9));
+    let trips = Path::VETH.trips(&world, (0.0, 60.0), 1.0, &mut Dice::new(9));
     let mut band = band(Span::from_seconds(600));
     let at = RawTime::from_nanos(35_000_000_000);
     let (before, after) = trips.split_at(20);

@@ -3,17 +3,19 @@
 use peernet_report::loaded::Loaded;
 use peernet_report::record::{HostRecord, ModelRecord, Placement, RunRecord};
 use peernet_report::rows::{Column, Outcome, Row, Rows};
+use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 
-/// The same numbers every time: SplitMix64.
-pub(crate) struct Dice(u64);
+/// The same numbers every time.
+pub(crate) struct Dice(SplitMix64);
 
 impl Dice {
+    const fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
+    }
+
     fn even(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+        self.0.unit()
     }
 
     fn normal(&mut self) -> f64 {
@@ -63,7 +65,7 @@ fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
 
 /// A run with a model in the cloud.
 pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
-    let mut dice = Dice(7);
+    let mut dice = Dice::new(7);
     let mut at = 0.0;
     let mut all = Vec::new();
     for number in 1..=count {
@@ -112,7 +114,7 @@ fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Optio
 
 /// Three models here and there: the paper's first experiment.
 pub(crate) fn experiment() -> Vec<Loaded> {
-    let mut dice = Dice(3);
+    let mut dice = Dice::new(3);
     let mut runs = Vec::new();
     for (model, local) in
         [("efficientnet_v2_s", 62e-3), ("efficientnet_v2_m", 95e-3), ("efficientnet_v2_l", 151e-3)]
@@ -158,7 +160,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         ("no", "A100", "CAN", [0.79, 102.48, 7.19, 3.16], [0.27, 26.40, 3.38, 8.95]),
         ("yes", "A100", "CAN", [4.83, 15.13, 6.71, 3.59], [1.08, 7.63, 3.05, 4.83]),
     ];
-    let mut dice = Dice(5);
+    let mut dice = Dice::new(5);
     let run = |(resize, gpu, network, means, stds): (&str, &str, &str, [f64; 4], [f64; 4])| {
         let names = ["sensing", "upload", "inference", "download"];
         let rows = (1..=500).map(|number| {
@@ -180,7 +182,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
 
 /// Payloads of seven sizes.
 pub(crate) fn payload() -> Loaded {
-    let mut dice = Dice(9);
+    let mut dice = Dice::new(9);
     let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];
     let rows = (1..=1400).map(|number| {
         let size = sizes[number as usize % sizes.len()];
@@ -202,7 +204,7 @@ pub(crate) fn payload() -> Loaded {
 
 /// One model of 40 ms and another of 12 ms with one worker each, asked by up to sixteen edges at once.
 pub(crate) fn users() -> Vec<Loaded> {
-    let mut dice = Dice(11);
+    let mut dice = Dice::new(11);
     let mut runs = Vec::new();
     for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
         for edges in [1_u32, 2, 4, 8, 16] {

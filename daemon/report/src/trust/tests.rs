@@ -1,8 +1,9 @@
 //! What is said of runs whose course is known.
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+use peernet_statistics::SplitMix64;
 
-use super::testing::{Noise, about, governor, quiet, rows};
+use super::testing::{about, governor, quiet, rows};
 use super::*;
 use crate::Passage;
 use crate::rows::{Outcome, Row, Rows};
@@ -43,7 +44,7 @@ fn a_run_that_gets_slower_says_by_how_much_and_where() {
 /// Latency that wanders slowly about its mean, as with other traffic on a link: the halves differ, the process does not.
 #[test]
 fn autocorrelation_is_not_taken_for_a_drift() {
-    let mut noise = Noise::new(11);
+    let mut noise = SplitMix64::new(11);
     let alarms = (0..60)
         .filter(|_| {
             let mut level = 0.0;

@@ -104,8 +104,9 @@ fn ranks(series: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_statistics::SplitMix64;
+
     use super::*;
-    use crate::trust::testing::Noise;
 
     #[test]
     fn a_rise_is_certain_and_a_saw_tooth_is_none() {
@@ -119,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_step_is_a_trend_wherever_it_is() {
-        let mut noise = Noise::new(3);
+        let mut noise = SplitMix64::new(3);
         for at in [8, 15, 22] {
             let series: Vec<f64> =
                 (0..30).map(|n| noise.normal() + if n < at { 0.0 } else { 20.0 }).collect();
@@ -130,7 +131,7 @@ mod tests {
 
     /// How often a series without a trend is called one at 5 %, in 400 tries.
     fn false_alarms(correlation: f64, seed: u64) -> usize {
-        let mut noise = Noise::new(seed);
+        let mut noise = SplitMix64::new(seed);
         (0..400)
             .filter(|_| {
                 let mut level = 0.0;

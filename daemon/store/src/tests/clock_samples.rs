@@ -322,7 +322,7 @@ async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_las
 #[tokio::test]
 async fn what_was_put_aside_is_missing_with_its_time_and_leaves_nothing_behind() {
     let mut bed = Bed::new().await;
-    let mut numbers = generate::Numbers(1);
+    let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration =
         generate::iteration(RunId::random(), 9, (HostId::random(), bed.cloud), &mut numbers);
     let live = link(sample(bed.cloud, 3, 40));

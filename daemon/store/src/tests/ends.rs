@@ -10,7 +10,7 @@ use crate::write::{Aside, RunName, stored_hosts, unknown_runs};
 const LEFT: &str = "the agent ended without saying so";
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
-    let mut random = generate::Numbers(*numbers.start());
+    let mut random = generate::Numbers::new(*numbers.start());
     numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
 }
 

@@ -15,7 +15,7 @@ fn placed(iteration: &mut Iteration, steps: u64) {
 
 /// Stores a run of so many iterations, five a second, each changed by `change`; those it refuses never arrive.
 async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
-    let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers(7));
+    let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for number in 1..=iterations {
         let mut iteration = generate::iteration(run, number, hosts, &mut numbers);

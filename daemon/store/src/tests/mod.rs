@@ -116,7 +116,7 @@ impl Bed {
     /// Stores a run of so many iterations.
     async fn run_of(&mut self, iterations: u64) -> RunId {
         let run = RunId::random();
-        let mut numbers = generate::Numbers(7);
+        let mut numbers = generate::Numbers::new(7);
         let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
         let hosts = self.hosts();
         events.extend(

@@ -34,7 +34,7 @@ async fn foreign_events_of_every_kind_change_nothing_of_the_run() {
                   WHERE run.number = 1 AND host.name = 'edge' AND pipeline.name = 'line' AND run.ok = 3 \
                   AND run.end_reason IS NULL";
     as_other(&mut bed);
-    let iteration = generate::iteration(run, 9, bed.hosts(), &mut generate::Numbers(1));
+    let iteration = generate::iteration(run, 9, bed.hosts(), &mut generate::Numbers::new(1));
     let start = generate::run_started(run, "taken", NOW);
     for event in [gap(run), incident(run), Event::Iteration(iteration), ended(run), start] {
         let work = bed.batch(vec![event]);
@@ -60,7 +60,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
     bed.commit(&[gap, claim]).await;
     as_other(&mut bed);
     let start = bed.batch(vec![generate::run_started(run, "line", NOW)]);
-    let mut numbers = generate::Numbers(1);
+    let mut numbers = generate::Numbers::new(1);
     let iterations =
         (1..=5).map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut numbers)));
     let iterations = bed.batch(iterations.collect());
@@ -73,7 +73,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
     bed.writer = open(&bed.path).await;
     bed.stream = StreamId::random();
     bed.next = 1;
-    let mut numbers = generate::Numbers(1);
+    let mut numbers = generate::Numbers::new(1);
     let again = (4..=6).map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut numbers)));
     let again = bed.batch(again.collect());
     assert!(bed.commit(&[again]).await.quarantined.is_empty());

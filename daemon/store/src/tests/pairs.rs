@@ -15,7 +15,8 @@ const SLOW: f64 = 1_000.0;
 impl Bed {
     /// An iteration whose answer has ten bytes and two tokens for each of its number, and takes as many seconds.
     fn talking(&self, run: RunId, number: u64) -> Iteration {
-        let mut iteration = generate::iteration(run, number, self.hosts(), &mut generate::Numbers(number));
+        let mut iteration =
+            generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let tree = &mut iteration.tree;
         let (id, _) = tree.find(&[stage::INFERENCE.as_str()]).expect("a stage");
         let seconds = Measure::Timer(Some(Span::from_seconds_f64(number as f64)));

@@ -11,7 +11,7 @@ use crate::types::{IterationFilter, RunFilter, RunStatistics};
 
 /// The values of one name in the iterations of [`Bed::run_of`].
 fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
-    let mut numbers = generate::Numbers(7);
+    let mut numbers = generate::Numbers::new(7);
     (1..=iterations)
         .map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers))
         .filter_map(|iteration| iteration.tree.find(&[name]).and_then(|(_, node)| node.measure.value()))
@@ -86,7 +86,7 @@ async fn runs_asked_for_together_are_what_each_is_alone() {
 async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
-    let mut numbers = generate::Numbers(1);
+    let mut numbers = generate::Numbers::new(1);
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for n in 1..=6 {
         let mut iteration = generate::iteration(run, n, bed.hosts(), &mut numbers);
@@ -133,7 +133,7 @@ async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
 async fn an_iteration_comes_back_as_it_was_sent() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(20).await;
-    let mut numbers = generate::Numbers(7);
+    let mut numbers = generate::Numbers::new(7);
     let sent: Vec<Iteration> =
         (1..=20).map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers)).collect();
     for iteration in &sent {
@@ -271,7 +271,7 @@ async fn a_run_with_a_clock_made_wrong_is_marked_wherever_it_is_told_of() {
 async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_are_not_known() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(100).await;
-    let mut numbers = generate::Numbers(7);
+    let mut numbers = generate::Numbers::new(7);
     let mut stepped = generate::iteration(run, 101, bed.hosts(), &mut numbers);
     let nodes = ["upload", "download"].map(|name| stepped.tree.find(&[name]).expect("there").0);
     for node in nodes {
@@ -366,7 +366,7 @@ async fn people_with_a_sqlite_shell_find_their_way() {
 
 #[test]
 fn a_summary_of_many_parts_is_that_of_the_whole() {
-    let mut numbers = generate::Numbers(3);
+    let mut numbers = generate::Numbers::new(3);
     let (mut whole, mut parts) = (Summary::default(), Summary::default());
     for _ in 0..20 {
         let mut part = Summary::default();

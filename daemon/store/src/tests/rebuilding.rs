@@ -35,7 +35,7 @@ fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<E
 /// A database with two runs whose iterations came in any order, in commits of any size.
 async fn mixed(seed: u64) -> Bed {
     let mut bed = Bed::new().await;
-    let mut numbers = Numbers(seed);
+    let mut numbers = Numbers::new(seed);
     let runs = [RunId::random(), RunId::random()];
     let started = runs.map(|run| generate::run_started(run, "line", NOW));
     let work = bed.batch(started.into());
@@ -107,7 +107,7 @@ async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
 #[tokio::test]
 async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
     let mut bed = Bed::new().await;
-    let (run, mut numbers) = (RunId::random(), Numbers(3));
+    let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
     bed.commit(&[work]).await;
     // What drivers give for "nothing there", among readings.
@@ -142,7 +142,7 @@ async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
         .await
         .expect("spoils");
     bed.writer = super::open(&bed.path).await;
-    let mut numbers = Numbers(9);
+    let mut numbers = Numbers::new(9);
     for number in 61..=70 {
         let iterations = (0..10).map(|at| {
             Event::Iteration(generate::iteration(run, number * 10 + at, bed.hosts(), &mut numbers))

@@ -26,7 +26,7 @@ const RESOLUTION_S: i64 = 3_600;
 
 /// Iterations of a run, one every [`EVERY`] seconds from a day on.
 pub(super) fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
-    let mut random = Numbers(*numbers.start());
+    let mut random = Numbers::new(*numbers.start());
     numbers
         .map(|number| {
             let started = generate::at(number as f64 * EVERY);
@@ -230,7 +230,7 @@ async fn jump_of_a_robots_clock_deletes_nothing_early() {
     for jump in [400.0, -400.0] {
         let mut bed = Bed::new().await;
         let run = RunId::random();
-        let mut random = Numbers(5);
+        let mut random = Numbers::new(5);
         arrive(&mut bed, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
         // The robot's clock is wrong in the second of three days.
         for hour in 0..72_u32 {

@@ -67,7 +67,7 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
 /// hour arrives at its end.
 async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
     let ids: Vec<RunId> = runs.iter().map(|_| RunId::random()).collect();
-    let mut random = Numbers(7);
+    let mut random = Numbers::new(7);
     for hour in 0..hours {
         let mut events = Vec::new();
         for ((name, during, count), run) in runs.iter().zip(&ids) {
@@ -143,7 +143,7 @@ async fn what_seems_to_come_from_the_future_goes_as_well() {
     let mut bed = Bed::new().await;
     for name in ["line", "arm"] {
         let run = RunId::random();
-        let mut random = Numbers(7);
+        let mut random = Numbers::new(7);
         let mut events = vec![generate::run_started(run, name, at(9_000.0))];
         events.extend((1..50).map(|number| {
             let began = at(9_000.0 + 2.0 * number as f64);

@@ -57,7 +57,7 @@ impl Simulation {
             hosts,
             clocks,
             raw_zeros: (Span::from_seconds(-3_600), Span::from_seconds(-777_000)),
-            numbers: Numbers(11),
+            numbers: Numbers::new(11),
             relation: Relation::new(settings),
             now: Span::ZERO,
             cloud_ahead: Span::from_millis(1_250),
@@ -117,7 +117,7 @@ impl Simulation {
         let number = self.truths.len() as u64;
         let Judged { learned, up, down } = self.relation.judge(&self.witnessed(stamps));
         self.note(stamps, learned);
-        let mut random = Numbers(number);
+        let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
         let [left, arrived, answered, back] = wall;
         for (stage, (sent, received), delay, raw) in [

@@ -13,7 +13,8 @@ pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 impl Bed {
     /// An iteration before which so many starts were skipped.
     fn late(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
-        let mut iteration = generate::iteration(run, number, self.hosts(), &mut generate::Numbers(number));
+        let mut iteration =
+            generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let measure = Measure::Value(skipped, Unit::NONE);
         iteration.tree.add(NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
         iteration

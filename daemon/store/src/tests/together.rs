@@ -9,7 +9,7 @@ use crate::types::RunStatistics;
 
 /// Stores a run of these readings, each in an iteration of its own.
 async fn store(bed: &mut Bed, readings: &[f64]) {
-    let (run, mut numbers) = (RunId::random(), generate::Numbers(11));
+    let (run, mut numbers) = (RunId::random(), generate::Numbers::new(11));
     let mut events = vec![generate::run_started(run, "line", NOW)];
     for (at, reading) in readings.iter().enumerate() {
         let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
@@ -28,7 +28,7 @@ async fn store(bed: &mut Bed, readings: &[f64]) {
 async fn quantiles_of_several_runs_are_within_one_percent_of_those_of_all_samples() {
     let mut bed = Bed::new().await;
     // Three ranges, of which two overlap: no weighing of the runs' own quantiles comes near the true ones.
-    let mut numbers = generate::Numbers(5);
+    let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
         (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()
     };

@@ -14,7 +14,7 @@ async fn run(bed: &Bed) -> RunSummary {
 /// Stores a run of so many, then one that was lost and one with a part more; returns them all.
 async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
     let run = bed.run_of(iterations).await;
-    let mut numbers = generate::Numbers(7);
+    let mut numbers = generate::Numbers::new(7);
     let mut next = |number| generate::iteration(run, number, bed.hosts(), &mut numbers);
     let mut all: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
     let lost = Outcome::Lost("the cable".to_owned());
@@ -57,7 +57,7 @@ async fn each_shape_of_a_tree_is_found_once_on_a_page() {
 async fn a_server_that_never_reported_has_the_name_of_the_run() {
     let mut bed = Bed::new().await;
     let (run, silent) = (RunId::random(), HostId::random());
-    let mut numbers = generate::Numbers(5);
+    let mut numbers = generate::Numbers::new(5);
     let iteration = generate::iteration(run, 1, (bed.edge, silent), &mut numbers);
     let started = generate::run_started(run, "line", generate::at(0.0));
     let work = bed.batch(vec![started, Event::Iteration(iteration)]);

@@ -12,7 +12,7 @@ use crate::stored::Stored;
 use crate::write::{Aside, Introduction};
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
-    let mut random = generate::Numbers(*numbers.start());
+    let mut random = generate::Numbers::new(*numbers.start());
     numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
 }
 
@@ -95,7 +95,7 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
     let first = iterations(&bed, run, 1..=5);
     // One iteration twice in one batch; and an iteration that began on another host.
     let twice = [iterations(&bed, run, 6..=6), iterations(&bed, run, 6..=6)].concat();
-    let mut numbers = generate::Numbers(1);
+    let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), bed.cloud), &mut numbers);
     let last = iterations(&bed, run, 7..=8);
     let work: Vec<Work> = [good, first, twice, vec![Event::Iteration(foreign)], last]

@@ -5,13 +5,14 @@ use peernet_clock::{
     RelatedClocks, Span, Verdict, WallTime,
 };
 use peernet_logger::{HostId, stage};
+use peernet_statistics::SplitMix64;
 use peernet_stream::{
     ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
     EstimateBasis, HostClock, LinkLive, NetworkInterface, NetworkName, ProbeCounts, Probing, RoundTrip,
     TransportRoundTrip,
 };
 
-use super::{Clocks, Line, Numbers, slug};
+use super::{Clocks, Line, slug};
 
 /// The rack's wall clock minus a camera's, in the middle of what is reported.
 pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
@@ -40,7 +41,7 @@ pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
 }
 
 /// The delays of data in one direction within a second.
-fn delays(line: &Line, name: &str, numbers: &mut Numbers) -> DelaySecond {
+fn delays(line: &Line, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
     let mean = line.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
     let value = mean * (1.0 + 0.03 * numbers.normal());
     let bound = match line.clocks {
@@ -66,7 +67,7 @@ pub(super) fn sample(
     rack: HostId,
     at: WallTime,
     ago: i64,
-    numbers: &mut Numbers,
+    numbers: &mut SplitMix64,
 ) -> ClockSample {
     let at = WallTime::from_unix_nanos(at.unix_seconds() * 1_000_000_000);
     let bound = match line.clocks {
@@ -84,7 +85,7 @@ pub(super) fn sample(
     };
     let fresh = if (55..=60).contains(&ago) { 2.5 } else { 1.0 };
     let offset = bound.map(|bound| {
-        let half = bound * slow * fresh * (1.0 + 0.04 * numbers.even());
+        let half = bound * slow * fresh * (1.0 + 0.04 * numbers.unit());
         let estimate = truth + seconds(bound * 0.08 * numbers.normal());
         let bounds = Interval { lo: truth - seconds(half), hi: truth + seconds(half) };
         let claimed = Interval { lo: truth - seconds(0.0039), hi: truth + seconds(0.0037) };
@@ -106,8 +107,8 @@ pub(super) fn sample(
         }
     });
     let trip = bound.filter(|bound| *bound > 0.0).map(|bound| {
-        let min = 2.0 * bound * slow * (1.0 + 0.01 * numbers.even());
-        RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * numbers.even())) }
+        let min = 2.0 * bound * slow * (1.0 + 0.01 * numbers.unit());
+        RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * numbers.unit())) }
     });
     let exchange = trip.map(|trip| {
         let way = seconds(trip.min.seconds() / 2.0);

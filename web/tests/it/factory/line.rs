@@ -2,10 +2,8 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::{Name, RunId, stage};
-use peernet_statistics::Summary;
+use peernet_statistics::{SplitMix64, Summary};
 use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
-
-use super::Numbers;
 
 /// How the clocks of a line's two hosts are related.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,13 +136,13 @@ impl Line {
 
     /// Stage durations of one iteration in seconds; `when` is its place in the run, 0 to 1: the network is slow for
     /// a while, and now and then something takes far longer.
-    pub(crate) fn draw(&self, numbers: &mut Numbers, when: f64) -> Vec<(Name, f64)> {
+    pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
-        let hiccup = numbers.even() < 0.001;
+        let hiccup = numbers.unit() < 0.001;
         let stages = self.stages.iter().map(|(name, mean, spread)| {
             let mut value = mean + spread * numbers.normal();
             if *name == stage::UPLOAD {
-                value *= slow * if hiccup { 3.0 + 2.0 * numbers.even() } else { 1.0 };
+                value *= slow * if hiccup { 3.0 + 2.0 * numbers.unit() } else { 1.0 };
             } else if *name == stage::INFERENCE && hiccup && !self.remote {
                 value *= 2.0;
             }
@@ -188,7 +186,7 @@ impl Line {
     }
 
     /// What happened within one second of the wall clock, up to `now`.
-    pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut Numbers) -> Second {
+    pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut SplitMix64) -> Second {
         let into = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
         let ok = (self.hz * into).round() as u64;
         let mut values: Vec<(Name, Summary)> = Vec::new();

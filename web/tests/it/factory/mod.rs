@@ -6,16 +6,15 @@ mod backlog;
 mod clocks;
 mod episodes;
 mod line;
-mod numbers;
 mod skipping;
 mod tree;
 
 pub(crate) use agent::Agent;
 pub(crate) use line::{Clocks, Line};
-pub(crate) use numbers::Numbers;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, WallTime};
 use peernet_logger::{HostId, Name, RunId, stage};
+use peernet_statistics::SplitMix64;
 use peernet_stream::{
     Condition, EndReason, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics,
     Incident, IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription,
@@ -31,7 +30,7 @@ pub(crate) struct Factory {
     /// Since when the second line catches up with a day's backlog, and the third has trouble with its spool.
     pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
-    numbers: Numbers,
+    numbers: SplitMix64,
 }
 
 fn slug(name: &str) -> peernet_logger::Slug {
@@ -72,7 +71,7 @@ impl Factory {
         for agent in &mut agents {
             agent.until_up().await;
         }
-        Self { lines, agents, backlog: None, clock, numbers: Numbers(7) }
+        Self { lines, agents, backlog: None, clock, numbers: SplitMix64::new(7) }
     }
 
     fn rack(&self) -> HostId {

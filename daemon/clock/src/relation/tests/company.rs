@@ -18,7 +18,7 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
     assert_eq!(delay.verdict, Verdict::Ok);
 
     let world = World { edge: Wall::drifting(Span::ZERO, 40.0), cloud: Wall::drifting(Span::ZERO, 40.0) };
-    for trip in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut Dice(2)) {
+    for trip in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut Dice::new(2)) {
         let judged = relation.judge(&trip.witnessed());
         assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
         assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
@@ -36,7 +36,7 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
 fn exchanges_check_proof_of_one_clock() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
-    for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice(2)) {
+    for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice::new(2)) {
         let judged = relation.judge(&trip.witnessed());
         assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
     }
@@ -109,7 +109,7 @@ fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
     let mut relation = relation();
     let path = Path { up: 40e6, down: 5e6, jitter: 2e6, loss: 0.02, burst: 5e6 };
     let mut last = None;
-    for trip in path.trips(&world, (0.0, 20.0), 10.0, &mut Dice(8)) {
+    for trip in path.trips(&world, (0.0, 20.0), 10.0, &mut Dice::new(8)) {
         let judged = relation.judge(&trip.witnessed());
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         last = Some(judged);

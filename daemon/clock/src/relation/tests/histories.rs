@@ -102,7 +102,7 @@ impl History {
 fn delays_of_generated_histories_contain_the_truth() {
     let (mut judged, mut trusted, mut jumps) = (0_u64, 0_u64, 0_u64);
     for seed in 0..histories() {
-        let history = History::generate(&mut Dice(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
+        let history = History::generate(&mut Dice::new(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
         let settings = RelationSettings { retention: Span::from_seconds(30), ..settings() };
         let mut relation = Relation::new(settings);
         let mut newest_epoch = 0;

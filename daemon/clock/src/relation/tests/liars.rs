@@ -56,7 +56,7 @@ proptest! {
     fn isolated_outliers_change_nothing(seed: u64, by in prop_oneof![-1e9..-1e5f64, 1e5..1e9f64]) {
         let world = world(Span::from_millis(3));
         let (mut honest, mut lied_to) = (acquainted(&world), acquainted(&world));
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let calm = Path { burst: 0.0, ..Path::VETH };
         let mut lies = 0;
         for (n, trip) in calm.trips(&world, (10.0, 30.0), 20.0, &mut dice).iter().enumerate() {
@@ -131,7 +131,7 @@ fn impossible_exchanges_are_told_apart() {
 fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     let (honest, lying) = (world(Span::ZERO), world(Span::from_millis(40)));
     let mut relation = acquainted(&honest);
-    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut Dice(3));
+    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut Dice::new(3));
     for trip in &trips {
         relation.learn(&trip.witnessed());
     }
@@ -153,7 +153,7 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
 fn clocks_that_drift_faster_than_the_limit_are_soon_believed_no_more() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 400.0) };
     let mut relation = relation();
-    let mut dice = Dice(5);
+    let mut dice = Dice::new(5);
     let calm = Path { burst: 0.0, ..Path::VETH };
     let trips = calm.trips(&world, (10.0, 40.0), 50.0, &mut dice);
     let (early, late) = trips.split_at(trips.len() / 3);
@@ -175,7 +175,7 @@ fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
         .stepped(Span::from_seconds(100), Span::from_millis(-70));
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud };
     let mut relation = relation();
-    for trip in Path::VETH.trips(&world, (10.0, 130.0), 20.0, &mut Dice(6)) {
+    for trip in Path::VETH.trips(&world, (10.0, 130.0), 20.0, &mut Dice::new(6)) {
         relation.judge(&trip.witnessed());
         assert!(!relation.in_doubt());
     }

@@ -28,7 +28,7 @@ fn world(offset: Span) -> World {
 /// A relation that was fed ten seconds of probes, ten a second, ended at the 10th second.
 fn acquainted(world: &World) -> Relation {
     let mut relation = relation();
-    for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+    for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
         assert_eq!(relation.learn(&trip.witnessed()), Learned::Taken);
     }
     relation

@@ -15,7 +15,7 @@ fn asymmetric() -> Relation {
         World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_millis(5), 0.0) };
     let path = Path { up: 30e6, down: 20e6, jitter: 1e3, loss: 0.0, burst: 0.0 };
     let mut relation = relation();
-    for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+    for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
         relation.learn(&trip.witnessed());
     }
     relation
@@ -53,7 +53,7 @@ fn claims_that_are_not_trusted_change_nothing() {
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
     relation.set_disciplines(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
-    for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice(1)) {
+    for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
         relation.learn(&trip.witnessed());
     }
     let known = relation.offset(at(10), WallTime::default()).expect("exchanges");

@@ -19,7 +19,7 @@ fn cloud_set(by: Span) -> World {
 fn survive(world: &World, witness: impl Fn(&Trip) -> Witnessed) -> (Option<f64>, Relation) {
     let mut relation = acquainted(world);
     let mut recovered = None;
-    for trip in Path::VETH.trips(world, (9.95, 13.0), 100.0, &mut Dice(6)) {
+    for trip in Path::VETH.trips(world, (9.95, 13.0), 100.0, &mut Dice::new(6)) {
         let Judged { up, down, .. } = relation.judge(&witness(&trip));
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
@@ -67,7 +67,7 @@ fn the_size_of_a_step_is_told_with_the_first_exchange_after_it() {
     let world = cloud_set(STEP);
     let mut relation = acquainted(&world);
     let mut told = Vec::new();
-    for trip in Path::VETH.trips(&world, (10.0, 11.0), 50.0, &mut Dice(6)) {
+    for trip in Path::VETH.trips(&world, (10.0, 11.0), 50.0, &mut Dice::new(6)) {
         if let Learned::Restarted(by) =
             relation.learn(&Witnessed { cloud_epoch: Some(1), ..trip.witnessed() })
         {

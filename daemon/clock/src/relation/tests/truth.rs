@@ -14,7 +14,7 @@ proptest! {
         edge_is_off: bool,
         ppm in prop_oneof![Just(-50.0), Just(50.0), -50.0..50.0f64],
     ) {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let off = Wall::drifting(Span::from_seconds(1), ppm);
         let still = Wall::drifting(Span::ZERO, 0.0);
         let world =
@@ -41,7 +41,7 @@ proptest! {
 
     #[test]
     fn a_delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let length = Span::from_seconds(60);
         let world = World {
             edge: Wall::drifting(Span::ZERO, 0.0),
@@ -64,7 +64,7 @@ proptest! {
 
     #[test]
     fn difference_of_two_receivers_contains_the_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(9), ppm) };
         let mut relation = relation();
         // The receiver at the edge has the message going up this late, so that the cloud's has it before, and the one going down.
@@ -95,7 +95,7 @@ fn of_ten_thousand_iterations_all_contain_the_truth_and_the_mean_error_is_small(
         let world = World { edge: wall(edge), cloud: wall(cloud) };
         let mut relation = relation();
         let (mut errors, mut judged) = (0.0, 0u32);
-        for trip in Path::VETH.trips(&world, (0.0, 100.0), 100.0, &mut Dice(4)) {
+        for trip in Path::VETH.trips(&world, (0.0, 100.0), 100.0, &mut Dice::new(4)) {
             let Judged { up, down, .. } = relation.judge(&trip.witnessed());
             for (delay, truth) in [(up, trip.up), (down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");

@@ -30,7 +30,7 @@ fn see(world: &World, path: Path, settings: RelationSettings, times: (f64, f64))
 fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
     let mut relation = Relation::new(settings);
     let mut seen = Seen::default();
-    for trip in path.trips(world, (0.0, end), hz, &mut Dice(12)) {
+    for trip in path.trips(world, (0.0, end), hz, &mut Dice::new(12)) {
         let judged = relation.judge(&trip.witnessed());
         let after = trip.ended / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
@@ -133,7 +133,7 @@ fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
 fn path_that_becomes_shorter_is_no_jump() {
     let world = drifting(20.0);
     let mut relation = Relation::new(free_running(200.0));
-    let (mut dice, mut widths) = (Dice(4), Vec::new());
+    let (mut dice, mut widths) = (Dice::new(4), Vec::new());
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&world, seconds, 20.0, &mut dice) {
             let judged = relation.judge(&trip.witnessed());
@@ -151,7 +151,7 @@ fn path_that_becomes_shorter_is_no_jump() {
 fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
     let mut longest: f64 = 0.0;
     for seed in 0..300 {
-        let mut dice = Dice(seed);
+        let mut dice = Dice::new(seed);
         let mut log = |from: f64, to: f64| dice.between(from.ln(), to.ln()).exp();
         let path = path(log(0.03, 300.0), log(0.03, 300.0), log(0.01, 20.0));
         let (jump, ppm) = (log(1e4, 3e8) as i64, log(5.0, 180.0));
@@ -179,7 +179,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     let world = drifting(20.0);
     let (there, back) = (path(10.0, 30.0, 1.0), path(30.0, 10.0, 1.0));
     let mut relation = Relation::new(free_running(200.0));
-    let mut dice = Dice(3);
+    let mut dice = Dice::new(3);
     let (mut widths, mut jumps) = (Vec::new(), 0);
     for n in 0..24 {
         let route = if n % 2 == 0 { there } else { back };
@@ -208,7 +208,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
     let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
     let mut relation = Relation::new(settings);
-    let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice(5));
+    let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.witnessed()));
     assert_eq!(relation.window(), 1);
     let mut hulls = 0;

@@ -6,7 +6,7 @@ use super::*;
 fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, u32) {
     let mut relation = Relation::new(settings);
     let (mut widths, mut errors) = (Vec::new(), 0.0);
-    for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice(9)) {
+    for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice::new(9)) {
         let judged = relation.judge(&trip.witnessed());
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             if trip.ended > 20e9 {
@@ -21,7 +21,7 @@ fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, 
 
 /// Oscillators of ordinary machines.
 fn world() -> World {
-    let mut dice = Dice(1);
+    let mut dice = Dice::new(1);
     let mut clock = |offset| Wall::warming(offset, 20.0, 0.02, Span::from_seconds(320), &mut dice);
     World { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
 }

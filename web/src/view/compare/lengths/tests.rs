@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use peernet_logger::{Name, stage};
+use peernet_statistics::SplitMix64;
 use peernet_store::{Figures, Kept};
 use peernet_stream::PlacementKind::Remote;
 
@@ -129,28 +130,26 @@ fn what_cannot_be_told_is_not_told() {
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
 }
 
-/// Uniform from 0 to 1, ends excluded, of this seed (Steele and others 2014, SplitMix64).
-fn uniform(state: &mut u64) -> f64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    (((mixed ^ (mixed >> 31)) >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+/// Uniform from 0 to 1, ends excluded.
+fn uniform(random: &mut SplitMix64) -> f64 {
+    // Half of the distance between two numbers of the generator.
+    random.unit() + f64::EPSILON / 4.0
 }
 
 /// Box and Muller 1958.
-fn normal(state: &mut u64) -> f64 {
-    (-2.0 * uniform(state).ln()).sqrt() * (std::f64::consts::TAU * uniform(state)).cos()
+fn normal(random: &mut SplitMix64) -> f64 {
+    (-2.0 * uniform(random).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
 }
 
 const SLOPE: f64 = 0.4e-3;
 
 /// In how many of 200 sets of so many iterations the interval holds the slope that they were made with; `iteration` gives a
 /// length and what else its latency is made of.
-fn held(iterations: usize, iteration: impl Fn(&mut u64) -> (f64, f64)) -> usize {
-    let mut state = 13;
+fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) -> usize {
+    let mut random = SplitMix64::new(13);
     let mut holds = || {
         let answer = |_| {
-            let (tokens, other) = iteration(&mut state);
+            let (tokens, other) = iteration(&mut random);
             (tokens, 0.030 + SLOPE * tokens + other)
         };
         let points: Vec<(f64, f64)> = (0..iterations).map(answer).collect();
@@ -163,13 +162,13 @@ fn held(iterations: usize, iteration: impl Fn(&mut u64) -> (f64, f64)) -> usize 
 
 #[test]
 fn an_interval_holds_the_slope_whatever_the_lengths_and_the_tail() {
-    let tailed = held(120, |state| {
-        let tokens = (4.5 + 0.6 * normal(state)).exp().round();
-        let late = if uniform(state) < 0.05 { -0.08 * uniform(state).ln() } else { 0.0 };
-        (tokens, (0.2e-3 + 0.005e-3 * tokens) * normal(state) + late)
+    let tailed = held(120, |random| {
+        let tokens = (4.5 + 0.6 * normal(random)).exp().round();
+        let late = if uniform(random) < 0.05 { -0.08 * uniform(random).ln() } else { 0.0 };
+        (tokens, (0.2e-3 + 0.005e-3 * tokens) * normal(random) + late)
     });
     assert!(tailed >= 180, "{tailed} of 200");
-    let even = held(300, |state| ((3.0 + 38.0 * uniform(state)).floor(), 2e-5 * normal(state).abs()));
+    let even = held(300, |random| ((3.0 + 38.0 * uniform(random)).floor(), 2e-5 * normal(random).abs()));
     assert!(even >= 180, "{even} of 200");
 }
 
