@@ -283,5 +283,4 @@ fn is_settled(point: &ClockPoint) -> bool {
 }
 
 #[cfg(test)]
-#[path = "tests.rs"]
 mod tests;

@@ -1,0 +1,76 @@
+//! The chart of offset and delays.
+
+use peernet_clock::Interval;
+
+use super::super::chart::{OffsetView, tracks};
+use super::super::course::Course;
+use super::super::*;
+use super::course;
+use crate::tests::samples::{NOW, clock_point, link};
+use crate::zone::Zone;
+
+#[test]
+fn a_gap_parts_every_line_and_is_hatched() {
+    let gap: Vec<i64> = (40..60).collect();
+    let link = link(Some(0.00065), &gap);
+    let subject = Subject::live(&link);
+    let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    assert_eq!(picture.gaps.len(), 1);
+    let offset = &picture.tracks[0];
+    let band = offset.curves.iter().find(|curve| curve.class == "band").expect("a band");
+    assert_eq!(band.path.matches('Z').count(), 2, "{}", band.path);
+    assert!(offset.curves.iter().any(|curve| curve.class == "dashed"));
+    assert!(picture.label.contains("1 stretch without a report"), "{}", picture.label);
+    assert!(picture.strips[0].segments.len() == 2 && picture.strips[1].segments[0].tone == "warn");
+    let html = picture.to_string();
+    assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
+}
+
+#[test]
+fn nothing_at_all_still_makes_a_picture() {
+    let mut empty = link(None, &[]);
+    empty.history.clear();
+    let subject = Subject::live(&empty);
+    for view in [OffsetView::Removed, OffsetView::Measured] {
+        let picture = tracks(&subject, &course(&empty), view, &[], Zone::Utc);
+        assert!(picture.label.contains("Nothing was reported"), "{}", picture.label);
+        assert!(!picture.to_string().contains("NaN"));
+    }
+}
+
+#[test]
+fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
+    let mut link = link(Some(0.000_01), &[]);
+    // A clock was set back by five seconds: the second after it still holds what was known before, and the first band
+    // is wide.
+    for (place, point) in link.history.iter_mut().enumerate().skip(60) {
+        let point = Arc::make_mut(point);
+        point.window = 2;
+        let offset = point.offset.as_mut().expect("known");
+        let by = if place == 60 { Span::ZERO } else { Span::from_seconds(5) };
+        offset.estimate += by;
+        let half = if place == 61 { Span::from_millis(40) } else { Span::from_micros(10) };
+        offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
+    }
+    let points: Vec<ClockPoint> = link.history.iter().map(|point| (**point).clone()).collect();
+    let trend = trend::Trend::of(&points);
+    for point in &points[62..] {
+        let residual = point.offset.as_ref().expect("known").estimate.seconds() - trend.at(2, point.at);
+        assert!(residual.abs() < 1e-6, "{residual}");
+    }
+    let picture = tracks(&Subject::live(&link), &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    let top = &picture.tracks[0].ticks.last().expect("ticks").1;
+    assert_eq!(top, "+0.015", "{:?}", picture.tracks[0].ticks);
+}
+
+#[test]
+fn seconds_that_came_twice_are_drawn_window_by_window() {
+    let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
+    let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
+    let whole = Course { from: at(0), to: at(40), bucket: 1, points };
+    let mut picture_of = link(Some(0.0005), &[]);
+    picture_of.history.clear();
+    let picture = tracks(&Subject::live(&picture_of), &whole, OffsetView::Removed, &[], Zone::Utc);
+    let band = picture.tracks[0].curves.iter().find(|curve| curve.class == "band").expect("a band");
+    assert_eq!(band.path.matches('Z').count(), 2, "{}", band.path);
+}

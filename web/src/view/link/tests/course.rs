@@ -1,0 +1,58 @@
+//! The points of a chart: put together, and the steady drift in them.
+
+use super::super::course::Course;
+use super::super::*;
+use crate::tests::samples::{NOW, clock_point};
+
+#[test]
+fn a_steady_drift_is_taken_out_of_the_picture_and_a_step_parts_it() {
+    let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
+    let mut points: Vec<ClockPoint> =
+        (0..100).rev().map(|ago| clock_point(at(ago), u64::from(ago < 50), Some(0.0005))).collect();
+    points[50..].iter_mut().filter_map(|point| point.offset.as_mut()).for_each(|offset| {
+        offset.estimate += Span::from_seconds(3);
+    });
+    let trend = trend::Trend::of(&points);
+    for point in &points {
+        let estimate = point.offset.as_ref().expect("known").estimate.seconds();
+        assert!((estimate - trend.at(point.window, point.at)).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn points_that_are_put_together_keep_the_widest_bounds_and_all_probes() {
+    let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
+    let points = vec![
+        clock_point(at(11), 1, Some(0.0005)),
+        clock_point(at(12), 1, Some(0.0020)),
+        clock_point(at(20), 1, Some(0.0005)),
+        clock_point(at(21), 1, Some(0.0005)),
+    ];
+    let whole = Course { from: at(10), to: at(30), bucket: 1, points };
+    let thin = whole.thinned(10);
+    assert_eq!(thin.points.iter().map(|point| point.at).collect::<Vec<_>>(), [at(20), at(21)]);
+    let first = &thin.points[0];
+    let width = first.offset.as_ref().expect("known").bounds.width().seconds();
+    assert!((width - 0.004).abs() < 1e-6, "{width}");
+    assert_eq!(first.probes.sent, 30);
+    assert_eq!(first.up.expect("data").count, 90);
+    assert_eq!(whole.gaps(), [(at(12), at(20)), (at(21), at(30))]);
+}
+
+#[test]
+fn what_the_cloud_tells_is_placed_by_the_offset_of_its_time() {
+    let at = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
+    let mut points: Vec<ClockPoint> =
+        (0..60).rev().map(|ago| clock_point(at(ago), 1, Some(0.0005))).collect();
+    // Half a minute ago the edge was set forward by three seconds.
+    for point in &mut points[30..] {
+        let offset = point.offset.as_mut().expect("known");
+        offset.estimate = offset.estimate - Span::from_seconds(3);
+    }
+    let course = Course { from: at(60), to: at(0), bucket: 1, points };
+    for ago in [50, 10] {
+        let estimate = course.points[59 - ago as usize].offset.as_ref().expect("known").estimate;
+        let placed = course.on_the_edge(at(ago) + estimate);
+        assert!((placed - at(ago)).abs() < Span::from_millis(1), "{ago}");
+    }
+}

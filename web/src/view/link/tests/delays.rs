@@ -1,0 +1,48 @@
+//! Delays of several seconds put together.
+
+use peernet_clock::Interval;
+use peernet_stream::{DelayPoint, DelaySecond};
+
+use super::super::*;
+
+fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
+    let value = Span::from_seconds_f64(value_ms / 1e3);
+    let median = DelayPoint { value, bounds: Interval::exactly(value), bits_per_second: None };
+    DelaySecond { count, median: Some(median), verdict }
+}
+
+#[test]
+fn the_median_counts_each_delay_and_a_rare_verdict_does_not_colour_the_rest() {
+    let many = [second(98, 6.0, Verdict::Ok), second(1, 60.0, Verdict::Ok), second(1, 1.0, Verdict::Stepped)];
+    let all = Delays::merge(Way::Up, &many);
+    assert_eq!((all.value().as_str(), all.verdict, all.count), ("6.00", Some(Verdict::Ok), 100));
+    let worse = Delays::merge(Way::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
+    assert_eq!(worse.verdict, Some(Verdict::Stale));
+}
+
+#[test]
+fn a_negative_delay_is_never_shown() {
+    let delays = Delays::merge(Way::Down, &[second(10, -0.4, Verdict::Limited)]);
+    assert_eq!((delays.value().as_str(), delays.interval()), ("—", None));
+    let mut low = second(10, 0.2, Verdict::Limited);
+    low.median = low.median.map(|point| DelayPoint {
+        bounds: Interval { lo: Span::from_micros(-450), hi: Span::from_micros(850) },
+        ..point
+    });
+    assert_eq!(Delays::merge(Way::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
+}
+
+#[test]
+fn a_limited_throughput_is_shown_as_its_interval() {
+    let known = |verdict| {
+        let point = DelayPoint {
+            value: Span::from_micros(1_000),
+            bounds: Interval { lo: Span::ZERO, hi: Span::from_micros(2_000) },
+            bits_per_second: Some(160e6),
+        };
+        Delays::merge(Way::Up, &[DelaySecond { count: 9, median: Some(point), verdict }]).throughput().0
+    };
+    assert_eq!(known(Verdict::Ok), "20.0");
+    assert_eq!(known(Verdict::Limited), "≥ 10.0");
+    assert_eq!(known(Verdict::Stepped), "—");
+}

@@ -1,0 +1,70 @@
+//! The page's title and what its verdicts mean.
+
+use peernet_stream::DelaySecond;
+
+use super::super::finding::{meanings, title};
+use super::super::*;
+use crate::tests::samples::link;
+use crate::zone::Zone;
+
+#[test]
+fn the_title_answers_whether_delays_can_be_trusted() {
+    let say = |link: &LinkPicture| title(&Subject::live(link), Zone::Utc);
+    let mixed = link(Some(0.00065), &[]);
+    assert_eq!(
+        say(&mixed),
+        "cam-1 → rack-a: upload times can be trusted to ±0.65\u{202f}ms, download times cannot"
+    );
+    assert_eq!(
+        say(&link(Some(0.00005), &[])),
+        "cam-1 → rack-a: upload and download times can be trusted to ±0.050\u{202f}ms"
+    );
+    assert!(say(&link(Some(0.004), &[])).contains("read them as intervals"));
+    assert!(say(&link(None, &[])).contains("were never related"));
+    let mut one = link(Some(0.0), &[]);
+    one.live.same_clock = true;
+    assert_eq!(say(&one), "cam-1 and rack-a read one clock: delays between them are exact");
+    let mut away = mixed.clone();
+    away.connected = false;
+    assert!(say(&away).contains("last told of this link on 19 Nov 2026, 12:01:07"), "{}", say(&away));
+    let mut silent = mixed;
+    silent.history.iter_mut().for_each(|point| {
+        let point = Arc::make_mut(point);
+        (point.up, point.down) = (None, None);
+    });
+    assert!(say(&silent).contains("nothing was sent in the last 10"), "{}", say(&silent));
+}
+
+#[test]
+fn the_verdicts_are_told_with_this_links_numbers() {
+    let link = link(Some(0.00065), &[]);
+    let told = meanings(&Subject::live(&link));
+    assert_eq!(
+        told[0].text,
+        "takes 6.30\u{202f}ms, 9.7 times its bound of ±0.65\u{202f}ms. The true value lies between 5.65 and 6.95\u{202f}ms."
+    );
+    assert!(told[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", told[1].text);
+}
+
+#[test]
+fn a_young_link_says_so_and_its_first_moments_do_not_colour_it() {
+    let mut young = link(Some(0.00005), &[]);
+    young.history.drain(..119);
+    young.live.now.offset.iter_mut().for_each(|offset| {
+        (offset.verdict, offset.exchanges) = (Verdict::Stale, 2);
+    });
+    let subject = Subject::live(&young);
+    assert!(title(&subject, Zone::Utc).contains("too few exchanges yet"), "{}", title(&subject, Zone::Utc));
+    assert_eq!(subject.verdict(), Some(Verdict::Stale));
+
+    let mut link = link(Some(0.00005), &[]);
+    link.history.drain(..115);
+    let first = Arc::make_mut(&mut link.history[0]);
+    first.up = first.up.map(|second| DelaySecond { verdict: Verdict::Stale, ..second });
+    let subject = Subject::live(&link);
+    assert_eq!((subject.verdict(), subject.delays(Way::Up).verdict), (Some(Verdict::Ok), Some(Verdict::Ok)));
+    // One that was judged so while the clocks were known counts.
+    let later = Arc::make_mut(&mut link.history[3]);
+    later.up = later.up.map(|second| DelaySecond { verdict: Verdict::Stepped, ..second });
+    assert_eq!(Subject::live(&link).delays(Way::Up).verdict, Some(Verdict::Stepped));
+}

@@ -1,0 +1,47 @@
+//! Names of links, and where they are found.
+
+use super::super::*;
+use crate::tests::samples::link;
+
+#[test]
+fn a_link_is_found_by_its_two_names() {
+    let picture = peernet_aggregator::Picture {
+        links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
+        ..crate::tests::samples::picture(Vec::new(), Vec::new())
+    };
+    assert!(find(&picture, "cam-1~rack-a").is_some());
+    for other in ["rack-a~cam-1", "cam-1", "cam-1~", "~", "cam-1~rack-a~"] {
+        assert!(find(&picture, other).is_none(), "{other}");
+    }
+}
+
+#[test]
+fn name_of_a_link_leaves_zmq_tcp_out() {
+    let udp: NetworkName = "zmq-udp".parse().expect("a name");
+    assert_eq!(name("cam-1", "rack-a", &NetworkName::default()), "cam-1~rack-a");
+    assert_eq!(name("cam-1", "rack-a", &udp), "cam-1~rack-a~zmq-udp");
+    for (wanted, same) in [
+        ("cam-1~rack-a", "cam-1~rack-a"),
+        ("cam-1~rack-a~zmq-tcp", "cam-1~rack-a"),
+        ("cam-1~rack-a~zmq-udp", "cam-1~rack-a~zmq-udp"),
+        ("cam-1", "cam-1"),
+        ("cam-1~rack-a~zmq-udp~", "cam-1~rack-a~zmq-udp~"),
+    ] {
+        assert_eq!(canonical(wanted.to_owned()), same);
+    }
+}
+
+#[test]
+fn a_placement_uses_the_link_over_its_network() {
+    let mut shown = crate::tests::samples::picture(Vec::new(), Vec::new());
+    shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
+    let placement = |network: Option<&str>| Placement {
+        kind: PlacementKind::Remote,
+        peer: "rack-a".parse().ok(),
+        network: network.map(str::to_owned),
+        ..Placement::sensor_alone()
+    };
+    let page = |network| of_placement(&shown, "cam-1", &placement(network));
+    assert_eq!(page(Some("zmq-udp")).as_deref(), Some("/links/cam-1~rack-a~zmq-udp"));
+    assert_eq!((page(Some("zmq-tcp")), page(None), page(Some("~"))), (None, None, None));
+}

@@ -1,0 +1,143 @@
+//! Where a bound comes from.
+
+use peernet_clock::{DelaySource, Discipline, Interval};
+use peernet_stream::{HostClock, Probing};
+
+use super::super::chart::{OffsetView, tracks};
+use super::super::finding::title;
+use super::super::origin::Origin;
+use super::super::*;
+use super::course;
+use crate::tests::samples::{NOW, link};
+use crate::zone::Zone;
+
+#[test]
+fn claims_that_are_not_used_stand_beside_the_exchanges() {
+    let mut link = link(Some(0.00065), &[]);
+    let error = Interval { lo: Span::from_millis(-1), hi: Span::from_millis(1) };
+    let claims = HostClock {
+        discipline: Some(Discipline { source: DelaySource::Chrony, error }),
+        ..HostClock::default()
+    };
+    (link.live.edge, link.live.cloud) = (Some(claims.clone()), Some(claims));
+    if let Some(offset) = &mut link.live.now.offset {
+        offset.sources.truncate(1);
+    }
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
+    assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts, not used", "used"]);
+    assert_eq!(origin.rows[1].width, "4.00");
+    assert!(origin.hints[0].contains("trust_time_daemons = true on cam-1"), "{origin:?}");
+}
+
+#[test]
+fn where_a_bound_comes_from_and_what_would_narrow_it() {
+    let mut link = link(Some(0.00065), &[]);
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    assert_eq!(origin.title, "Where ±0.65\u{202f}ms comes from");
+    let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
+    assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts", "intersection"]);
+    assert_eq!(
+        (origin.rows[2].between.as_str(), origin.rows[2].width.as_str()),
+        ("1,203.35 – 1,204.65", "1.30")
+    );
+    assert!(
+        origin.why[0].contains("took 1.30\u{202f}ms, so the offset is known to half of that, ±0.65"),
+        "{origin:?}"
+    );
+    assert!(origin.hints[0].contains("PTP or chrony on cam-1 and rack-a"), "{origin:?}");
+
+    let claim = peernet_clock::Discipline {
+        source: DelaySource::Chrony,
+        error: Interval { lo: Span::from_micros(-900), hi: Span::from_micros(900) },
+    };
+    let clock = HostClock { discipline: Some(claim), ..HostClock::default() };
+    (link.live.edge, link.live.cloud) = (Some(clock.clone()), Some(clock));
+    link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None };
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    assert!(origin.hints[0].contains("open udp://192.0.2.5:8620"), "{origin:?}");
+    assert!(origin.hints[1].contains("is wider and does not help"), "{origin:?}");
+}
+
+#[test]
+fn a_link_that_fell_silent_keeps_what_it_told() {
+    let mut away = link(Some(0.00065), &[]);
+    away.connected = false;
+    away.live.now.offset = None;
+    Arc::make_mut(away.history.last_mut().expect("a second")).offset = None;
+    let subject = Subject::live(&away);
+    assert!(subject.bound().is_some());
+    let origin = Origin::of(&subject, &course(&away));
+    assert_eq!(origin.title, "Where ±0.65\u{202f}ms came from");
+
+    let row = peernet_store::LinkRow {
+        edge: away.edge,
+        edge_name: away.edge_name.clone(),
+        cloud: away.live.peer,
+        cloud_name: away.live.peer_name.clone(),
+        first: NOW,
+        last: NOW,
+        network: NetworkName::default(),
+    };
+    let past = Subject::past(&row).remembering(&course(&away));
+    let stats = stats::all(&past, &course(&away));
+    let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
+    assert!(offset.line.contains("when last told"), "{offset:?}");
+    assert!(!format!("{:?}", Origin::of(&past, &course(&away))).contains("No exchange"));
+}
+
+#[test]
+fn why_probes_are_not_answered_is_told_where_it_is_known() {
+    let mut link = link(Some(0.00065), &[]);
+    let mut told = |reason: Option<&str>| {
+        link.live.probing =
+            Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: reason.map(str::to_owned) };
+        let probes = panels::probes(&Subject::live(&link), &course(&link));
+        (probes[1].1.clone(), Origin::of(&Subject::live(&link), &course(&link)).hints[0].clone())
+    };
+    let (answers, hint) = told(Some("the two ends have different keys"));
+    assert!(answers.contains("different keys") && hint.contains("different keys"), "{answers} {hint}");
+    let (answers, hint) = told(None);
+    assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
+}
+
+fn inconsistent(sources: usize) -> LinkPicture {
+    let mut link = link(Some(0.0005), &[]);
+    let ms = Span::from_millis;
+    let away = Interval { lo: ms(249), hi: ms(250) };
+    let spoil = |offset: &mut Offset| {
+        offset.verdict = Verdict::Inconsistent;
+        offset.sources = vec![(DelaySource::InBand, offset.bounds), (DelaySource::Chrony, away)];
+        offset.sources.truncate(sources);
+        offset.bounds = offset.bounds.hull(away);
+    };
+    link.live.now.offset.iter_mut().for_each(spoil);
+    for point in &mut link.history {
+        Arc::make_mut(point).offset.iter_mut().for_each(spoil);
+    }
+    link
+}
+
+#[test]
+fn what_contradicts_itself_has_no_value_and_no_bound_anywhere() {
+    for (sources, row, hint) in
+        [(2, "no common interval", "chronyc tracking"), (1, "not to be trusted", "max_drift_ppm")]
+    {
+        let link = inconsistent(sources);
+        let subject = Subject::live(&link);
+        assert_eq!((subject.bound(), subject.verdict()), (None, Some(Verdict::Inconsistent)));
+        assert!(title(&subject, Zone::Utc).contains("contradicts itself"));
+        let stats = stats::all(&subject, &course(&link));
+        let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
+        assert_eq!((offset.number.as_str(), offset.line.as_str()), ("—", CONTRADICTION));
+        let origin = Origin::of(&subject, &course(&link));
+        let last = origin.rows.last().expect("rows");
+        assert_eq!((last.name.as_str(), last.between.as_str()), (row, "—"));
+        assert!(origin.hints.iter().all(|one| one.contains(hint)), "{origin:?}");
+        assert!(!format!("{origin:?}").contains('±'), "{origin:?}");
+        let table = table::Row::all(&course(&link), Zone::Utc);
+        assert!(table.iter().all(|row| row.offset == "—" && row.bound == "—"), "{table:?}");
+        let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+        assert!(picture.tracks[0].curves.iter().all(|curve| curve.class != "band"));
+    }
+}

@@ -1,0 +1,121 @@
+//! The figures and panels beside the chart.
+
+use peernet_clock::{DelaySource, Interval};
+use peernet_stream::{EstimateBasis, HostClock, ProbeCounts, Probing, ReflectorLive};
+
+use super::super::*;
+use super::course;
+use crate::tests::samples::link;
+
+#[test]
+fn a_claim_is_told_as_it_is_meant() {
+    let claim = |lo, hi| {
+        let error = Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) };
+        let discipline = peernet_clock::Discipline { source: DelaySource::Chrony, error };
+        panels::claims(&HostClock { discipline: Some(discipline), ..HostClock::default() })
+    };
+    assert_eq!(claim(-1_800, 2_100), "within ±2.1\u{202f}ms of true time");
+    assert_eq!(claim(4_001_040, 4_001_120), "+4,001.080\u{202f}ms from true time, ±0.040\u{202f}ms");
+    assert_eq!(panels::claims(&HostClock::default()), "—");
+}
+
+#[test]
+fn an_offset_that_may_be_none_is_neither_ahead_nor_behind() {
+    let mut level = link(Some(0.000_004), &[]);
+    let offset = level.live.now.offset.as_mut().expect("known");
+    let half = Span::from_nanos(4_000);
+    (offset.estimate, offset.skew_ppm) = (Span::from_nanos(-300), Some(0.02));
+    offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
+    let stats = stats::all(&Subject::live(&level), &course(&level));
+    let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
+    assert_eq!(line("Clock offset"), "level, ±0.004\u{202f}ms");
+    assert_eq!(line("Drift"), "both run alike");
+}
+
+#[test]
+fn named_reflector_is_shown_as_tied_to_no_host() {
+    let mut link = link(Some(0.00065), &[]);
+    assert!(panels::reflector(&Subject::live(&link)).is_empty());
+    let known = link.live.now.offset.clone().expect("known");
+    let silent = ReflectorLive {
+        address: "udp://192.0.2.7:862".into(),
+        probing: Probing::Unanswered { address: "udp://192.0.2.7:862".into(), reason: None },
+        probes: ProbeCounts { sent: 12, answered: 0, lost: 9, refused: 3 },
+        round_trip: None,
+        offset: None,
+    };
+    let answering =
+        ReflectorLive { round_trip: link.live.now.round_trip, offset: Some(known), ..silent.clone() };
+    let mut shown = |reflector: ReflectorLive| {
+        link.live.reflector = Some(reflector);
+        let pairs = panels::reflector(&Subject::live(&link));
+        let text = pairs.into_iter().map(|(name, text)| format!("{name}: {text}\n")).collect::<String>();
+        text.replace('\u{202f}', " ")
+    };
+    let text = shown(silent);
+    for part in
+        ["12 sent, 0 answered, 9 lost, 3 refused", "none lately", "not known yet", "no delay rests on it"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let text = shown(answering);
+    for part in
+        ["Configured: udp://192.0.2.7:862", "Round trip: 1.30 ms at least", "its wall clock minus cam-1's"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
+fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
+    let mut link = link(Some(0.00065), &[]);
+    let basis = EstimateBasis {
+        clocks: RelatedClocks::Raw,
+        max_drift_change_ppm_per_s: Some(1.0),
+        proven_skew_ppm: Some((61.5, 64.0)),
+        grown_window: Some(Span::from_seconds(42)),
+        claims_trusted: false,
+        probes_authenticated: Some(false),
+        ..EstimateBasis::default()
+    };
+    link.live.now.basis = Some(basis);
+    let subject = Subject::live(&link);
+    let pairs = basis::pairs(&subject, &course(&link));
+    let of = |name: &str| {
+        let found = pairs.iter().find(|(known, _)| *known == name);
+        found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
+    };
+    assert!(
+        of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
+        "{pairs:?}"
+    );
+    assert_eq!(of("Assumed drift"), "at most 50.0 ppm (ρ)");
+    assert_eq!(
+        of("Proven drift"),
+        "between +61.5 and +64.0 ppm, beyond what is assumed: raise [clock] max_drift_ppm on cam-1 above 62"
+    );
+    assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
+    assert_eq!(of("Claims of time daemons"), "shown for comparison only");
+    assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
+    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the free-running clocks");
+    // The offset of this link is narrowed by a claim.
+    assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
+
+    // What cannot be told of one clock is not told.
+    link.live.same_clock = true;
+    assert!(basis::pairs(&Subject::live(&link), &course(&link)).is_empty());
+}
+
+#[test]
+fn clock_that_a_hypervisor_supplies_is_named() {
+    let clock = |source: Option<&str>| HostClock {
+        text: "chrony, stratum 2".into(),
+        clocksource: source.map(str::to_owned),
+        ..HostClock::default()
+    };
+    for source in [None, Some("tsc"), Some("arch_sys_counter")] {
+        assert_eq!(panels::discipline(&clock(source)), "chrony, stratum 2");
+    }
+    let supplied = panels::discipline(&clock(Some("kvm-clock")));
+    assert_eq!(supplied, "chrony, stratum 2; clock supplied by the hypervisor (kvm-clock)");
+}
