@@ -46,7 +46,7 @@ pub struct Places {
 impl Default for Places {
     fn default() -> Self {
         Self {
-            sys: "/sys".into(),
+            sys: Self::SYSFS.into(),
             proc: "/proc".into(),
             root: "/".into(),
             folders: Vec::new(),
@@ -58,6 +58,9 @@ impl Default for Places {
 }
 
 impl Places {
+    /// Where Linux mounts sysfs.
+    pub(crate) const SYSFS: &str = "/sys";
+
     /// Those of this host, with what an agent of that configuration writes to.
     pub(crate) fn of(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
