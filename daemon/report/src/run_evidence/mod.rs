@@ -3,7 +3,7 @@
 use peernet_stream::Condition;
 use serde::Deserialize;
 
-use crate::record::RunRecord;
+use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::trust::{Came, Early, Evidence, Limits, Load, Missing, Starts, lasted};
 
@@ -17,11 +17,10 @@ impl Evidence {
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
         let rows_say = Self::of_rows(rows, &conditions);
-        let came = Came::of(rows, &rows_say.counts, record.counts.unseen);
         Self {
             starts: Starts { hz: load(record).hz, ..rows_say.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            early: Early::of(&limits(record), &came, &record.reason),
+            early: early(record, rows),
             ..rows_say
         }
         .ended(Some(&record.reason))
@@ -39,17 +38,21 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
-/// one that came to its end, or of which that is not known.
-pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
-    let counts = &record.counts;
+/// What a run lacks of its order, by its rows and the iterations that have none.
+fn early(record: &RunRecord, rows: &Rows) -> Option<Early> {
+    let counts = Counts::of(rows, record.counts.unseen);
     let came = Came {
         measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
         warm_up: counts.warm_up,
         seconds: lasted(rows),
     };
-    let early = Early::of(&limits(record), &came, &record.reason);
-    match (record.reason.failure(), early) {
+    Early::of(&limits(record), &came, &record.reason)
+}
+
+/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
+/// one that came to its end, or of which that is not known.
+pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
+    match (record.reason.failure(), early(record, rows)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
         (Some(reason), None) => Some(format!("broke off: {reason}")),
         (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),

@@ -4,7 +4,6 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use super::Counts;
 use crate::rows::Rows;
 
 /// What a run was asked for: its pipeline's `limit`. What is not there is no limit.
@@ -50,13 +49,6 @@ pub enum Unit {
     Iterations,
     /// Seconds of measuring.
     Seconds,
-}
-
-impl Came {
-    /// What rows show, with `unseen` iterations that are not among them.
-    pub(crate) fn of(rows: &Rows, counts: &Counts, unseen: u64) -> Self {
-        Self { measured: counts.measured() + unseen, warm_up: counts.warm_up, seconds: lasted(rows) }
-    }
 }
 
 impl Early {
