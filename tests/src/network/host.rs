@@ -78,16 +78,19 @@ impl Host {
 
     /// Lets no more than so much out of an interface; what is too much waits, up to four megabytes.
     pub fn limit(&self, interface: &str, mbit_per_second: u32) {
-        let rate = format!("{mbit_per_second}mbit");
-        let tbf = ["root", "tbf", "rate", &rate, "burst", "16kb", "limit", "4mb"];
-        self.run("tc", &[&["qdisc", "add", "dev", interface], &tbf[..]].concat());
+        self.shape(interface, &format!("{mbit_per_second}mbit"), "16kb", ["limit", "4mb"]);
     }
 
     /// Lets so little out of an interface that every packet shows; what waits for longer than 300 ms is dropped.
     pub fn throttle(&self, interface: &str, kbit_per_second: u32) {
-        let rate = format!("{kbit_per_second}kbit");
-        let tbf = ["root", "tbf", "rate", &rate, "burst", "2kb", "latency", "300ms"];
-        self.run("tc", &[&["qdisc", "add", "dev", interface], &tbf[..]].concat());
+        self.shape(interface, &format!("{kbit_per_second}kbit"), "2kb", ["latency", "300ms"]);
+    }
+
+    /// Puts a token bucket filter (tc-tbf(8)) on an interface; `bound` limits what waits in it.
+    fn shape(&self, interface: &str, rate: &str, burst: &str, bound: [&str; 2]) {
+        let [bound, value] = bound;
+        let filter = ["root", "tbf", "rate", rate, "burst", burst, bound, value];
+        self.run("tc", &[&["qdisc", "add", "dev", interface], &filter[..]].concat());
     }
 
     /// Lets everything out of an interface again.
