@@ -14,10 +14,11 @@ use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
-use super::reports::{ExcessSkew, Restart, RestartReports, SuspectedJump};
+use super::reports::{ExcessSkew, LostProof, Restart, RestartReports, SuspectedJump};
 use super::second::Second;
 use super::told_clock::ToldClock;
 use crate::host_clock::shown;
+use crate::same_clock::NotProven;
 
 /// A second is closed no later than this after its end, unless nothing came back any more or the wall clock was set.
 const MOST_OVERDUE: Span = Span::from_seconds(2);
@@ -47,6 +48,7 @@ pub(super) struct News {
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess: Option<ExcessSkew>,
+    pub(super) lost_proof: Option<LostProof>,
 }
 
 /// A message that has arrived, and how many bits it had.
@@ -180,9 +182,21 @@ impl Knowledge {
         news
     }
 
-    /// It is proven that both processes read one clock, or it no longer is.
-    pub(super) fn set_same_clock(&mut self, is_proven: bool) {
-        self.relation.set_same_clock(is_proven);
+    /// It is proven that both processes read one clock.
+    pub(super) fn clock_proven(&mut self) {
+        self.relation.set_same_clock(true);
+        self.restarts.proof_regained();
+    }
+
+    /// It is not proven that both processes read one clock.
+    pub(super) fn clock_not_proven(&mut self) {
+        self.relation.set_same_clock(false);
+    }
+
+    /// It is no longer proven that both processes read one clock.
+    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> News {
+        self.clock_not_proven();
+        News { lost_proof: self.restarts.proof_lost(why, now), ..News::default() }
     }
 
     /// The own free-running clock is in this epoch already.
@@ -215,6 +229,7 @@ impl Knowledge {
         self.begin_window(now, &mut news);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
+            news.lost_proof = self.restarts.second_over(now.raw);
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
             let at = edge_time(now, end);

@@ -22,7 +22,9 @@ use super::knowledge::{Knowledge, News, Way};
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
-use super::words::{excess_in_words, jump_in_words, restart_in_words, wall_set_in_words};
+use super::words::{
+    excess_in_words, jump_in_words, lost_proof_in_words, restart_in_words, wall_set_in_words,
+};
 use crate::incidents::Concerning;
 use crate::same_clock::NotProven;
 
@@ -168,21 +170,29 @@ impl Link {
     /// It is proven that both processes read one clock, or it no longer is.
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
-        lock(&self.knowledge).set_same_clock(is_proven);
-        let before = self.same_clock.send_replace(Some(is_proven));
-        if before == Some(is_proven) {
-            return;
-        }
-        self.adjust_pace(self.shared.host.clock.mono());
+        let now = self.shared.host.clock.stamp();
+        let before = *self.same_clock.borrow();
+        let mut news = News::default();
         match proof {
             Ok(()) => {
-                tracing::info!(peer = %self.cloud.name, "both processes read one clock: delays are exact");
+                lock(&self.knowledge).clock_proven();
+                if before != Some(true) {
+                    tracing::info!(peer = %self.cloud.name, "both processes read one clock: delays are exact");
+                }
             }
             Err(why) if before == Some(true) => {
-                tracing::warn!(peer = %self.cloud.name, "delays are measured from now on: {why}");
+                tracing::debug!(peer = %self.cloud.name, "delays are measured from now on: {why}");
+                news = lock(&self.knowledge).proof_lost(why, now.raw);
             }
-            Err(why) => tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}"),
+            Err(why) => {
+                lock(&self.knowledge).clock_not_proven();
+                tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}");
+            }
         }
+        // After the knowledge: who is told that there is a proof may ask for delays at once.
+        self.same_clock.send_replace(Some(is_proven));
+        self.adjust_pace(now.mono);
+        self.tell(news);
     }
 
     /// Waits until it is known whether both processes read one clock, no longer than [`FIRST_PROOF`].
@@ -281,6 +291,7 @@ impl Link {
             news.jump.map(|jump| jump_in_words(jump, edge, cloud)),
             news.is_cloud_wall_set.then(|| wall_set_in_words(cloud)),
             news.excess.map(|excess| excess_in_words(excess, edge, cloud)),
+            news.lost_proof.map(|lost| lost_proof_in_words(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
             let what = Concerning { peer: Some(self.cloud.id), ..Concerning::default() };

@@ -2,8 +2,12 @@
 
 use peernet_clock::{Doubt, ProvenSkew, RawTime, Span};
 
-/// Suspected jumps are reported at most once in such a time: a route that flaps makes one after the other.
-const JUMP_REPORT_INTERVAL: Span = Span::from_seconds(60);
+use crate::same_clock::NotProven;
+
+/// Suspected jumps are reported at most once in such a time, and so are lost proofs: a route that flaps makes one after the other.
+const REPORT_INTERVAL: Span = Span::from_seconds(60);
+/// A connection that proved one clock ends with its session. If the session has not ended after such a time the proof alone is lost.
+const SESSION_END: Span = Span::from_seconds(1);
 
 /// Decides what is reported of a restart of the relation, and of doubts about its assumptions.
 #[derive(Debug, Default)]
@@ -14,9 +18,30 @@ pub(super) struct RestartReports {
     is_in_doubt: bool,
     /// It was reported that the exchanges prove a skew beyond the limit.
     is_skew_told: bool,
-    /// When a suspected jump was reported last, and how many were not since.
-    jump_told: Option<RawTime>,
-    jumps_untold: u32,
+    jumps: ReportLimit,
+    lost_proofs: ReportLimit,
+    /// The proof that was lost with its connection, and when: the session may be over, too.
+    ended_proof: Option<(NotProven, RawTime)>,
+}
+
+/// Limits how often events of one kind are reported.
+#[derive(Debug, Default)]
+struct ReportLimit {
+    last_report: Option<RawTime>,
+    /// Events since the last report.
+    untold: u32,
+}
+
+impl ReportLimit {
+    /// Returns how many events were not reported since the last report, if that is long enough ago; else counts this one.
+    fn untold_before(&mut self, at: RawTime) -> Option<u32> {
+        if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
+            self.untold = self.untold.saturating_add(1);
+            return None;
+        }
+        self.last_report = Some(at);
+        Some(std::mem::take(&mut self.untold))
+    }
 }
 
 impl RestartReports {
@@ -38,12 +63,31 @@ impl RestartReports {
 
     /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
     pub(super) fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
-        if self.jump_told.is_some_and(|told| (at - told).abs() < JUMP_REPORT_INTERVAL) {
-            self.jumps_untold = self.jumps_untold.saturating_add(1);
+        let untold = self.jumps.untold_before(at)?;
+        Some(SuspectedJump { moved, untold })
+    }
+
+    /// Returns the report of a proof of one clock that was lost, unless there was one shortly before. A proof that was lost with
+    /// its connection is reported by [`second_over`](Self::second_over), if the session goes on without it.
+    pub(super) fn proof_lost(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
+        if let NotProven::Ended(_) = why {
+            self.ended_proof = Some((why, at));
             return None;
         }
-        self.jump_told = Some(at);
-        Some(SuspectedJump { moved, untold: std::mem::take(&mut self.jumps_untold) })
+        let untold = self.lost_proofs.untold_before(at)?;
+        Some(LostProof { why, untold })
+    }
+
+    /// One clock is proven again.
+    pub(super) fn proof_regained(&mut self) {
+        self.ended_proof = None;
+    }
+
+    /// Returns the report of a proof whose connection ended some time ago.
+    pub(super) fn second_over(&mut self, now: RawTime) -> Option<LostProof> {
+        let (why, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
+        let untold = self.lost_proofs.untold_before(at)?;
+        Some(LostProof { why, untold })
     }
 
     /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
@@ -59,6 +103,14 @@ pub(super) struct SuspectedJump {
     /// By how much.
     pub(super) moved: Span,
     /// How many were suspected since the last report, without one of their own.
+    pub(super) untold: u32,
+}
+
+/// It is no longer proven that both processes read one clock.
+#[derive(Debug)]
+pub(super) struct LostProof {
+    pub(super) why: NotProven,
+    /// How many proofs were lost since the last report, without one of their own.
     pub(super) untold: u32,
 }
 
@@ -83,4 +135,48 @@ pub(super) struct Restart {
     /// The assumption, with its limit in parts per million or parts per million per second, where it is more likely that the clocks do not
     /// keep it.
     pub(super) doubt: Option<(Doubt, f64)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+
+    fn at(millis: i64) -> RawTime {
+        RawTime::from_nanos(millis * 1_000_000)
+    }
+
+    fn ended() -> NotProven {
+        io::Error::from(io::ErrorKind::UnexpectedEof).into()
+    }
+
+    #[test]
+    fn lost_proofs_are_reported_once_a_minute_with_their_number() {
+        let mut reports = RestartReports::default();
+        let mut untold = |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.untold);
+        let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut untold);
+        assert_eq!(told, [Some(0), None, None, Some(2), None, Some(1)]);
+    }
+
+    #[test]
+    fn lost_proofs_do_not_hide_suspected_jumps() {
+        let mut reports = RestartReports::default();
+        assert!(reports.proof_lost(NotProven::OwnTime, at(0)).is_some());
+        assert!(reports.jumped(Span::from_millis(39), at(1)).is_some());
+    }
+
+    #[test]
+    fn proof_that_ends_with_its_session_is_not_reported() {
+        let mut reports = RestartReports::default();
+        assert!(reports.proof_lost(ended(), at(0)).is_none());
+        assert!(reports.second_over(at(999)).is_none(), "the session may still end");
+        let lost = reports.second_over(at(1_000)).expect("the session goes on");
+        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), untold: 0 }), "{lost:?}");
+        assert!(reports.second_over(at(2_000)).is_none(), "it is reported once");
+
+        assert!(reports.proof_lost(ended(), at(100_000)).is_none());
+        reports.proof_regained();
+        assert!(reports.second_over(at(102_000)).is_none(), "another session of the link proves it");
+    }
 }

@@ -1,9 +1,9 @@
-//! Steps, jumps and doubts about the clocks in words for people.
+//! Steps, jumps, lost proofs and doubts about the clocks in words for people.
 
 use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
-use super::reports::{ExcessSkew, Restart, SuspectedJump};
+use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
 use crate::incidents::far_in_words;
 
 /// That a clock was stepped, by how much, and whose.
@@ -49,16 +49,31 @@ pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
 pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
     let far = far_in_words(jump.moved);
-    let others = match jump.untold {
-        0 => String::new(),
-        1 => ", and once more since the last report".to_owned(),
-        times => format!(", and {times} times more since the last report"),
-    };
+    let others = untold_in_words(jump.untold);
     format!(
         "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
          them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
          are allowed for, and delays are limited until the window is full again"
     )
+}
+
+/// That it is no longer proven that both processes read one clock, and why.
+pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
+    let others = untold_in_words(lost.untold);
+    format!(
+        "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
+         are measured until they prove it again",
+        lost.why
+    )
+}
+
+/// How many events were not reported since the last report.
+fn untold_in_words(untold: u32) -> String {
+    match untold {
+        0 => String::new(),
+        1 => ", and once more since the last report".to_owned(),
+        times => format!(", and {times} times more since the last report"),
+    }
 }
 
 /// That the exchanges prove a skew beyond the limit.
@@ -76,6 +91,16 @@ mod tests {
     use peernet_clock::{ProvenSkew, Span};
 
     use super::*;
+    use crate::same_clock::NotProven;
+
+    #[test]
+    fn lost_proof_names_both_hosts_and_the_reason() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
+        let text = lost_proof_in_words(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
+        for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
 
     #[test]
     fn a_restart_names_the_host_and_the_size() {

@@ -135,6 +135,19 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
     time.show(AHEAD);
     shows(false);
     say(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
+    let lost = hosts.api.until("/api/v1/incidents", |list| {
+        let is_lost = |incident: &&Value| incident["text"].to_string().contains("do not prove any more");
+        list["incidents"].as_array()?.iter().find(is_lost).cloned()
+    });
+    let text = lost["text"].to_string();
+    assert!(
+        text.contains("edge and cloud") && text.contains("a preloaded library shows this process"),
+        "{lost}"
+    );
+    assert_eq!(
+        (&lost["kind"], &lost["host"], &lost["peer"]),
+        (&"clock-step".into(), &"edge".into(), &"cloud".into())
+    );
     time.show(Span::ZERO);
     shows(true);
 }
