@@ -74,6 +74,11 @@ impl Scene {
         &self.shims[0]
     }
 
+    /// The cloud's process.
+    fn cloud(&self) -> &Process {
+        self.cloud.as_ref().expect("it runs")
+    }
+
     /// Kills the cloud and starts it again as after a reboot: its clocks show something else.
     fn reboot_cloud(&mut self, step: Span, ppm: f64) {
         let [_, shim] = &self.shims;
