@@ -1,0 +1,104 @@
+//! The wire form of an answer, and how many answers are being sent.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bytes::Bytes;
+use peernet_clock::{Clock, MonoTime};
+use peernet_logger::Recorder;
+use peernet_sample::Sample;
+use tokio::sync::Notify;
+
+use crate::message::{
+    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_growth,
+};
+use crate::session::incoming::{Failure, Ticket};
+use crate::session::server::Route;
+use crate::transport::Frames;
+
+/// Answers that are being sent: their requests are no longer in flight.
+#[derive(Debug, Default)]
+pub(super) struct AnswersBeingSent {
+    count: AtomicUsize,
+    sent: Notify,
+}
+
+impl AnswersBeingSent {
+    /// Sends an answer by `send`, and counts it as being sent meanwhile.
+    pub(super) fn during(&self, send: impl FnOnce()) {
+        self.count.fetch_add(1, Ordering::SeqCst);
+        send();
+        self.count.fetch_sub(1, Ordering::SeqCst);
+        self.sent.notify_one();
+    }
+
+    /// Waits until no answer is being sent and no request is in flight.
+    pub(super) async fn drained(&self, in_flight: impl Fn() -> usize) {
+        while in_flight() > 0 || self.count.load(Ordering::SeqCst) > 0 {
+            self.sent.notified().await;
+        }
+    }
+}
+
+/// Encodes an answer with what `log` grew here, and stamps its departure last.
+///
+/// # Errors
+/// When its header cannot be encoded.
+pub(super) fn encode_answer(
+    clock: &dyn Clock,
+    route: &Route,
+    ticket: Ticket,
+    log: Option<Recorder>,
+    result: Result<Sample, Failure>,
+) -> Result<Frames, HeaderError> {
+    let (outcome, payload) = outcome(result, route.max_message_bytes);
+    let (grown, zero) = grown(log);
+    let raw = route.version >= RAW_STAMPS_SINCE;
+    let stamp = clock.stamp();
+    let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
+    let departure = grown.as_ref().map(|_| {
+        let start = zero + (stamp.mono - MonoTime::default());
+        Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
+    });
+    let Ticket { session, request, arrival } = ticket;
+    let arrival_epoch = if raw { arrival.epoch } else { arrival.wall_epoch };
+    let arrived_raw = departure.filter(|_| raw).map(|_| arrival.raw);
+    let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };
+    let header = Header::Reply(reply).encode()?;
+    let mut frames = Vec::with_capacity(2 + payload.len());
+    frames.extend([header, grown.unwrap_or_default()]);
+    frames.extend(payload);
+    Ok(frames)
+}
+
+/// The outcome that a result is sent as, and its payload. What the edge would not take becomes a failure.
+fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
+    let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
+    match result {
+        Ok(sample) if sample.payload_bytes() > max_message_bytes => failed(format!(
+            "the answer's {} bytes are more than the edge's max_message_bytes, {max_message_bytes}",
+            sample.payload_bytes()
+        )),
+        Ok(sample) => match SampleHeader::of(&sample) {
+            Ok(header) => {
+                (Outcome::Answer(header), sample.parts.into_iter().map(|part| part.bytes).collect())
+            }
+            Err(error) => failed(format!("the answer cannot be sent: {error}")),
+        },
+        Err(Failure::Failed(reason)) => failed(reason),
+        Err(Failure::Overloaded(reason)) => (Outcome::Overloaded(reason), Vec::new()),
+    }
+}
+
+/// The growth's wire form, and the offset of the monotonic clock's zero from this host's anchor.
+fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+    let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
+    let zero = log.offset(MonoTime::default());
+    let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {
+        Ok(wire) => Some(wire),
+        Err(error) => {
+            tracing::warn!(%error, "an answer goes out without what was measured here");
+            None
+        }
+    });
+    (grown, zero)
+}

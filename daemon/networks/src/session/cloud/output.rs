@@ -1,0 +1,56 @@
+//! The sending half of a port.
+
+use crate::session::exchange::Sizes;
+use crate::session::server::Standing;
+use crate::statistics::{ConnectionStatistics, Counters};
+use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};
+
+/// Sends to the edges of a port, and counts what was sent and received on all of its connections together.
+#[derive(Debug)]
+pub(crate) struct PortOutput {
+    sender: Box<dyn CloudSender>,
+    pub(super) counters: Counters,
+}
+
+impl PortOutput {
+    pub(super) fn new(sender: Box<dyn CloudSender>) -> Self {
+        Self { sender, counters: Counters::default() }
+    }
+
+    /// Tells the transport what the connection may send from now on.
+    pub(super) fn settle(&self, connection: ConnectionId, standing: Standing) {
+        match standing {
+            Standing::Admitted => self.sender.admit(connection),
+            Standing::Greeted => self.sender.greet(connection),
+            Standing::Unadmitted => self.sender.demote(connection),
+        }
+    }
+
+    /// Returns what a session counted, with what the transport knows of its connection.
+    pub(super) fn statistics(&self, connection: ConnectionId, of_session: &Counters) -> ConnectionStatistics {
+        of_session.statistics(&self.sender.statistics(connection))
+    }
+
+    /// Sends a message and counts it, also for its session. Returns whether the transport took it.
+    pub(super) fn send(
+        &self,
+        peer: &Peer,
+        frames: Frames,
+        tag: Option<u64>,
+        of_session: Option<&Counters>,
+    ) -> bool {
+        let bytes = Sizes::of(&frames).total();
+        match self.sender.send(peer, frames, SendOptions { deadline: None, tag }) {
+            Ok(()) => {
+                for counters in [Some(&self.counters), of_session].into_iter().flatten() {
+                    counters.sent(bytes);
+                }
+                true
+            }
+            Err(reason) => {
+                tracing::debug!(%reason, "a message to an edge was dropped");
+                false
+            }
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! What a listener and all answers under way have in common.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_clock::{LogThrottle, SharedClock};
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::Sample;
+
+use super::answers::{AnswersBeingSent, encode_answer};
+use super::output::PortOutput;
+use crate::SessionSettings;
+use crate::message::{CountedAtCloud, Header, PeerClock, SessionAccepted, SessionId};
+use crate::session::budget::Budget;
+use crate::session::incoming::{Failure, Ticket};
+use crate::session::server::{Route, Server};
+use crate::transport::{CloudSender, ConnectionId, Peer};
+
+/// What the listener and all answers under way have in common. Answers hold it weakly: when the listener goes,
+/// the connections go.
+#[derive(Debug)]
+pub(crate) struct PortState {
+    machine: Mutex<Server>,
+    pub(super) budget: Arc<Budget>,
+    pub(super) output: PortOutput,
+    pub(super) clock: SharedClock,
+    pub(super) host: HostId,
+    log_throttle: Mutex<LogThrottle>,
+    answers: AnswersBeingSent,
+}
+
+impl PortState {
+    pub(super) fn new(
+        settings: &SessionSettings,
+        sender: Box<dyn CloudSender>,
+        clock: SharedClock,
+        host: HostId,
+    ) -> Self {
+        Self {
+            machine: Mutex::new(Server::new(settings)),
+            budget: Budget::new(settings.max_in_flight_bytes),
+            output: PortOutput::new(sender),
+            clock,
+            host,
+            log_throttle: Mutex::default(),
+            answers: AnswersBeingSent::default(),
+        }
+    }
+
+    /// The sessions. The lock is held for microseconds, never while sending.
+    pub(super) fn machine(&self) -> MutexGuard<'_, Server> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells the transport what the connection may send from now on.
+    pub(super) fn settle(&self, connection: ConnectionId) {
+        let standing = self.machine().standing(connection);
+        self.output.settle(connection, standing);
+    }
+
+    pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
+        let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
+        // Before the edge knows: its first request may be large.
+        self.settle(peer.connection);
+        self.tell(&peer, &header)
+    }
+
+    pub(crate) fn refuse(&self, session: SessionId, reason: String) {
+        let refusal = self.machine().refuse(session, reason);
+        if let Some((peer, header)) = refusal {
+            self.settle(peer.connection);
+            self.tell(&peer, &header);
+        }
+    }
+
+    pub(crate) fn announce(&self, clock: PeerClock) {
+        let news = self.machine().announce(clock);
+        for (peer, header) in news {
+            self.tell(&peer, &header);
+        }
+    }
+
+    pub(crate) fn report_statistics(&self) {
+        let sessions = self.machine().counted_sessions();
+        for (session, peer, counters) in sessions {
+            let statistics = self.output.statistics(peer.connection, &counters);
+            let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
+            self.tell(&peer, &header);
+        }
+    }
+
+    /// Sends an answer with what `log` grew here; both are absent when no model was asked.
+    pub(crate) fn answer(&self, ticket: Ticket, log: Option<Recorder>, result: Result<Sample, Failure>) {
+        // Counted before the request is out of flight: closing must find one of the two, or it says goodbye before the answer.
+        self.answers.during(|| {
+            let route = self.machine().finish(ticket.session, ticket.request);
+            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, ticket, log, result));
+            if !sent {
+                self.output.counters.lost(1);
+                if let Some(route) = &route {
+                    route.counters.lost(1);
+                }
+            }
+        });
+    }
+
+    fn send_answer(
+        &self,
+        route: &Route,
+        ticket: Ticket,
+        log: Option<Recorder>,
+        result: Result<Sample, Failure>,
+    ) -> bool {
+        match encode_answer(&*self.clock, route, ticket, log, result) {
+            Ok(frames) => self.output.send(&route.peer, frames, Some(ticket.request), Some(&route.counters)),
+            Err(error) => {
+                tracing::warn!(%error, "an answer was dropped");
+                false
+            }
+        }
+    }
+
+    /// Sends a message without payload. Returns whether the transport took it.
+    pub(super) fn tell(&self, peer: &Peer, header: &Header) -> bool {
+        let counters = self.machine().counters_of(peer.connection);
+        match header.encode() {
+            Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),
+            Err(error) => {
+                tracing::warn!(%error, "a message to an edge was dropped");
+                false
+            }
+        }
+    }
+
+    /// Counts what makes no sense, and logs it now and then.
+    pub(super) fn malformed(&self, from: &Peer, problem: &str) {
+        self.output.counters.malformed();
+        if let Some(counters) = self.machine().counters_of(from.connection) {
+            counters.malformed();
+        }
+        let from = from.address;
+        let now = self.clock.mono();
+        let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(times) = throttle.count("malformed", from.map(|address| address.ip()), now) {
+            let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
+            tracing::warn!(from, problem, times, "dropped what a peer sent");
+        }
+    }
+
+    /// Waits for the answers under way.
+    pub(super) async fn drained(&self) {
+        self.answers.drained(|| self.machine().in_flight()).await;
+    }
+}

@@ -1,0 +1,129 @@
+//! What a message of an edge becomes.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::Stamp;
+use peernet_logger::{Recorder, TreeError};
+
+use super::PortState;
+use crate::message::{
+    Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, decode_tree, put_upload,
+};
+use crate::session::exchange::Sizes;
+use crate::session::incoming::{
+    ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket,
+};
+use crate::session::server::{Heard, Server};
+use crate::transport::{Frames, Peer};
+
+/// A message arrived: what to hand out, if anything.
+pub(super) fn heard(
+    shared: &Arc<PortState>,
+    peer: &Peer,
+    frames: Frames,
+    received: (Stamp, ArrivalStamp),
+) -> Option<Incoming> {
+    let bytes = Sizes::of(&frames).total();
+    shared.output.counters.received(bytes);
+    if frames.len() > MAX_FRAMES {
+        shared.malformed(peer, "too many frames");
+        return None;
+    }
+    let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
+        Ok(header) => header,
+        Err(HeaderError::NoCommonVersion(mismatch)) => {
+            shared.tell(peer, &Server::incompatible(&mismatch));
+            return None;
+        }
+        Err(error) => {
+            shared.malformed(peer, &error.to_string());
+            return None;
+        }
+    };
+    // Bound, so that the lock is free again before the answers below take it.
+    let heard = shared.machine().hear(peer, header);
+    if let Heard::Open(session, _) | Heard::Request(Request { session, .. }) = &heard
+        && let Some(counters) = shared.machine().counters(*session)
+    {
+        counters.received(bytes);
+    }
+    match heard {
+        Heard::Open(session, hello) => {
+            shared.settle(peer.connection);
+            let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
+            Some(Incoming::Open(wish))
+        }
+        Heard::Request(request) => incoming_request(shared, peer, request, frames, received),
+        Heard::Answer(header) => {
+            shared.tell(peer, &header);
+            None
+        }
+        Heard::Closed(session, ordered) => {
+            shared.settle(peer.connection);
+            Some(Incoming::Closed { session, said_goodbye: true, ordered })
+        }
+        Heard::Malformed(problem) => {
+            shared.malformed(peer, problem);
+            None
+        }
+    }
+}
+
+/// A request arrived: takes its bytes into the budget and continues its tree, or answers why not.
+fn incoming_request(
+    shared: &Arc<PortState>,
+    peer: &Peer,
+    request: Request,
+    frames: Frames,
+    (received, arrival): (Stamp, ArrivalStamp),
+) -> Option<Incoming> {
+    let ticket = Ticket { session: request.session, request: request.request, arrival };
+    let frames = match shared.budget.hold(frames) {
+        Ok(frames) => frames,
+        Err(exceeded) => {
+            shared.answer(ticket, None, Err(Failure::Overloaded(exceeded.to_string())));
+            return None;
+        }
+    };
+    let log = resume(shared, frames.get(1), request.departure, received);
+    let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
+    match (log, sample) {
+        (Ok(log), Ok(sample)) => {
+            let reply = Responder::new(ticket, Arc::downgrade(shared));
+            let session = ticket.session;
+            Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
+        }
+        (Err(problem), _) | (_, Err(problem)) => {
+            shared.malformed(peer, &problem.to_string());
+            let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
+            shared.answer(ticket, None, Err(failure));
+            None
+        }
+    }
+}
+
+/// Continues an edge's tree here: puts `upload` into it and closes it at `received`.
+fn resume(
+    shared: &PortState,
+    tree: Option<&Bytes>,
+    departure: Departure,
+    received: Stamp,
+) -> Result<Recorder, InvalidRequest> {
+    let mut tree = decode_tree(tree.ok_or(InvalidRequest::NoTree)?)?;
+    let upload = put_upload(&mut tree, departure);
+    Ok(Recorder::resume(shared.clock.clone(), shared.host, tree, upload, received)?)
+}
+
+/// A request that makes no sense.
+#[derive(Debug, thiserror::Error)]
+enum InvalidRequest {
+    #[error("no tree")]
+    NoTree,
+    #[error(transparent)]
+    Frame(#[from] TreeFrameError),
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+    #[error(transparent)]
+    Sample(#[from] HeaderError),
+}
