@@ -79,7 +79,47 @@ async fn connections_are_stored_within_time_of_clock_samples() {
         .await,
         1
     );
+    let untold = "SELECT count(*) FROM connection_sample WHERE coalesce(cloud_received_bytes, cloud_sent_messages, \
+                  cloud_lost_messages, cloud_round_trip_ns) IS NULL";
+    assert_eq!(bed.count(untold).await, 3, "the cloud told nothing");
     let within = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
                   AND (SELECT max(at_ns) FROM clock_sample)";
     assert_eq!(bed.count(within).await, 3, "whatever time was told");
+}
+
+#[tokio::test]
+async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
+    let mut bed = Bed::new().await;
+    let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
+    bed.commit(&[work]).await;
+    let mut counted = told(&bed, bed.cloud, generate::at(2.0), 900);
+    let direction = |bytes, messages, lost, retransmitted| DirectionStatistics {
+        bytes,
+        messages,
+        lost,
+        retransmitted,
+        ..DirectionStatistics::default()
+    };
+    counted.connection.cloud = Some(ConnectionStatistics {
+        sent: direction(500, 5, None, Some(12)),
+        received: direction(800, 8, Some(9), None),
+        malformed_messages: 1,
+        late_messages: 0,
+        lost_messages: 2,
+        round_trip: Some(TransportRoundTrip {
+            min: Some(Span::from_micros(400)),
+            smoothed: Span::from_micros(620),
+            variation: Span::from_micros(44),
+        }),
+    });
+    bed.writer.store_connections(&[counted]).await.expect("stores");
+    let stored = "SELECT count(*) FROM connection_sample WHERE (sent_bytes, cloud_received_bytes, cloud_received_messages, \
+                  cloud_received_lost, cloud_sent_bytes, cloud_sent_messages, cloud_sent_retransmitted) \
+                  = (900, 800, 8, 9, 500, 5, 12) AND cloud_received_retransmitted IS NULL AND cloud_sent_lost IS NULL \
+                  AND (cloud_malformed_messages, cloud_lost_messages) = (1, 2) \
+                  AND (cloud_round_trip_min_ns, cloud_round_trip_ns, cloud_round_trip_variation_ns) = (400000, 620000, 44000)";
+    assert_eq!(bed.count(stored).await, 1);
+    let shown = "SELECT count(*) FROM connection_total WHERE (sent_bytes, cloud_received_bytes, cloud_sent_bytes, \
+                 cloud_sent_retransmitted, cloud_round_trip_min_ms, cloud_round_trip_ms) = (900, 800, 500, 12, 0.4, 0.62)";
+    assert_eq!(bed.count(shown).await, 1);
 }

@@ -2,7 +2,7 @@
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Connection, DirectionStatistics};
+use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics};
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
@@ -29,10 +29,14 @@ const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pip
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
      received_bytes, received_messages, received_datagrams, received_lost, received_duplicated, received_reordered, \
      received_retransmitted, malformed_messages, late_messages, lost_messages, \
-     round_trip_min_ns, round_trip_ns, round_trip_variation_ns) \
+     round_trip_min_ns, round_trip_ns, round_trip_variation_ns, \
+     cloud_received_bytes, cloud_received_messages, cloud_received_datagrams, cloud_received_lost, cloud_received_duplicated, \
+     cloud_received_reordered, cloud_received_retransmitted, cloud_sent_bytes, cloud_sent_messages, cloud_sent_datagrams, \
+     cloud_sent_lost, cloud_sent_duplicated, cloud_sent_reordered, cloud_sent_retransmitted, cloud_malformed_messages, \
+     cloud_lost_messages, cloud_round_trip_min_ns, cloud_round_trip_ns, cloud_round_trip_variation_ns) \
      SELECT link.id, max(min(?4, (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), \
        (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id)), ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24, \
-     ?25, ?26, ?27, ?28, ?29, ?30 \
+     ?25, ?26, ?27, ?28, ?29, ?30, ?31, ?32, ?33, ?34, ?35, ?36, ?37, ?38, ?39, ?40, ?41, ?42, ?43, ?44, ?45, ?46, ?47, ?48, ?49 \
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
      WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
@@ -62,21 +66,34 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     to.add(interface.map(|interface| interface.name.clone()))?;
     to.add(interface.and_then(|interface| interface.kind.clone()))?;
     to.add(interface.and_then(|interface| interface.mtu_bytes))?;
-    direction(&statistics.sent, &mut to)?;
-    direction(&statistics.received, &mut to)?;
+    direction(Some(&statistics.sent), &mut to)?;
+    direction(Some(&statistics.received), &mut to)?;
     for count in [statistics.malformed_messages, statistics.late_messages, statistics.lost_messages] {
         to.add(column(count))?;
     }
-    let trip = statistics.round_trip;
-    to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
-    to.add(trip.map(|trip| trip.smoothed.nanos()))?;
-    to.add(trip.map(|trip| trip.variation.nanos()))?;
+    round_trip(Some(statistics), &mut to)?;
+    let cloud = connection.cloud.as_ref();
+    direction(cloud.map(|cloud| &cloud.received), &mut to)?;
+    direction(cloud.map(|cloud| &cloud.sent), &mut to)?;
+    to.add(cloud.map(|cloud| column(cloud.malformed_messages)))?;
+    to.add(cloud.map(|cloud| column(cloud.lost_messages)))?;
+    round_trip(cloud, &mut to)?;
     Ok(to)
 }
 
-fn direction(known: &DirectionStatistics, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    to.add(column(known.bytes))?;
-    to.add(column(known.messages))?;
+/// Adds the seven totals of a direction; NULL where nothing was told of it.
+fn direction(told: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    to.add(told.map(|told| column(told.bytes)))?;
+    to.add(told.map(|told| column(told.messages)))?;
+    let known = told.copied().unwrap_or_default();
     let datagrams = [known.datagrams, known.lost, known.duplicated, known.reordered, known.retransmitted];
     datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
+}
+
+/// Adds the three figures of a transport's round trip.
+fn round_trip(told: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let trip = told.and_then(|told| told.round_trip);
+    to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
+    to.add(trip.map(|trip| trip.smoothed.nanos()))?;
+    to.add(trip.map(|trip| trip.variation.nanos()))
 }
