@@ -1,7 +1,8 @@
 //! What is sent and received on the connections of a link, from the kernel to the page.
 
 use peernet_tests::network::Way;
-use peernet_tests::{Network, Plant, Site};
+use peernet_tests::truth::ask;
+use peernet_tests::{Network, Plant, Site, until};
 
 const CLOUD: &str = r#"
 [serve]
@@ -62,11 +63,29 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     let series = "peernet_link_transferred_bytes_total{edge=\"edge\",cloud=\"cloud\",network=\"zmq-tcp\",\
                   pipeline=\"offload\",direction=\"upload\"} ";
     assert!(metrics.contains(series), "{metrics}");
+    assert!(metrics.contains(&series.replace("link_transferred", "link_cloud_transferred")), "{metrics}");
 
-    for process in [edge, cloud, aggregator] {
+    for process in [edge, cloud] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
+    // The totals of a connection are stored when it has ended.
+    let database = site.folder().join("aggregator.sqlite");
+    let stored = until("the account of the cloud in the database", || {
+        let sql = "SELECT sent_bytes, cloud_received_bytes, received_bytes, cloud_sent_bytes FROM connection_total \
+                   WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'offload'";
+        let row = ask(&database, sql);
+        (!row.trim().is_empty()).then_some(row)
+    });
+    let bytes: Vec<u64> = stored
+        .trim()
+        .split('|')
+        .map(|bytes| bytes.parse().unwrap_or_else(|_| panic!("{stored:?}")))
+        .collect();
+    let [sent, cloud_received, received, cloud_sent] = bytes[..] else { panic!("{stored:?}") };
+    assert!(cloud_received > 100_000 && cloud_received <= sent, "{stored}");
+    assert!(cloud_sent > 100_000 && cloud_sent <= received, "{stored}");
+    assert_eq!(aggregator.stop().code(), 0);
 }
 
 #[test]

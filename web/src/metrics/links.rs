@@ -2,7 +2,7 @@
 
 use peernet_aggregator::LinkPicture;
 use peernet_clock::Span;
-use peernet_stream::{Connection, DirectionStatistics};
+use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics};
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
@@ -45,12 +45,43 @@ pub(super) fn refused(link: &LinkPicture) -> Option<Sample> {
     Some(Sample::Value(refused as f64))
 }
 
-/// A total of each direction of each connection that knows it.
-pub(super) fn directions(scrape: &Scrape, to: &mut Sink<'_>, of: fn(&DirectionStatistics) -> Option<u64>) {
+/// The end of a connection that counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum End {
+    Edge,
+    Cloud,
+}
+
+impl End {
+    /// What it counted; `None` where it did not tell.
+    const fn account(self, connection: &Connection) -> Option<&ConnectionStatistics> {
+        match self {
+            Self::Edge => Some(&connection.statistics),
+            Self::Cloud => connection.cloud.as_ref(),
+        }
+    }
+
+    /// From edge to cloud, and from cloud to edge.
+    const fn directions(self, account: &ConnectionStatistics) -> [(&'static str, &DirectionStatistics); 2] {
+        let (upload, download) = match self {
+            Self::Edge => (&account.sent, &account.received),
+            Self::Cloud => (&account.received, &account.sent),
+        };
+        [("upload", upload), ("download", download)]
+    }
+}
+
+/// A total of each direction of each connection that an end knows.
+pub(super) fn directions(
+    scrape: &Scrape,
+    to: &mut Sink<'_>,
+    end: End,
+    of: fn(&DirectionStatistics) -> Option<u64>,
+) {
     for (link, connection) in scrape.connections() {
         let [edge, cloud, network, pipeline] = names(link, connection);
-        let statistics = &connection.statistics;
-        for (direction, known) in [("upload", &statistics.sent), ("download", &statistics.received)] {
+        let Some(account) = end.account(connection) else { continue };
+        for (direction, known) in end.directions(account) {
             if let Some(total) = of(known) {
                 to(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
             }
@@ -58,10 +89,10 @@ pub(super) fn directions(scrape: &Scrape, to: &mut Sink<'_>, of: fn(&DirectionSt
     }
 }
 
-/// Smoothed round trips of the transports' own packets.
-pub(super) fn transport_round_trips(scrape: &Scrape, to: &mut Sink<'_>) {
+/// Smoothed round trips of the transports' own packets, as an end measures them.
+pub(super) fn transport_round_trips(scrape: &Scrape, to: &mut Sink<'_>, end: End) {
     for (link, connection) in scrape.connections() {
-        if let Some(trip) = connection.statistics.round_trip {
+        if let Some(trip) = end.account(connection).and_then(|account| account.round_trip) {
             to(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
         }
     }

@@ -63,6 +63,7 @@ const CONNECTION_DIRECTION: &[&str] = &["edge", "cloud", "network", "pipeline", 
 const INTERFACE: &[&str] = &["edge", "cloud", "network", "pipeline", "interface", "type"];
 
 use Kind::{Counter, Gauge};
+use links::End::{Cloud, Edge};
 
 /// All metrics, in the order of the answer.
 #[rustfmt::skip]
@@ -118,13 +119,21 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "link_offset_half_width", "seconds"), LINK, "Half the width of the interval that contains the offset of the two clocks; absent while nothing is known.", |s, to| links::each(s, to, links::half_width)),
     metric((Gauge, "link_probe_loss", "ratio"), LINK, "Share of probes without an answer over 60 s, 0 to 1; absent while none is sent.", |s, to| links::each(s, to, links::loss)),
     metric((Gauge, "link_refused", "probes"), LINK, "Packets that were refused as answers to probes, and probes that could not be sent, over 60 s.", |s, to| links::each(s, to, links::refused)),
-    metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without what the transport adds.", |s, to| links::directions(s, to, |one| Some(one.bytes))),
-    metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, to| links::directions(s, to, |one| Some(one.messages))),
-    metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, to| links::directions(s, to, |one| one.datagrams)),
-    metric((Counter, "link_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.lost)),
-    metric((Counter, "link_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.duplicated)),
-    metric((Counter, "link_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.reordered)),
-    metric((Counter, "link_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; absent where the edge cannot know.", |s, to| links::directions(s, to, |one| one.retransmitted)),
-    metric((Gauge, "link_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets; absent where it measures none.", links::transport_round_trips),
+    metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without what the transport adds.", |s, to| links::directions(s, to, Edge, |one| Some(one.bytes))),
+    metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, to| links::directions(s, to, Edge, |one| Some(one.messages))),
+    metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, to| links::directions(s, to, Edge, |one| one.datagrams)),
+    metric((Counter, "link_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; absent where the edge cannot know.", |s, to| links::directions(s, to, Edge, |one| one.lost)),
+    metric((Counter, "link_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; absent where the edge cannot know.", |s, to| links::directions(s, to, Edge, |one| one.duplicated)),
+    metric((Counter, "link_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; absent where the edge cannot know.", |s, to| links::directions(s, to, Edge, |one| one.reordered)),
+    metric((Counter, "link_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; absent where the edge cannot know.", |s, to| links::directions(s, to, Edge, |one| one.retransmitted)),
+    metric((Gauge, "link_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets; absent where it measures none.", |s, to| links::transport_round_trips(s, to, Edge)),
+    metric((Counter, "link_cloud_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without what the transport adds; by the account of the cloud.", |s, to| links::directions(s, to, Cloud, |one| Some(one.bytes))),
+    metric((Counter, "link_cloud_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened; by the account of the cloud.", |s, to| links::directions(s, to, Cloud, |one| Some(one.messages))),
+    metric((Counter, "link_cloud_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; by the account of the cloud, absent where its transport does not count them.", |s, to| links::directions(s, to, Cloud, |one| one.datagrams)),
+    metric((Counter, "link_cloud_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; by the account of the cloud, absent where it cannot know.", |s, to| links::directions(s, to, Cloud, |one| one.lost)),
+    metric((Counter, "link_cloud_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; by the account of the cloud, absent where it cannot know.", |s, to| links::directions(s, to, Cloud, |one| one.duplicated)),
+    metric((Counter, "link_cloud_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; by the account of the cloud, absent where it cannot know.", |s, to| links::directions(s, to, Cloud, |one| one.reordered)),
+    metric((Counter, "link_cloud_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; by the account of the cloud, absent where it cannot know.", |s, to| links::directions(s, to, Cloud, |one| one.retransmitted)),
+    metric((Gauge, "link_cloud_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets as the cloud measures it; absent where it measures none.", |s, to| links::transport_round_trips(s, to, Cloud)),
     metric((Gauge, "link_interface_mtu", "bytes"), INTERFACE, "MTU of the edge's interface that the connection leaves by; absent where it is not known.", links::interfaces),
 ];

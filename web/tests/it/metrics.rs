@@ -129,6 +129,14 @@ async fn every_line_is_valid_and_counters_only_grow() {
                  pipeline=\"offload-full\",direction=\"upload\"}";
     assert_eq!(value(&first, again), 17.0);
     assert!(first["peernet_link_lost_datagrams"].samples.is_empty(), "what is not known is no sample");
+    // The cloud received what the edge sent, and cannot know how much was sent again.
+    let upload = "transferred_bytes_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
+                  pipeline=\"offload-full\",direction=\"upload\"}";
+    let [by_edge, by_cloud] =
+        ["peernet_link_", "peernet_link_cloud_"].map(|start| value(&first, &format!("{start}{upload}")));
+    assert_eq!(by_edge, by_cloud);
+    let again = &first["peernet_link_cloud_retransmitted_datagrams"].samples;
+    assert!(!again.keys().any(|series| series.contains("\"upload\"")), "{again:?}");
     let unknown = &first["peernet_pipeline_stage_seconds"].samples;
     assert!(
         !unknown.keys().any(|series| series.contains("offload-unrelated") && series.contains("\"upload\"")),
