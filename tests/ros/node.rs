@@ -3,6 +3,7 @@
 //! ```text
 //! ros1-node camera NAME TOPIC HZ              publishes stamped messages
 //! ros1-node relay NAME IN OUT DELAY_MS DROP   publishes what it receives after a delay, but not every DROPth message (0: all)
+//! ros1-node restamp NAME IN OUT DELAY_MS      as relay; keeps the sequence number and stamps each message with the present time
 //! ros1-node talk NAME TOPIC                   publishes texts, which have no header
 //! ```
 //! A relay prints the median of what it really took, in microseconds, after each 20 messages.
@@ -19,6 +20,16 @@ use peernet_ros::ros1::{Environment, Node, PublisherOptions, SubscriberOptions, 
 
 /// Messages after which a relay says how long it took.
 const REPORT: usize = 20;
+
+/// What a relay does with the messages that it receives.
+struct Relay {
+    /// How long it waits before it publishes a message.
+    delay: Duration,
+    /// Each message of this number is not published; 0: all are.
+    drop: usize,
+    /// Whether it sets `header.stamp` to the time at which it publishes.
+    restamps: bool,
+}
 
 fn say(line: &str) {
     println!("{line}");
@@ -44,8 +55,7 @@ async fn relay(
     node: &Node,
     clock: &SharedClock,
     [from, to]: [&str; 2],
-    delay: Duration,
-    drop: usize,
+    Relay { delay, drop, restamps }: Relay,
 ) -> anyhow::Result<()> {
     let kind = TopicType::of::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
@@ -60,7 +70,13 @@ async fn relay(
         }
         // Timers of tokio are rounded up to whole milliseconds.
         std::thread::sleep(delay);
-        publisher.publish(message.bytes)?;
+        if restamps {
+            let mut picture = CompressedImage::decode(WireForm::Ros1, message.bytes)?;
+            picture.header.stamp = Time::from_nanos(clock.wall().unix_nanos());
+            publisher.publish(picture.encode(WireForm::Ros1)?)?;
+        } else {
+            publisher.publish(message.bytes)?;
+        }
         taken.push((clock.mono() - begun).nanos() / 1000);
         if taken.len() == REPORT {
             taken.sort_unstable();
@@ -92,7 +108,12 @@ async fn main() -> anyhow::Result<()> {
     match (command.as_str(), rest.as_slice()) {
         ("camera", [topic, hz]) => camera(&node, &clock, topic, hz.parse()?).await,
         ("relay", [from, to, delay, drop]) => {
-            relay(&node, &clock, [from, to], Duration::from_millis(delay.parse()?), drop.parse()?).await
+            let delay = Duration::from_millis(delay.parse()?);
+            relay(&node, &clock, [from, to], Relay { delay, drop: drop.parse()?, restamps: false }).await
+        }
+        ("restamp", [from, to, delay]) => {
+            let delay = Duration::from_millis(delay.parse()?);
+            relay(&node, &clock, [from, to], Relay { delay, drop: 0, restamps: true }).await
         }
         ("talk", [topic]) => talk(&node, topic).await,
         _ => bail!("unknown command {command} with {} arguments", rest.len()),

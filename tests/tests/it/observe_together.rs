@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_clock::Span;
 use peernet_tests::network::{Host, Network, Way};
-use peernet_tests::truth::compare;
+use peernet_tests::truth::{HostClock, Iteration, compare};
 use peernet_tests::{Api, Plant, Process, Ros1System, Site, program, root, say, until};
 use serde_json::Value;
 
@@ -61,54 +61,90 @@ fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]
     node
 }
 
+/// A ROS system on two hosts: a camera on the edge, and a node on the cloud that answers. A message takes 30 ms to the cloud, and 5 ms
+/// back.
+struct RosOverWire {
+    /// The environment variables of ROS on the edge and on the cloud.
+    variables: [[(&'static str, String); 2]; 2],
+    /// The node on the cloud.
+    answering: Process,
+    _camera: Process,
+    _master: Process,
+    plant: Plant,
+}
+
+impl RosOverWire {
+    /// Starts the master, the camera, and the node on the cloud with these arguments.
+    fn new(answering: &[&str]) -> Self {
+        let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+        let plant = Plant::new(|folder| Network::wire(folder, way(30), way(5)));
+        let (edge, cloud) = (plant.network.edge(), plant.network.cloud());
+        let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
+        let home = std::env::temp_dir().display().to_string();
+        let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
+        let master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
+        let address = edge.address;
+        until("the ROS master", || {
+            edge.inside(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
+        });
+        let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
+        let answering = node(cloud, &on_cloud, answering);
+        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, plant }
+    }
+
+    /// Starts the agent on the cloud, with these tables.
+    fn cloud(&self, tables: &str) -> Process {
+        self.plant.cloud_with(tables, &borrowed(&self.variables[1]))
+    }
+
+    /// Starts the agent on the edge, with these tables.
+    fn edge(&self, tables: &str) -> Process {
+        self.plant.edge(tables, &borrowed(&self.variables[0]))
+    }
+
+    /// Holds stored delays to the truth and to the delays of the wire, and the share of the node to what it says itself. `clocks` are
+    /// the edge's and the cloud's.
+    fn hold(&self, what: &str, run: i64, iterations: &[Iteration], clocks: [&HostClock; 2]) {
+        let (up, down) = compare(iterations, clocks[0], clocks[1]);
+        for (direction, comparison) in [("upload", &up), ("download", &down)] {
+            say(&format!("{what}, {direction}: {}", comparison.in_words()));
+            assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
+            assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
+            // Nothing tells a network that is slower in one direction from an offset: the estimate lies half of the difference beside.
+            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
+        }
+        // What each way really took: the wire's delay, and what programs and a busy machine add.
+        for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
+            let (least, most) = (Span::from_millis(least - 1), Span::from_millis(least + 15));
+            assert!(least < truth && truth < most, "{truth} is not between {least} and {most}");
+        }
+        let taken = self.answering.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
+        let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
+        let inference = median(&self.plant.api, run, "inference");
+        assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
+        // The stages are all that there is.
+        assert!(self.plant.api.mean(run, "unattributed").abs() < 1e-4);
+        assert_eq!(self.plant.api.figures(run, "upload-throughput"), None);
+    }
+}
+
+/// The keys of a run that [`RosOverWire::hold`] looks at.
+const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
+
 #[test]
 fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
-    let plant = Plant::new(|folder| Network::wire(folder, way(30), way(5)));
-    let (edge, cloud) = (plant.network.edge(), plant.network.cloud());
-    let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
-    let home = std::env::temp_dir().display().to_string();
-    let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
-    let _master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
-    let address = edge.address;
-    until("the ROS master", || {
-        edge.inside(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
-    });
-    let _camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
-    let relay = node(cloud, &on_cloud, &["relay", "model", "/camera", "/result", "20", "0"]);
-
+    let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
+    let plant = &scene.plant;
     let wrong = |offset_ms: f64, drift_ppm: f64| {
         format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
     // In the middle of the run the cloud's clock is stepped, too.
     let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
-    let _cloud = plant.cloud_with(&(stepped + &model("/camera", "/result")), &borrowed(&on_cloud));
-    let keys = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
-    let robot = robot(&plant.peer(), keys);
-    let agent = plant.edge(&(wrong(-3_000.0, -20.0) + &robot), &borrowed(&on_edge));
+    let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
+    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&plant.peer(), KEYS)));
     let clocks = (plant.clock_of("edge"), plant.clock_of("cloud"));
     let (run, detail) = finished(&plant.api);
-
-    let (up, down) = compare(&plant.iterations(), &clocks.0, &clocks.1);
-    for (direction, comparison) in [("upload", &up), ("download", &down)] {
-        say(&format!("observed together, {direction}: {}", comparison.in_words()));
-        assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
-        assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
-        // Nothing tells a network that is slower in one direction from an offset: the estimate lies half of the difference beside.
-        assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
-    }
-    // What each way really took: the wire's delay, and what programs and a busy machine add.
-    for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
-        let (least, most) = (Span::from_millis(least - 1), Span::from_millis(least + 15));
-        assert!(least < truth && truth < most, "{truth} is not between {least} and {most}");
-    }
-    let taken = relay.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
-    let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
-    let inference = median(&plant.api, run, "inference");
-    assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
-    // The stages are all that there is.
-    assert!(plant.api.mean(run, "unattributed").abs() < 1e-4);
-    assert_eq!(plant.api.figures(run, "upload-throughput"), None);
+    scene.hold("observed together", run, &plant.iterations(), [&clocks.0, &clocks.1]);
 
     // What was learnt later narrows these delays, too.
     let recomputed = plant.api.json(&format!("/api/v1/runs/{run}/recomputed"));
@@ -126,6 +162,27 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     }
     let placement = ["kind", "peer", "model"].map(|key| detail["placement"][key].as_str());
     assert_eq!(placement, [Some("remote"), Some("cloud"), Some("observed")], "{detail}");
+    assert_eq!(agent.stop().code(), 0);
+}
+
+/// The node stamps its answers anew, so that no answer has the stamp of its input message.
+#[test]
+fn delays_of_messages_with_one_sequence_number_contain_the_truth() {
+    let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
+    let plant = &scene.plant;
+    let by_sequence =
+        |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
+    let ahead = "[rehearsal]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
+    let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
+    let agent = scene.edge(&by_sequence(robot(&plant.peer(), KEYS)));
+    let cloud = plant.clock_of("cloud");
+    let (run, detail) = finished(&plant.api);
+    scene.hold("observed together by sequence", run, &plant.iterations(), [&HostClock::kernels(), &cloud]);
+    assert_eq!(detail["counts"]["lost"], 0, "{detail}");
+    assert!(detail["facts"].to_string().contains("sequence number"), "{detail}");
+    // The answer is as old as its way back, and its input message as old as all of it: the two stamps differ.
+    let (age, total) = (median(&plant.api, run, "output-age"), median(&plant.api, run, "total"));
+    assert!(age < 0.025 && total > 0.05, "the answer is {age} s old after {total} s");
     assert_eq!(agent.stop().code(), 0);
 }
 
