@@ -1,4 +1,4 @@
-//! What is reported of steps, jumps and doubts, and how often. No I/O.
+//! What is reported of steps, jumps, lost proofs and doubts, and how often. No I/O.
 
 use peernet_clock::{Doubt, ProvenSkew, RawTime, Span};
 
@@ -9,7 +9,7 @@ const REPORT_INTERVAL: Span = Span::from_seconds(60);
 /// A connection that proved one clock ends with its session. If the session has not ended after such a time the proof alone is lost.
 const SESSION_END: Span = Span::from_seconds(1);
 
-/// Decides what is reported of a restart of the relation, and of doubts about its assumptions.
+/// Decides what is reported of a restart of the relation, of doubts about its assumptions, and of lost proofs of one clock.
 #[derive(Debug, Default)]
 pub(super) struct RestartReports {
     /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
