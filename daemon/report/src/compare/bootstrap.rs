@@ -10,7 +10,7 @@ use crate::order::Ordered;
 /// Resamples: the ends of a 95 % interval are then the 50th from either side.
 const RESAMPLES: usize = 2000;
 /// Fewest values of a run that an interval is given of.
-const ENOUGH: usize = 30;
+pub(super) const ENOUGH: usize = 30;
 /// Most pieces of a run: of a longer one, neighbours stay together from the start. So many tell the width of an interval to
 /// 2 %, as its ends are known of so many resamples, and a draw takes the same time however long the run was.
 const PIECES: usize = 2000;

@@ -3,6 +3,7 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::{bound_ms, column_decimals, fixed, percent, range_ms};
 
+use super::bootstrap::ENOUGH;
 use super::{
     Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, NOTHING, StageDifference,
 };
@@ -184,7 +185,7 @@ impl Comparison {
         }
         if !self.untested.is_empty() {
             told.push(format!(
-                "too few iterations to tell whether it differs from {}",
+                "too few iterations to tell whether it differs from {} ({ENOUGH} of each run are needed)",
                 names(&self.untested)
             ));
         }

@@ -232,7 +232,7 @@ fn what_was_not_tested_is_said_to_be_unknown() {
     assert_eq!((comparison.ties.as_slice(), comparison.untested.as_slice()), ([].as_slice(), [1].as_slice()));
     let text = comparison.text();
     assert!(
-        text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan."),
+        text.contains("is that of orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
         "{text}"
     );
     assert!(!text.contains("cannot be told") && !text.contains("other differs"), "{text}");

@@ -86,7 +86,9 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
             runs.truncate(MOST_RUNS as usize);
             let first = runs.first().and_then(|run| run.experiment.clone());
             let Some(first) = first else {
-                return Err(WebError::NotFound(format!("no run of an experiment {id} is stored")));
+                return Err(WebError::NotFound(format!(
+                    "no run of an experiment with the id {id} is stored; GET /api/v1/runs shows the id of each run's experiment"
+                )));
             };
             let (runs, left_out) = done::parted(runs);
             // Of an experiment the summary says all.
