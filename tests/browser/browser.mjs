@@ -32,8 +32,9 @@ export async function open(browser, base, path, options = {}) {
   page.on("console", (message) => { if (message.type() === "error" || message.type() === "warning") errors.push(message.text()); });
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("requestfailed", (request) => {
-    // A stream is cut off when its page is left.
-    if (!request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
+    // The browser cuts off what is under way when its page is left: a stream, or an icon that comes late.
+    const cut = request.failure()?.errorText === "net::ERR_ABORTED";
+    if (!cut && !request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
   });
   const answer = await page.goto(path);
   if (!answer.ok()) throw new Error(`${path} answered with status ${answer.status()}`);

@@ -8,7 +8,7 @@ use std::pin::pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use peernet_clock::{Clock, SharedClock, time_namespace};
+use peernet_clock::{Clock, SharedClock, Span, time_namespace};
 use peernet_networks::{ClockSocketName, SessionId};
 use peernet_probes::Key;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -20,7 +20,8 @@ use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
 /// Processes that may have connected while a session was opened. One is usual; others are not of PEERNet.
 const MOST_PEERS: usize = 16;
-/// A process that has not answered the first question in such a time does not serve the session, or is stopped.
+/// A process that has not answered the first question in such a time does not serve the session, or is stopped. So does one that is asked
+/// late, because this process was paused.
 const FIRST_ANSWER: Duration = Duration::from_millis(500);
 
 /// The socket that a session names while it is opened.
@@ -153,6 +154,11 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
     /// Waits for something, and tells when the validity of the proof ends before that.
     async fn meanwhile<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
         let mut waiting = pin!(waiting);
+        // A proof that is over when the waiting begins was not asked about in time: this process was paused, which says nothing of the other.
+        let was_paused = self.proof.holds_for(self.clock.mono()) == Some(Span::ZERO);
+        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER, &mut waiting).await {
+            return done;
+        }
         loop {
             let left = self.proof.holds_for(self.clock.mono());
             let expiry = async {

@@ -1,10 +1,12 @@
 //! Two processes on one machine and in one network namespace: their offset is zero only where they prove it.
 
 use std::path::Path;
+use std::time::Duration;
 
 use peernet_clock::{RawTime, RehearsalDescription, Span, WallTime};
 use peernet_tests::truth::{HostClock, Iteration, iterations};
-use peernet_tests::{Api, FalseTime, Process, Since, Site, program};
+use peernet_tests::{Api, FalseTime, Process, Since, Site, program, until_grown};
+use rustix::process::Signal;
 use serde_json::Value;
 
 use super::{WARM_UP, hold_to_the_truth, say};
@@ -150,6 +152,29 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
     );
     time.show(Span::ZERO);
     shows(true);
+}
+
+/// It asks late, which says nothing of the other process.
+#[test]
+fn process_that_was_paused_itself_keeps_proof_without_incident() {
+    let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
+    let edge = hosts.site.start("edge.toml");
+    let uploaded = || hosts.api.until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
+    for _ in 0..3 {
+        let before = uploaded();
+        until_grown("iterations", before + 100, || Some(uploaded()));
+        edge.signal(Signal::STOP);
+        // Longer than a proof is believed after the last question before the pause, shorter than a session outlives.
+        std::thread::sleep(Duration::from_millis(4_500));
+        edge.signal(Signal::CONT);
+    }
+    let before = uploaded();
+    until_grown("iterations", before + 100, || Some(uploaded()));
+    assert_eq!(hosts.link()["same_clock"], true);
+    assert_eq!(edge.stop().code(), 0);
+    let incidents = hosts.api.json("/api/v1/incidents").to_string();
+    assert!(!incidents.contains("clock-step"), "{incidents}");
+    assert!(incidents.contains("connected"), "{incidents}");
 }
 
 /// A time namespace shifts the free-running clock by ten seconds, and not the wall clock.
