@@ -14,7 +14,7 @@ use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
-use super::reports::{ExcessSkew, LostProof, Restart, RestartReports, SuspectedJump};
+use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use super::second::Second;
 use super::told_clock::ToldClock;
 use crate::host_clock::shown;
@@ -34,7 +34,7 @@ pub(super) struct Knowledge {
     networks: NetworkSessions,
     edge: ToldClock,
     cloud: ToldClock,
-    restarts: RestartReports,
+    reports: ClockReports,
 }
 
 /// Samples and restarts to report.
@@ -79,7 +79,7 @@ impl Knowledge {
             networks: NetworkSessions::default(),
             edge,
             cloud,
-            restarts: RestartReports::default(),
+            reports: ClockReports::default(),
         };
         knowledge.disciplines(now.raw);
         knowledge
@@ -185,7 +185,7 @@ impl Knowledge {
     /// It is proven that both processes read one clock.
     pub(super) fn clock_proven(&mut self) {
         self.relation.set_same_clock(true);
-        self.restarts.proof_regained();
+        self.reports.proof_regained();
     }
 
     /// It is not proven that both processes read one clock.
@@ -196,7 +196,7 @@ impl Knowledge {
     /// It is no longer proven that both processes read one clock.
     pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> News {
         self.clock_not_proven();
-        News { lost_proof: self.restarts.proof_lost(why, now), ..News::default() }
+        News { lost_proof: self.reports.proof_lost(why, now), ..News::default() }
     }
 
     /// The own free-running clock is in this epoch already.
@@ -229,7 +229,7 @@ impl Knowledge {
         self.begin_window(now, &mut news);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
-            news.lost_proof = self.restarts.second_over(now.raw);
+            news.lost_proof = self.reports.second_over(now.raw);
             // A clock that was set back closes it early, one that was set forward as if it had been on time.
             let end = self.second.end();
             let at = edge_time(now, end);
@@ -280,7 +280,7 @@ impl Knowledge {
         if restarted {
             self.window.make_void();
         }
-        self.restarts.note_steps(restarted, (edge_new, cloud_new));
+        self.reports.note_steps(restarted, (edge_new, cloud_new));
         answer
     }
 
@@ -296,16 +296,16 @@ impl Knowledge {
                     Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
                 let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
-                news.restart = self.restarts.restarted(moved, doubt).or(news.restart.take());
+                news.restart = self.reports.restarted(moved, doubt).or(news.restart.take());
             }
             Learned::Jumped(moved) => {
-                let jump = self.restarts.jumped(moved, witnessed.exchange.returned);
+                let jump = self.reports.jumped(moved, witnessed.exchange.returned);
                 news.jump = jump.or(news.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
         let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
-        news.excess = self.restarts.proven(excess).or(news.excess.take());
+        news.excess = self.reports.proven(excess).or(news.excess.take());
         self.second.exchanged(&witnessed.exchange, settings.max_drift_ppm);
     }
 

@@ -11,7 +11,7 @@ const SESSION_END: Span = Span::from_seconds(1);
 
 /// Decides what is reported of a restart of the relation, of doubts about its assumptions, and of lost proofs of one clock.
 #[derive(Debug, Default)]
-pub(super) struct RestartReports {
+pub(super) struct ClockReports {
     /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
     stepped: (bool, bool),
     /// The last restart was reported as a doubt.
@@ -44,7 +44,7 @@ impl ReportLimit {
     }
 }
 
-impl RestartReports {
+impl ClockReports {
     /// Notes whose clock was stepped. A step without a restart counts only while another one waits for its report.
     pub(super) const fn note_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
         let counts = restarted || self.stepped.0 || self.stepped.1;
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn lost_proofs_are_reported_once_a_minute_with_their_number() {
-        let mut reports = RestartReports::default();
+        let mut reports = ClockReports::default();
         let mut untold = |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.untold);
         let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut untold);
         assert_eq!(told, [Some(0), None, None, Some(2), None, Some(1)]);
@@ -161,14 +161,14 @@ mod tests {
 
     #[test]
     fn lost_proofs_do_not_hide_suspected_jumps() {
-        let mut reports = RestartReports::default();
+        let mut reports = ClockReports::default();
         assert!(reports.proof_lost(NotProven::OwnTime, at(0)).is_some());
         assert!(reports.jumped(Span::from_millis(39), at(1)).is_some());
     }
 
     #[test]
     fn proof_that_ends_with_its_session_is_not_reported() {
-        let mut reports = RestartReports::default();
+        let mut reports = ClockReports::default();
         assert!(reports.proof_lost(ended(), at(0)).is_none());
         assert!(reports.second_over(at(999)).is_none(), "the session may still end");
         let lost = reports.second_over(at(1_000)).expect("the session goes on");

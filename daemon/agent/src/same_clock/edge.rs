@@ -20,8 +20,8 @@ use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
 /// Processes that may have connected while a session was opened. One is usual; others are not of PEERNet.
 const MOST_PEERS: usize = 16;
-/// A process that has not answered the first question in such a time does not serve the session, or is stopped. So does one that is asked
-/// late, because this process was paused.
+/// A process that has not answered the first question in such a time does not serve the session, or is stopped. As long is
+/// waited for the answer to a question that is late because this process was paused.
 const FIRST_ANSWER: Duration = Duration::from_millis(500);
 
 /// The socket that a session names while it is opened.
@@ -154,7 +154,7 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
     /// Waits for something, and tells when the validity of the proof ends before that.
     async fn meanwhile<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
         let mut waiting = pin!(waiting);
-        // A proof that is over when the waiting begins was not asked about in time: this process was paused, which says nothing of the other.
+        // The proof was not renewed in time because this process was paused, which says nothing of the other one.
         let was_paused = self.proof.holds_for(self.clock.mono()) == Some(Span::ZERO);
         if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER, &mut waiting).await {
             return done;

@@ -65,7 +65,7 @@ pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
     }
 }
 
-/// What ONNX Runtime says without where in its source it says so, in one line, and what to do where its words do not tell.
+/// The message of ONNX Runtime in one line, without the place in its source, and with the next step where a library did not load.
 fn reason(text: &str) -> String {
     // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid device ID: 7".
     let said = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, said)| said);
