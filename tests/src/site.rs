@@ -1,33 +1,10 @@
 //! A folder with configuration files and ports of its own: one test's little plant.
 
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use tempfile::TempDir;
 
-use crate::{Api, Process, program};
-
-/// Ports that the system gives to nobody who does not ask for them: while a daemon is away, no connection of another
-/// process gets its port by chance.
-const PORTS: std::ops::Range<u32> = 10_000..32_000;
-
-/// A port nobody listens on at the moment, and another at each call.
-///
-/// # Panics
-/// When all are taken.
-pub fn free_port() -> u16 {
-    static TAKEN: AtomicU32 = AtomicU32::new(0);
-    let first = std::process::id().wrapping_mul(97);
-    for _ in PORTS {
-        let at = first.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % (PORTS.end - PORTS.start);
-        let port = u16::try_from(PORTS.start + at).expect("the range ends below 65,536");
-        if TcpListener::bind(("127.0.0.1", port)).is_ok() {
-            return port;
-        }
-    }
-    panic!("no port between {} and {} is free", PORTS.start, PORTS.end);
-}
+use crate::{Api, Process, free_port, program};
 
 /// Where one test's hosts live.
 #[derive(Debug)]

@@ -3,8 +3,9 @@
 //! Their server stands in the namespace that the tests run in and is reached over the hosts' second interfaces: what
 //! happens on the measured path is not what their claims rest on.
 
-use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
+
+use peernet_test_ports::free_port;
 
 use super::{Host, Network};
 use crate::{Process, chrony};
@@ -73,10 +74,4 @@ fn configuration(folder: &Path, name: &str, lines: &str) -> PathBuf {
 fn arguments(file: &Path) -> Vec<String> {
     let file = file.display().to_string();
     ["-x", "-d", "-U", "-u", "root", "-f", &file].map(str::to_owned).into()
-}
-
-/// A UDP port that nobody has at the moment.
-fn free_port() -> u16 {
-    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).expect("there are free ports");
-    socket.local_addr().expect("a bound socket has an address").port()
 }

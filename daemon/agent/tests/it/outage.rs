@@ -1,6 +1,7 @@
 //! Clouds that are not there, go away and come back.
 
 use peernet_stream::{EndReason, IncidentKind, Outcome, PipelineState};
+use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
@@ -19,12 +20,6 @@ fn edge(port: u16, model: &str) -> String {
          placement = {{ kind = 'remote', peer = 'tcp://127.0.0.1:{port}', model = '{model}' }}\n\
          load = {{ mode = 'rate', hz = 50.0 }}\n"
     )
-}
-
-/// A port that is free now.
-fn free_port() -> u16 {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("bound").port()
 }
 
 /// A port whose connections reach another one until the task is aborted: then they end without a goodbye.

@@ -1,9 +1,11 @@
 //! A master of ROS 1 in a process of its own.
 
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
+
+use peernet_test_ports::free_port;
 
 use crate::support::next_number;
 
@@ -22,8 +24,7 @@ impl RosMaster {
     }
 
     pub(crate) fn start() -> Self {
-        let unused = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
-        Self::start_at(unused.expect("a port is free").port())
+        Self::start_at(free_port())
     }
 
     fn start_at(port: u16) -> Self {

@@ -6,7 +6,7 @@ use super::rpc::{self, RpcError};
 use super::xmlrpc::Value;
 
 /// Code of an answer that is a success.
-const SUCCESS: i64 = 1;
+pub(super) const SUCCESS: i64 = 1;
 
 /// A topic and the nodes that publish or subscribe to it, or a service and its nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]

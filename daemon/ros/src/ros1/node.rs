@@ -179,17 +179,37 @@ impl Node {
         self.shared.master.topic_types().await
     }
 
-    /// Returns those of some nodes that are running, without this one. The master also lists nodes that ended without telling
-    /// it. One of this node's name counts until this node has registered something.
+    /// Returns those of some nodes, without this one, that are running and publish a topic. The master also lists nodes that
+    /// ended without telling it. One of this node's name counts until this node has registered something.
     ///
     /// # Errors
     /// The master does not answer.
-    pub async fn running_nodes(&self, nodes: &[String]) -> Result<Vec<String>, NodeError> {
+    pub async fn running_publishers(&self, topic: &str, nodes: &[String]) -> Result<Vec<String>, NodeError> {
+        self.running_nodes("getPublications", topic, nodes).await
+    }
+
+    /// Returns those of some nodes, without this one, that are running and subscribe to a topic, as
+    /// [`Node::running_publishers`] does.
+    ///
+    /// # Errors
+    /// The master does not answer.
+    pub async fn running_subscribers(&self, topic: &str, nodes: &[String]) -> Result<Vec<String>, NodeError> {
+        self.running_nodes("getSubscriptions", topic, nodes).await
+    }
+
+    async fn running_nodes(
+        &self,
+        method: &str,
+        topic: &str,
+        nodes: &[String],
+    ) -> Result<Vec<String>, NodeError> {
         let mut running = Vec::new();
         for node in nodes {
             let uri = self.shared.master.look_up_node(node).await?.filter(|uri| *uri != self.shared.uri);
             let Some(uri) = uri.and_then(|uri| RpcUri::parse(&uri).ok()) else { continue };
-            if rpc::call(&uri, "getPid", vec![self.name().into()]).await.is_ok() {
+            // An answer alone is no proof: the port of a node that ended may belong to another one by now.
+            let answer = rpc::call(&uri, method, vec![self.name().into()]).await;
+            if answer.is_ok_and(|answer| slave::has_topic(answer, topic)) {
                 running.push(node.clone());
             }
         }

@@ -4,9 +4,11 @@ use std::sync::Arc;
 
 use tokio::time::sleep;
 
+use super::environment::RpcUri;
 use super::error::NodeError;
 use super::node::NodeShared;
 use super::registration::{CallOutcome, MasterCall, Notice, Registration, Role};
+use super::rpc;
 
 /// Returns the methods of the master's API that add and remove a registration.
 pub(super) fn method_of(role: Role) -> (&'static str, &'static str) {
@@ -60,7 +62,11 @@ async fn perform(node: &NodeShared, call: &MasterCall) -> CallOutcome {
     let result = match call {
         MasterCall::LookUpNode => match node.master.look_up_node(&node.name).await {
             Ok(None) => return CallOutcome::NodeUnknown,
-            Ok(Some(uri)) if uri != node.uri => return CallOutcome::NodeReplaced { uri },
+            Ok(Some(uri)) if uri != node.uri => {
+                // A node that has ended did not replace this one: its registration has reached the master late.
+                let is_running = is_running(node, &uri).await;
+                return if is_running { CallOutcome::NodeReplaced { uri } } else { CallOutcome::NodeUnknown };
+            }
             Ok(Some(_)) => Ok(()),
             Err(error) => Err(error),
         },
@@ -75,6 +81,12 @@ async fn perform(node: &NodeShared, call: &MasterCall) -> CallOutcome {
         Err(error @ NodeError::MasterRefused { .. }) => CallOutcome::Refused { reason: error.to_string() },
         Err(error) => CallOutcome::Unreachable { reason: error.to_string() },
     }
+}
+
+/// Tells whether a node answers at a URI.
+async fn is_running(node: &NodeShared, uri: &str) -> bool {
+    let Ok(uri) = RpcUri::parse(uri) else { return false };
+    rpc::call(&uri, "getPid", vec![(&*node.name).into()]).await.is_ok()
 }
 
 async fn register(node: &NodeShared, registration: &Registration) -> Result<(), NodeError> {
@@ -101,11 +113,11 @@ fn report(node: &NodeShared, notice: Notice) {
             );
         }
         Notice::MasterBack => tracing::info!(node = name, master, "the ROS master is reachable again"),
-        Notice::MasterRestarted => {
+        Notice::Forgotten => {
             tracing::warn!(
                 node = name,
                 master,
-                "the ROS master was started anew; registering all topics again"
+                "the ROS master does not know the node any more; registering all topics again"
             );
         }
         Notice::Refused { reason } => {

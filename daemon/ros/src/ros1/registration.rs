@@ -39,7 +39,7 @@ pub(super) enum MasterCall {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallOutcome {
     Success,
-    /// The master does not know the node: it was restarted.
+    /// The master does not know the node: it was restarted, or knows one that has ended.
     NodeUnknown,
     /// Another node has the name now.
     NodeReplaced {
@@ -58,7 +58,7 @@ pub(super) enum CallOutcome {
 pub(super) enum Notice {
     MasterLost { reason: String },
     MasterBack,
-    MasterRestarted,
+    Forgotten,
     Refused { reason: String },
     NodeReplaced { uri: String },
 }
@@ -128,7 +128,7 @@ impl Registrations {
         match (call, outcome) {
             (_, CallOutcome::NodeUnknown) => {
                 let had_registered = self.mark_all_missing();
-                return had_registered.then_some(Notice::MasterRestarted);
+                return had_registered.then_some(Notice::Forgotten);
             }
             (_, CallOutcome::NodeReplaced { uri }) => return Some(Notice::NodeReplaced { uri }),
             (MasterCall::Register(registration), CallOutcome::Success) => {
@@ -215,7 +215,7 @@ mod tests {
         assert_eq!(state.handle_outcome(&check, unreachable()), None);
 
         state.request_check();
-        assert_eq!(state.handle_outcome(&check, CallOutcome::NodeUnknown), Some(Notice::MasterRestarted));
+        assert_eq!(state.handle_outcome(&check, CallOutcome::NodeUnknown), Some(Notice::Forgotten));
         for topic in ["/a", "/b"] {
             let call = MasterCall::Register(registration(topic));
             assert_eq!(state.next_call(), Some(call.clone()));

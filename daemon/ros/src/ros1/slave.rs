@@ -1,17 +1,18 @@
 //! The API that a node offers to the master and to other nodes ("slave API"). No I/O.
 
+use super::master::{SUCCESS, split_answer};
 use super::node::NodeShared;
 use super::subscriber::PublisherState;
 use super::xmlrpc::{Call, Response, Value};
-
-/// Code of an answer that is a success.
-const SUCCESS: i64 = 1;
 
 /// Code of an answer to a call that makes no sense.
 const ERROR: i64 = -1;
 
 /// Code of an answer to a call that could not be carried out.
 const FAILURE: i64 = 0;
+
+/// Why the master asks a node to shut down when another one registers with its name, after `[/NODE] Reason: `.
+const NAME_TAKEN: &str = "new node registered with same name";
 
 /// A call of the API. The first parameter, the caller's name, is left out where nothing is done with it.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,6 +118,13 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
             success(topics.iter().map(pair).collect::<Vec<Value>>())
         }
         SlaveCall::ParamUpdate => success(0),
+        // It may be meant for a node that ended, whose port this node has by now, or the registration of a node that ended may
+        // have reached the master late: the registrar asks who has the name.
+        SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN) => {
+            node.registrations().request_check();
+            node.wake_registrar.notify_one();
+            success(0)
+        }
         SlaveCall::Shutdown { caller, reason } => {
             let reason = if reason.is_empty() { "no reason given".to_owned() } else { reason };
             node.close(format!("{caller} asked it to shut down: {reason}"));
@@ -131,6 +139,13 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
         }
         SlaveCall::RequestTopic { topic, protocols } => request_topic(node, &topic, &protocols),
     }
+}
+
+/// Tells whether an answer to `getPublications` or `getSubscriptions` has a topic.
+pub(super) fn has_topic(answer: Value, topic: &str) -> bool {
+    let Some((SUCCESS, _, topics)) = split_answer(answer) else { return false };
+    let is_topic = |pair: &Value| pair.as_array().and_then(|pair| pair.first()?.as_text()) == Some(topic);
+    topics.as_array().is_some_and(|topics| topics.iter().any(is_topic))
 }
 
 fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value {

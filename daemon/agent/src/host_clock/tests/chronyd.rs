@@ -1,8 +1,9 @@
 //! Real chronyd processes that leave the machine's clock alone.
 
-use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+
+use peernet_test_ports::free_port;
 
 use crate::config::{ClockConfig, DisciplineSource};
 
@@ -12,11 +13,6 @@ fn program(name: &str) -> PathBuf {
     let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
     let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
     found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
-}
-
-fn free_port() -> u16 {
-    let socket = UdpSocket::bind("127.0.0.1:0").expect("loopback has a free port");
-    socket.local_addr().expect("it is bound").port()
 }
 
 /// A chronyd with files of its own, ended with the test.

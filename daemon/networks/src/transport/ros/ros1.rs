@@ -45,7 +45,7 @@ impl Ros1Node {
         let sessions = sessions_topic(&topics.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&topics.cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
-        let mut clouds = self.node.running_nodes(&clouds).await?;
+        let mut clouds = self.node.running_subscribers(&sessions, &clouds).await?;
         let Some(cloud) = clouds.pop() else {
             return Err(NodeFailure(format!(
                 "the ROS master at {} knows no cloud with the name {}: nobody subscribes to {sessions}; start it with \
@@ -56,7 +56,7 @@ impl Ros1Node {
         let is_foreign = |node: &&String| !base_name(node).starts_with(&topics.own_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
             let others: Vec<String> = state.publishers_of(topic).iter().filter(is_foreign).cloned().collect();
-            if let Some(other) = self.node.running_nodes(&others).await?.first() {
+            if let Some(other) = self.node.running_publishers(topic, &others).await?.first() {
                 return Err(NodeFailure(format!(
                     "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
                      ROS_NAMESPACE to a namespace of this robot"
@@ -84,9 +84,9 @@ impl Ros1Node {
         let state = self.node.system_state().await?;
         let own = base_name(self.node.name());
         let is_cloud = |other: &&String| base_name(other) == own;
-        let subscribers = state.subscribers_of(&sessions_topic(cloud)).iter();
-        let clouds: Vec<String> = subscribers.filter(is_cloud).cloned().collect();
-        Ok(self.node.running_nodes(&clouds).await?.pop())
+        let sessions = sessions_topic(cloud);
+        let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
+        Ok(self.node.running_subscribers(&sessions, &clouds).await?.pop())
     }
 }
 

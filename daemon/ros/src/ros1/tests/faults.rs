@@ -242,7 +242,7 @@ async fn node_with_taken_name_ends() {
     let new = node(&master, "a").await;
     let _publisher = new.publish("t", kind, PublisherOptions::default()).await.unwrap();
     let error = within(old.ended()).await;
-    assert!(error.to_string().contains("new node registered with same name"), "{error}");
+    assert!(error.to_string().contains("has registered with the same name"), "{error}");
     assert!(matches!(publisher.publish(message(1)), Err(NodeError::Closed { .. })));
     // The new node's registration stays.
     drop((publisher, old));

@@ -89,6 +89,11 @@ impl TestMaster {
         self.state().subscribers.get(topic).map(|nodes| nodes.keys().cloned().collect()).unwrap_or_default()
     }
 
+    /// Returns the URI of a node.
+    pub(super) fn uri_of(&self, node: &str) -> Option<String> {
+        self.state().nodes.get(node).cloned()
+    }
+
     /// Waits until a condition holds; it is looked at after each call.
     pub(super) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
         let mut changes = self.changes.subscribe();
@@ -171,7 +176,7 @@ fn remove(topics: &mut Topics, topic: &str, node: &str, uri: &str) -> bool {
 fn register(state: &mut State, node: &str, uri: &str) {
     let older = state.nodes.insert(node.to_owned(), uri.to_owned());
     if let Some(older) = older.filter(|older| older != uri) {
-        let reason = format!("new node registered with same name [{node}]");
+        let reason = format!("[{node}] Reason: new node registered with same name");
         tell(&older, "shutdown", vec!["/master".into(), reason.into()]);
     }
 }

@@ -77,3 +77,41 @@ async fn node_shuts_down_when_asked() {
     a.shutdown().await.unwrap();
     assert!(master.subscribers("/t").is_empty());
 }
+
+#[tokio::test]
+async fn node_whose_name_nobody_else_has_goes_on() {
+    let master = TestMaster::start().await;
+    let a = node(&master, "a").await;
+    let publisher =
+        a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
+    // Meant for a node that ended, whose port this one has.
+    let reason = "[/camera] Reason: new node registered with same name";
+    ask(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
+
+    // The registration of a node that ended: the master tells this one to end.
+    let ended = node(&master, "a").await;
+    let late = ["/a", "/u", "std_msgs/String", ended.uri()].map(Value::from);
+    ended.shutdown().await.unwrap();
+    within(rpc::call(&RpcUri::parse(&master.uri()).unwrap(), "registerPublisher", late.into()))
+        .await
+        .unwrap();
+    within(master.wait_until(|master| master.uri_of("/a").as_deref() == Some(a.uri()))).await;
+    assert_eq!(master.publishers("/t"), ["/a"]);
+    publisher.publish(vec![0; 4]).unwrap();
+}
+
+#[tokio::test]
+async fn running_node_is_one_that_has_the_topic() {
+    let master = TestMaster::start().await;
+    let (a, b) = (node(&master, "a").await, node(&master, "b").await);
+    let kind = TopicType::of::<StringMessage>();
+    let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let _subscriber = a.subscribe("u", kind, SubscriberOptions::default()).await.unwrap();
+    let nodes = ["/a".to_owned(), "/none".to_owned()];
+    assert_eq!(b.running_publishers("/t", &nodes).await.unwrap(), ["/a"]);
+    assert_eq!(b.running_subscribers("/u", &nodes).await.unwrap(), ["/a"]);
+    // What answers at the port of a node that ended is another node, with other topics.
+    assert!(b.running_publishers("/u", &nodes).await.unwrap().is_empty());
+    drop(publisher);
+    assert!(b.running_publishers("/t", &nodes).await.unwrap().is_empty());
+}
