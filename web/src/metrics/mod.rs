@@ -2,6 +2,7 @@
 //!
 //! Each metric is an entry of [`table`]; all samples of an answer come from one snapshot.
 
+mod aggregator;
 mod hosts;
 mod links;
 mod pipelines;
@@ -22,6 +23,7 @@ use prometheus_client::registry::{Registry, Unit};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use self::aggregator::AggregatorFigures;
 use self::scrape::Scrape;
 use self::table::{Kind, METRICS, Sample};
 use crate::error::WebError;
@@ -40,9 +42,13 @@ pub(crate) fn routes() -> OpenApiRouter<App> {
     (status = 200, body = String, content_type = "application/openmetrics-text"),
 ))]
 async fn serve(State(app): State<App>) -> Result<Response, WebError> {
-    let ready = app.aggregator.ready() == Readiness::Ready;
-    let scrape = Scrape::of(&app.picture(), ready, app.aggregator.database_bytes());
-    let text = render(scrape.with_rejections(app.aggregator.rejections()))?;
+    let picture = app.picture();
+    let figures = AggregatorFigures {
+        ready: app.aggregator.ready() == Readiness::Ready,
+        database_bytes: app.aggregator.database_bytes(),
+        ..AggregatorFigures::of(&picture).with_rejections(app.aggregator.rejections())
+    };
+    let text = render(Scrape::of(&picture, figures))?;
     Ok(([(CONTENT_TYPE, FORM)], text).into_response())
 }
 

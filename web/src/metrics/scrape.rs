@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
-use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture, Totals};
-use peernet_networks::zmtp::{Rejection, RejectionCounts};
+use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture};
 use peernet_stream::Connection;
 
+use super::aggregator::AggregatorFigures;
 use super::table::{Sample, Sink};
 
 /// Hosts of one answer; each makes about twenty lines.
@@ -21,14 +21,7 @@ const CONNECTIONS: usize = 1_000;
 /// The snapshot.
 #[derive(Debug)]
 pub(super) struct Scrape {
-    pub(super) ready: bool,
-    pub(super) connected: u64,
-    pub(super) known: u64,
-    pub(super) refused: u64,
-    pub(super) database_bytes: Option<u64>,
-    /// Connections turned away, by reason.
-    pub(super) rejected: Vec<(&'static str, u64)>,
-    pub(super) totals: Totals,
+    pub(super) aggregator: AggregatorFigures,
     pub(super) hosts: Vec<Arc<HostPicture>>,
     pub(super) pipelines: Vec<Arc<PipelinePicture>>,
     pub(super) links: Vec<Arc<LinkPicture>>,
@@ -40,7 +33,7 @@ pub(super) struct Scrape {
 impl Scrape {
     /// Takes what it needs of a picture. Names are the labels: of several hosts of one name, all but one of which must
     /// be away, the one that was heard of last is shown.
-    pub(super) fn of(picture: &Picture, ready: bool, database_bytes: Option<u64>) -> Self {
+    pub(super) fn of(picture: &Picture, aggregator: AggregatorFigures) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostPicture>> = BTreeMap::new();
         for host in &picture.hosts {
             let held = by_name.entry(host.description.name.as_str()).or_insert(host);
@@ -74,20 +67,7 @@ impl Scrape {
             ("links", cut(&mut links, LINKS)),
             ("connections", cut(&mut connections, CONNECTIONS)),
         ];
-        Self {
-            ready,
-            connected: picture.hosts.iter().filter(|host| host.connected).count() as u64,
-            known: picture.hosts.len() as u64,
-            refused: picture.refused.len() as u64,
-            database_bytes,
-            rejected: Vec::new(),
-            totals: picture.totals,
-            hosts,
-            pipelines,
-            links,
-            connections,
-            omitted,
-        }
+        Self { aggregator, hosts, pipelines, links, connections, omitted }
     }
 
     /// The connections, each with its link.
@@ -95,22 +75,6 @@ impl Scrape {
         self.connections
             .iter()
             .filter_map(|(link, place)| Some((&**link, link.live.connections.get(*place)?)))
-    }
-
-    /// What the database takes.
-    pub(super) fn database(&self, to: &mut Sink<'_>) {
-        self.database_bytes.into_iter().for_each(|bytes| to(&[], Sample::Size(bytes)));
-    }
-
-    /// The same with the connections that were turned away.
-    pub(super) fn with_rejections(mut self, counts: &RejectionCounts) -> Self {
-        self.rejected = Rejection::ALL.map(|reason| (reason.name(), counts.count(reason))).to_vec();
-        self
-    }
-
-    /// Connections that were turned away, by reason.
-    pub(super) fn rejected(&self, to: &mut Sink<'_>) {
-        self.rejected.iter().for_each(|(reason, count)| to(&[reason], Sample::Count(*count)));
     }
 
     /// What did not fit, by kind.
@@ -143,9 +107,9 @@ mod tests {
         twin.host = old.id;
         let mut picture = samples::picture(vec![old, samples::host("cam-1", "Orin")], vec![twin, line]);
         picture.links = vec![Arc::new(samples::link(None, &[])), Arc::new(samples::link(None, &[]))];
-        let scrape = Scrape::of(&picture, true, None);
+        let scrape = Scrape::of(&picture, AggregatorFigures::of(&picture));
         assert_eq!(scrape.hosts.iter().map(|host| host.connected).collect::<Vec<_>>(), [true]);
-        assert_eq!((scrape.pipelines.len(), scrape.links.len(), scrape.known), (1, 1, 2));
+        assert_eq!((scrape.pipelines.len(), scrape.links.len(), scrape.aggregator.known), (1, 1, 2));
         assert_eq!(scrape.pipelines[0].host, scrape.hosts[0].id);
     }
 
@@ -153,7 +117,8 @@ mod tests {
     fn an_answer_is_bounded_and_says_what_it_leaves_out() {
         let line = |index| samples::pipeline(&format!("line-{index}"), 30.0, 1.0, Verdict::Ok, &[]);
         let picture = samples::picture(vec![samples::host("cam-1", "Orin")], (0..1_200).map(line).collect());
-        let text = super::super::render(Scrape::of(&picture, false, Some(4_096))).expect("plain text");
+        let aggregator = AggregatorFigures { database_bytes: Some(4_096), ..AggregatorFigures::of(&picture) };
+        let text = super::super::render(Scrape::of(&picture, aggregator)).expect("plain text");
         assert_eq!(text.matches("peernet_pipeline_running_bool{").count(), PIPELINES);
         assert!(text.contains("peernet_aggregator_omitted_items{kind=\"pipelines\"} 200\n"), "{text}");
         assert!(text.contains("peernet_aggregator_ready_bool 0\n"));

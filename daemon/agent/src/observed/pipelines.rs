@@ -6,8 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::Slug;
 use peernet_sample::Sample;
+use thiserror::Error;
 
-use super::messages::{MAX_KEYS, StampAnswer, StampRequest};
+use super::messages::{MAX_KEYS, StampAnswer, StampMessageError, StampRequest};
 use super::ring::{Side, StampRing};
 use crate::config::{AgentConfig, PairBy, PipelineConfig, PlacementConfig, StartMode};
 use crate::link::HostStamp;
@@ -61,33 +62,58 @@ impl ObservedPipelines {
     /// Answers a request.
     ///
     /// # Errors
-    /// The request cannot be read, or there is no such pipeline here: what to change, for people.
-    pub(crate) fn answer(&self, sample: &Sample, host: &Slug) -> Result<Sample, String> {
-        let request =
-            StampRequest::read(sample).map_err(|error| format!("cannot read the request: {error}"))?;
+    /// The request cannot be read, or there is no such pipeline here.
+    pub(crate) fn answer(&self, sample: &Sample, host: &Slug) -> Result<Sample, AnswerError> {
+        let request = StampRequest::read(sample).map_err(AnswerError::Request)?;
         let StampRequest { pipeline, pair_by, keys, .. } = request;
         let Some(kept) = self.0.get(&pipeline) else {
-            let known: Vec<&str> = self.0.keys().map(Slug::as_str).collect();
-            return Err(format!(
-                "no pipeline of host {host} that observes is named {pipeline}; there is {}; set peer_pipeline to it",
-                if known.is_empty() { "none".to_owned() } else { known.join(", ") }
-            ));
+            let known = self.0.keys().cloned().collect();
+            return Err(AnswerError::Unknown { host: host.clone(), pipeline, known });
         };
         if kept.pair_by != pair_by {
-            let (theirs, ours) = (kept.pair_by.describe(), pair_by.describe());
-            return Err(format!(
-                "pipeline {pipeline} of host {host} pairs by {theirs}, and the one that asks by {ours}; set pair_by to the same \
-                 \"stamp\" or \"sequence\" in both"
-            ));
+            let (host, here) = (host.clone(), kept.pair_by);
+            return Err(AnswerError::PairedOtherwise { host, pipeline, here, there: pair_by });
         }
         if keys.len() > MAX_KEYS {
-            return Err(format!("{} messages are too many for one request; at most {MAX_KEYS}", keys.len()));
+            return Err(AnswerError::TooMany(keys.len()));
         }
         let ring = kept.ring.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = StampAnswer::new(keys.into_iter().map(|key| ring.find(key)).collect());
         drop(ring);
-        answer.to_sample().map_err(|error| format!("cannot write the answer: {error}"))
+        answer.to_sample().map_err(AnswerError::Answer)
     }
+}
+
+/// A request without an answer.
+#[derive(Debug, Error)]
+pub(crate) enum AnswerError {
+    /// It cannot be read.
+    #[error("cannot read the request: {0}")]
+    Request(#[source] StampMessageError),
+    /// No pipeline that observes has the name.
+    #[error(
+        "no pipeline of host {host} that observes is named {pipeline}; there is {}; set peer_pipeline to it",
+        names(known)
+    )]
+    Unknown { host: Slug, pipeline: Slug, known: Vec<Slug> },
+    /// The pipeline finds the two messages of a pair otherwise.
+    #[error(
+        "pipeline {pipeline} of host {host} pairs by {}, and the one that asks by {}; set pair_by to the same \"stamp\" or \
+         \"sequence\" in both",
+        here.describe(), there.describe()
+    )]
+    PairedOtherwise { host: Slug, pipeline: Slug, here: PairBy, there: PairBy },
+    /// It asks for too many messages.
+    #[error("{0} messages are too many for one request; at most {MAX_KEYS}")]
+    TooMany(usize),
+    /// The answer cannot be written.
+    #[error("cannot write the answer: {0}")]
+    Answer(#[source] StampMessageError),
+}
+
+fn names(known: &[Slug]) -> String {
+    let names: Vec<&str> = known.iter().map(Slug::as_str).collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
 impl ObservedPipeline {
@@ -118,7 +144,7 @@ mod tests {
         text.parse().expect("a name")
     }
 
-    fn ask(pipelines: &ObservedPipelines, request: &StampRequest) -> Result<StampAnswer, String> {
+    fn ask(pipelines: &ObservedPipelines, request: &StampRequest) -> Result<StampAnswer, AnswerError> {
         let answer = pipelines.answer(&request.to_sample().expect("it can be written"), &slug("rack"))?;
         Ok(StampAnswer::read(&answer).expect("it can be read"))
     }
@@ -144,7 +170,8 @@ mod tests {
     #[test]
     fn what_cannot_be_answered_names_the_next_step() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
-        let refused = |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused");
+        let refused =
+            |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused").to_string();
         let unknown = refused(&StampRequest::new(slug("planner"), PairBy::Stamp, Vec::new()));
         for part in ["host rack", "planner", "there is detector", "peer_pipeline"] {
             assert!(unknown.contains(part), "{unknown}");

@@ -83,7 +83,10 @@ impl Service {
                 }
             }
             Self::Stamps(observed, host) => {
-                reply.send(log, observed.answer(&sample, &host.name).map_err(Failure::Failed));
+                reply.send(
+                    log,
+                    observed.answer(&sample, &host.name).map_err(|error| Failure::Failed(error.to_string())),
+                );
             }
         }
     }
