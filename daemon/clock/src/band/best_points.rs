@@ -4,6 +4,17 @@ use std::collections::VecDeque;
 
 use super::slots::Point;
 
+/// Where a point was put.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Placement {
+    /// Nowhere: its stretch has a better one, or is too old.
+    Worse,
+    /// In the place of the one that its stretch had.
+    Better,
+    /// In a stretch that had none.
+    First,
+}
+
 /// The lowest point of each stretch, by time.
 #[derive(Clone, Debug)]
 pub(super) struct BestPoints {
@@ -19,32 +30,34 @@ impl BestPoints {
         Self { stretch, most, points: VecDeque::new() }
     }
 
-    /// Takes a point if it is the best of its stretch for a skew. Returns whether it is the first.
-    pub(super) fn insert(&mut self, point: Point, slope: f64) -> bool {
+    /// Takes a point if it is the best of its stretch for a skew.
+    pub(super) fn insert(&mut self, point: Point, slope: f64) -> Placement {
+        let own = point.x.div_euclid(self.stretch);
         let stretch = |point: &Point| point.x.div_euclid(self.stretch);
-        let at = match self.points.back() {
-            Some(last) if stretch(last) >= stretch(&point) => {
-                self.points.partition_point(|other| stretch(other) < stretch(&point))
-            }
+        let at = match self.points.back().map(stretch) {
+            // By far most are of the newest stretch.
+            Some(last) if last == own => self.points.len() - 1,
+            Some(last) if last > own => self.points.partition_point(|other| stretch(other) < own),
             _ => self.points.len(),
         };
-        if let Some(known) = self.points.get(at).filter(|known| stretch(known) == stretch(&point)) {
+        if let Some(known) = self.points.get(at).copied().filter(|known| stretch(known) == own) {
             let drifted = known.bound.saturating_add((slope * (point.x - known.x) as f64) as i64);
-            if point.bound < drifted {
-                self.points[at] = point;
+            if point.bound >= drifted {
+                return Placement::Worse;
             }
-            return false;
+            self.points[at] = point;
+            return Placement::Better;
         }
         if self.points.len() >= self.most {
             if at == 0 {
-                return false;
+                return Placement::Worse;
             }
             self.points.pop_front();
             self.points.insert(at - 1, point);
         } else {
             self.points.insert(at, point);
         }
-        true
+        Placement::First
     }
 
     /// All, by time.
@@ -57,6 +70,15 @@ impl BestPoints {
         let after = self.points.partition_point(|point| point.x < x);
         let end = after.saturating_add(count / 2).max(count).min(self.points.len());
         self.points.range(end.saturating_sub(count)..end).copied()
+    }
+
+    /// Tells whether the points [`around`](Self::around) a time are the newest ones, and all within a distance of it.
+    pub(super) fn are_newest_around(&self, x: i64, count: usize, reach: u64) -> bool {
+        let len = self.points.len();
+        let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));
+        let is_near = |at: usize| self.points.get(at).is_some_and(|point| point.x.abs_diff(x) <= reach);
+        let is_late = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);
+        is_late && is_near(oldest) && is_near(len.saturating_sub(1))
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
@@ -85,10 +107,27 @@ mod tests {
     #[test]
     fn the_best_of_a_second_is_the_lowest_with_the_skew_taken_out() {
         let mut seconds = BestPoints::new(SECOND, 1024);
-        assert!(seconds.insert(Point { x: 0, bound: 100 }, 50e-6));
-        assert!(!seconds.insert(Point { x: 10_000_000, bound: 400 }, 50e-6));
+        let mut insert = |x: i64, bound: i64| seconds.insert(Point { x, bound }, 50e-6);
+        assert_eq!(insert(0, 100), Placement::First);
+        assert_eq!(insert(10_000_000, 400), Placement::Better);
+        assert_eq!(insert(20_000_000, 901), Placement::Worse);
         assert_eq!(seconds.points[0].bound, 400);
-        assert!(!seconds.insert(Point { x: 20_000_000, bound: 901 }, 50e-6));
-        assert_eq!(seconds.points[0].bound, 400);
+    }
+
+    #[test]
+    fn points_that_are_said_to_be_the_newest_are() {
+        let mut seconds = BestPoints::new(SECOND, 1024);
+        for n in [0, 1, 2, 3, 10, 11, 12, 40] {
+            seconds.insert(Point { x: n * SECOND, bound: 0 }, 0.0);
+            for (x, count) in (0..60).flat_map(|x| [(x, 2), (x, 4), (x, 6)]) {
+                let x = x * SECOND;
+                let around: Vec<Point> = seconds.around(x, count).collect();
+                let newest: Vec<Point> =
+                    seconds.iter().skip(seconds.points.len().saturating_sub(count)).collect();
+                let are_near = around.iter().all(|point| point.x.abs_diff(x) <= 20 * SECOND as u64);
+                let expected = around == newest && are_near;
+                assert_eq!(seconds.are_newest_around(x, count, 20 * SECOND as u64), expected, "{x} {count}");
+            }
+        }
     }
 }

@@ -6,7 +6,7 @@
 //! path of 40 ms, 50 ppm too much show after a quarter of an hour. So the best point of every sixteen seconds is kept for half
 //! an hour. They bound no delay.
 
-use super::best_points::BestPoints;
+use super::best_points::{BestPoints, Placement};
 use super::hull;
 use super::slots::Point;
 
@@ -41,8 +41,8 @@ impl Default for SkewProof {
 impl SkewProof {
     /// Takes an exchange; `slope` is the skew as far as known.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
-        let begun = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
-        if begun.contains(&true) {
+        let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
+        if placed.contains(&Placement::First) {
             self.proven = self.prove();
         }
     }

@@ -7,7 +7,9 @@
 //! is much narrower; the offset is taken to be in its middle. That takes the shortest delays of both directions to be
 //! alike, which nobody can know and the bounds do not rely on.
 
-use super::best_points::BestPoints;
+use std::sync::OnceLock;
+
+use super::best_points::{BestPoints, Placement};
 use super::hull;
 use super::skew::SkewProof;
 use super::slots::Point;
@@ -35,6 +37,9 @@ pub(super) struct Trend {
     lower: BestPoints,
     /// Of the offset, as of the last new second: a later point is better when it is lower than the drift explains.
     slope: f64,
+    /// Of the newest [`FOR_ESTIMATE`] seconds, once it was asked for and until one of their points is another: most questions are about
+    /// now, and most exchanges change no point.
+    newest_slope: OnceLock<Option<f64>>,
     span: Option<(i64, i64)>,
     exchanges: u64,
     proof: SkewProof,
@@ -47,6 +52,7 @@ impl Default for Trend {
             upper: best(),
             lower: best(),
             slope: 0.0,
+            newest_slope: OnceLock::new(),
             span: None,
             exchanges: 0,
             proof: SkewProof::default(),
@@ -61,8 +67,11 @@ impl Trend {
         self.span = Some((first.min(upper.x), last.max(lower.x)));
         self.exchanges += 1;
         self.proof.insert(upper, lower, self.slope);
-        let begun = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
-        if begun.contains(&true) {
+        let placed = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
+        if placed != [Placement::Worse; 2] {
+            self.newest_slope.take();
+        }
+        if placed.contains(&Placement::First) {
             self.slope = self.slope(lower.x, FOR_ESTIMATE, limit).unwrap_or(0.0);
         }
     }
@@ -105,9 +114,18 @@ impl Trend {
         if self.exchanges < LEAST_EXCHANGES || last.saturating_sub(first) < LEAST_TIME {
             return None;
         }
-        let above = hull::slope_under(around(&self.upper, x, seconds))?;
-        let below = hull::slope_under(around(&self.lower, x, seconds))?;
-        Some(((above - below) / 2.0).clamp(-limit, limit))
+        let between = || {
+            let above = hull::slope_under(around(&self.upper, x, seconds))?;
+            let below = hull::slope_under(around(&self.lower, x, seconds))?;
+            Some((above - below) / 2.0)
+        };
+        let are_newest = |points: &BestPoints| points.are_newest_around(x, seconds, REACH as u64);
+        let slope = if seconds == FOR_ESTIMATE && are_newest(&self.upper) && are_newest(&self.lower) {
+            *self.newest_slope.get_or_init(between)
+        } else {
+            between()
+        };
+        Some(slope?.clamp(-limit, limit))
     }
 }
 
