@@ -2,9 +2,10 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use peernet_clock::LogThrottle;
 use thiserror::Error;
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
@@ -33,82 +34,93 @@ enum AcceptError {
 
 /// Accepts connections until the node ends.
 pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
-    let places = Arc::new(Semaphore::new(MAX_INCOMING_CONNECTIONS));
+    let acceptor = Arc::new(Acceptor { node, log_throttle: Mutex::default() });
+    let (node, permits) = (&acceptor.node, Arc::new(Semaphore::new(MAX_INCOMING_CONNECTIONS)));
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            () = node.stop.cancelled() => return,
+            () = node.lifetime.stop().cancelled() => return,
         };
         let (stream, peer) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
-                tracing::warn!(node = &*node.name, %error, "cannot accept a connection of a ROS subscriber");
+                tracing::warn!(node = node.name.full(), %error, "cannot accept a connection of a ROS subscriber");
                 sleep(ACCEPT_PAUSE).await;
                 continue;
             }
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            warn_refused(&node, peer, "too many connections of ROS subscribers");
+        let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
+            acceptor.warn_refused(peer, "too many connections of ROS subscribers");
             continue;
         };
-        let shared = Arc::clone(&node);
-        node.tasks.spawn(async move {
-            let _place = place;
-            serve(&shared, stream, peer).await;
+        let acceptor = Arc::clone(&acceptor);
+        node.lifetime.tasks().spawn(async move {
+            let _permit = permit;
+            acceptor.serve(stream, peer).await;
         });
     }
 }
 
-async fn serve(node: &NodeShared, mut stream: TcpStream, peer: SocketAddr) {
-    let handshake = tokio::select! {
-        handshake = timeout(HANDSHAKE_TIMEOUT, shake_hands(node, &mut stream)) => handshake,
-        () = node.stop.cancelled() => return,
-    };
-    match handshake {
-        Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
-        Ok(Err(error)) => {
-            warn_refused(node, peer, &error.to_string());
-        }
-        Err(_) => warn_refused(node, peer, "it sent no header in time"),
-    }
+/// The accepting side of a node.
+#[derive(Debug)]
+struct Acceptor {
+    node: Arc<NodeShared>,
+    log_throttle: Mutex<LogThrottle>,
 }
 
-/// Logs that a connection was closed, once a minute for each address.
-fn warn_refused(node: &NodeShared, peer: SocketAddr, reason: &str) {
-    let times = node.log_throttle().count("refused", Some(peer.ip()), node.clock.mono());
-    if let Some(times) = times {
-        tracing::warn!(node = &*node.name, %peer, reason, times, "a ROS subscriber was refused");
-    }
-}
-
-/// Reads the subscriber's header and returns the topic, the subscriber's name and the answer. A refusal has been sent.
-async fn shake_hands(
-    node: &NodeShared,
-    stream: &mut TcpStream,
-) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
-    configure(stream)?;
-    let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-    let (frame, _) = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
-    match answer(node, &frame) {
-        Ok(answer) => Ok(answer),
-        Err(error) => {
-            stream.write_all(&ConnectionHeader::error(&error.to_string()).encode()).await?;
-            Err(error.into())
+impl Acceptor {
+    async fn serve(&self, mut stream: TcpStream, peer: SocketAddr) {
+        let handshake = tokio::select! {
+            handshake = timeout(HANDSHAKE_TIMEOUT, self.shake_hands(&mut stream)) => handshake,
+            () = self.node.lifetime.stop().cancelled() => return,
+        };
+        match handshake {
+            Ok(Ok((topic, subscriber, answer))) => topic.run_connection(stream, subscriber, answer).await,
+            Ok(Err(error)) => self.warn_refused(peer, &error.to_string()),
+            Err(_) => self.warn_refused(peer, "it sent no header in time"),
         }
     }
-}
 
-fn answer(
-    node: &NodeShared,
-    frame: &[u8],
-) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), HandshakeError> {
-    let request = ConnectionHeader::decode(frame)?;
-    let topic = request.get("topic").ok_or(HeaderError::Missing { name: "topic" })?;
-    let published = node.topics().publications.get(topic).cloned();
-    let published = published.ok_or_else(|| HandshakeError::UnknownTopic {
-        topic: topic.to_owned(),
-        node: node.name.to_string(),
-    })?;
-    let (answer, subscriber) = published.publication.answer(&request)?;
-    Ok((published, subscriber, answer))
+    /// Logs that a connection was closed, once a minute for each address.
+    fn warn_refused(&self, peer: SocketAddr, reason: &str) {
+        let now = self.node.clock.mono();
+        let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        let times = throttle.count("refused", Some(peer.ip()), now);
+        drop(throttle);
+        if let Some(times) = times {
+            tracing::warn!(node = self.node.name.full(), %peer, reason, times, "a ROS subscriber was refused");
+        }
+    }
+
+    /// Reads the subscriber's header and returns the topic, the subscriber's name and the answer. A refusal has been sent.
+    async fn shake_hands(
+        &self,
+        stream: &mut TcpStream,
+    ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
+        configure(stream)?;
+        let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
+        let (frame, _) = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
+        match self.answer(&frame) {
+            Ok(answer) => Ok(answer),
+            Err(error) => {
+                stream.write_all(&ConnectionHeader::error(&error.to_string()).encode()).await?;
+                Err(error.into())
+            }
+        }
+    }
+
+    fn answer(
+        &self,
+        frame: &[u8],
+    ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), HandshakeError> {
+        let request = ConnectionHeader::decode(frame)?;
+        let topic = request.get("topic").ok_or(HeaderError::Missing { name: "topic" })?;
+        let published = self.node.topics.find_published(topic);
+        let published = published.ok_or_else(|| HandshakeError::UnknownTopic {
+            topic: topic.to_owned(),
+            node: self.node.name.full().to_owned(),
+        })?;
+        let (answer, subscriber) = published.publication.answer(&request)?;
+        Ok((published, subscriber, answer))
+    }
 }

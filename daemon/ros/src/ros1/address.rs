@@ -1,13 +1,75 @@
-//! The own address that other nodes connect to, where no variable names it.
+//! The address at which other nodes reach a node.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use tokio::net::{UdpSocket, lookup_host};
+use tokio::net::{TcpListener, UdpSocket, lookup_host};
 
-use super::environment::RpcUri;
+use super::environment::{RpcUri, listen_address, uri_host};
+use super::error::NodeError;
 
-/// Returns the address from which the master is reached: whoever reaches the master usually reaches it. With a master on
-/// this host it is the host's name, if that leads to an address others can use.
+/// Address that a node gives to the master and to other nodes: a host with a port for each protocol.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct NodeAddress {
+    host: String,
+    uri: String,
+    tcpros_port: u16,
+}
+
+/// Open ports of a node.
+#[derive(Debug)]
+pub(super) struct NodeListeners {
+    /// Port of the XML-RPC server.
+    pub(super) rpc: TcpListener,
+    /// Port for subscribers.
+    pub(super) tcpros: TcpListener,
+}
+
+impl NodeAddress {
+    /// Opens the ports of a node on a host, which is a name or an address of this host.
+    ///
+    /// # Errors
+    /// No port can be opened.
+    pub(super) async fn listen(host: String) -> Result<(Self, NodeListeners), NodeError> {
+        let listeners = NodeListeners { rpc: listen(&host).await?, tcpros: listen(&host).await? };
+        let address = Self::new(host, port(&listeners.rpc)?, port(&listeners.tcpros)?);
+        Ok((address, listeners))
+    }
+
+    fn new(host: String, rpc_port: u16, tcpros_port: u16) -> Self {
+        let uri = format!("http://{}:{rpc_port}/", uri_host(&host));
+        Self { host, uri, tcpros_port }
+    }
+
+    /// Returns the URI of the XML-RPC server.
+    pub(super) fn uri(&self) -> &str {
+        &self.uri
+    }
+
+    /// Returns the host name or address that other nodes connect to.
+    pub(super) fn host(&self) -> &str {
+        &self.host
+    }
+
+    /// Returns the port on which subscribers are accepted.
+    pub(super) fn tcpros_port(&self) -> u16 {
+        self.tcpros_port
+    }
+}
+
+async fn listen(host: &str) -> Result<TcpListener, NodeError> {
+    let address = SocketAddr::new(listen_address(host), 0);
+    TcpListener::bind(address).await.map_err(|source| NodeError::Listen { address, source })
+}
+
+fn port(listener: &TcpListener) -> Result<u16, NodeError> {
+    let address = SocketAddr::from(([0; 4], 0));
+    let own = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
+    Ok(own.port())
+}
+
+/// Returns the host that a node gives to others where no variable names it. It is the address from which the master is reached:
+/// a program that reaches the master usually reaches this address. With a master on this host it is the host's name, if that
+/// leads to an address that others can use.
 pub(super) async fn advertised_host(master: &RpcUri) -> String {
     let local = address_towards(master).await.unwrap_or_else(|_| Ipv4Addr::LOCALHOST.into());
     if !local.is_loopback() {
@@ -42,6 +104,13 @@ async fn address_towards(master: &RpcUri) -> std::io::Result<IpAddr> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn uri_has_ipv6_host_in_brackets() {
+        let address = NodeAddress::new("::1".into(), 7, 8);
+        assert_eq!((address.uri(), address.host(), address.tcpros_port()), ("http://[::1]:7/", "::1", 8));
+        assert_eq!(NodeAddress::new("robot".into(), 7, 8).uri(), "http://robot:7/");
+    }
 
     #[tokio::test]
     async fn master_on_this_host_gives_an_ipv4_address_of_this_host() {

@@ -20,7 +20,7 @@ pub struct ReceivedMessage {
     pub publisher: Arc<PublisherInfo>,
     /// Time at which its last byte was read.
     pub received: Stamp,
-    /// What it takes of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory).
+    /// Memory that it takes of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory).
     pub memory: MessageMemory,
 }
 

@@ -1,5 +1,7 @@
 //! Names of nodes and topics.
 
+use std::sync::Arc;
+
 use thiserror::Error;
 
 /// Longest name that is taken, in bytes.
@@ -17,7 +19,7 @@ pub enum NameError {
         /// Bytes of the name.
         length: usize,
     },
-    /// It begins with something else than a letter, `/` or `~`.
+    /// It begins with something other than a letter, `/` or `~`.
     #[error("the ROS name {name:?} must begin with a letter, / or ~")]
     Start {
         /// The name.
@@ -44,7 +46,7 @@ pub enum NameError {
 pub struct NodeName {
     /// Begins with `/`, and ends with it only where it is the root.
     namespace: String,
-    full: String,
+    full: Arc<str>,
 }
 
 impl NodeName {
@@ -58,13 +60,18 @@ impl NodeName {
         if name.contains(['/', '~']) {
             return Err(NameError::NodeWithNamespace { name: name.to_owned() });
         }
-        let full = join(&namespace, name)?;
+        let full = join(&namespace, name)?.into();
         Ok(Self { namespace, full })
     }
 
     /// Returns the node's global name, such as `/robot/camera`.
     pub fn full(&self) -> &str {
         &self.full
+    }
+
+    /// Returns the node's global name for parts of the node that keep it.
+    pub(super) fn shared(&self) -> Arc<str> {
+        Arc::clone(&self.full)
     }
 
     /// Returns the global form of a topic's name: `/a` stays, `a` is in the namespace, `~a` is below the node.

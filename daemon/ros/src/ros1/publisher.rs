@@ -9,8 +9,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::error::NodeError;
 use super::limits::QueueLimits;
-use super::node::RegistrationGuard;
 use super::outgoing::{Offer, OutgoingConnection, SendCounts};
+use super::registration_guard::RegistrationGuard;
 use super::tcpros::{ConnectionHeader, Publication};
 use crate::messages::EncodedMessage;
 

@@ -1,130 +1,225 @@
-//! The task that keeps the master informed.
+//! Keeps the master informed of a node's topics.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tokio::time::sleep;
+use tokio::sync::Notify;
+use tokio::time::{sleep, timeout};
 
 use super::environment::RpcUri;
 use super::error::NodeError;
-use super::node::NodeShared;
-use super::registration::{CallOutcome, MasterCall, Notice, Registration, Role};
-use super::rpc;
+use super::lifetime::NodeLifetime;
+use super::master::MasterClient;
+use super::node_topics::NodeTopics;
+use super::registration::{CallOutcome, MasterCall, Notice, Registration, Registrations, Role};
+use super::rpc::{self, CALL_TIMEOUT, RpcError};
 
 /// Returns the methods of the master's API that add and remove a registration.
-pub(super) fn method_of(role: Role) -> (&'static str, &'static str) {
+fn methods_of(role: Role) -> (&'static str, &'static str) {
     match role {
         Role::Publisher => ("registerPublisher", "unregisterPublisher"),
         Role::Subscriber => ("registerSubscriber", "unregisterSubscriber"),
     }
 }
 
-/// Calls the master as the registrations ask for, until the node ends.
-pub(super) async fn run(node: Arc<NodeShared>) {
-    loop {
-        let (call, pause) = {
-            let registrations = node.registrations();
-            (registrations.next_call(), registrations.pause())
+/// Registrations of a node with the master. Whoever changes them wakes the task that calls the master.
+#[derive(Debug)]
+pub(super) struct Registrar {
+    master: MasterClient,
+    /// URI of the node's XML-RPC server.
+    uri: String,
+    topics: Arc<NodeTopics>,
+    lifetime: Arc<NodeLifetime>,
+    registrations: Mutex<Registrations>,
+    /// Signals that a call may be due.
+    wake: Notify,
+}
+
+impl Registrar {
+    pub(super) fn new(
+        master: MasterClient,
+        uri: &str,
+        topics: Arc<NodeTopics>,
+        lifetime: Arc<NodeLifetime>,
+    ) -> Self {
+        let (registrations, wake) = (Mutex::default(), Notify::new());
+        Self { master, uri: uri.to_owned(), topics, lifetime, registrations, wake }
+    }
+
+    /// Returns the client of the master.
+    pub(super) fn master(&self) -> &MasterClient {
+        &self.master
+    }
+
+    /// Returns the lifetime of the node.
+    pub(super) fn lifetime(&self) -> &NodeLifetime {
+        &self.lifetime
+    }
+
+    fn registrations(&self) -> MutexGuard<'_, Registrations> {
+        self.registrations.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Registers a topic, and returns the URIs of its publishers or subscribers.
+    ///
+    /// # Errors
+    /// The master does not answer, or refuses.
+    pub(super) async fn register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
+        // A master that was restarted knows the node again once this topic is registered: the loss of the others would not show.
+        self.check().await;
+        let uris = self.call_register(registration).await?;
+        self.registrations().add(registration.clone());
+        Ok(uris)
+    }
+
+    /// Removes a topic from the node, and has it unregistered in the background.
+    pub(super) fn remove(&self, registration: Registration) {
+        self.topics.remove(registration.role, &registration.topic);
+        // Also where the registration failed: the master may know it all the same.
+        self.registrations().remove(registration);
+        self.wake.notify_one();
+    }
+
+    /// Unregisters all topics of a node that has ended.
+    ///
+    /// # Errors
+    /// The master does not answer in time, or refuses.
+    pub(super) async fn unregister_all(&self) -> Result<(), NodeError> {
+        let registrations = self.registrations().take_all();
+        let unregister = async {
+            for registration in registrations {
+                self.call_unregister(&registration).await?;
+            }
+            Ok(())
         };
-        if let Some(call) = call {
-            let outcome = tokio::select! {
-                outcome = perform(&node, &call) => outcome,
-                () = node.stop.cancelled() => return,
+        let late = |_| {
+            let (uri, source) = (self.master.uri().to_string(), RpcError::TimedOut);
+            Err(NodeError::NoMaster { uri, source })
+        };
+        timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(late)
+    }
+
+    /// Has the task ask the master which node has the name.
+    pub(super) fn request_check(&self) {
+        self.registrations().request_check();
+        self.wake.notify_one();
+    }
+
+    /// Calls the master as the registrations ask for, until the node ends.
+    pub(super) async fn run(&self) {
+        loop {
+            let (call, pause) = {
+                let registrations = self.registrations();
+                (registrations.next_call(), registrations.pause())
             };
-            let notice = node.registrations().handle_outcome(&call, outcome);
-            if let Some(notice) = notice {
-                report(&node, notice);
+            if let Some(call) = call {
+                let outcome = tokio::select! {
+                    outcome = self.perform(&call) => outcome,
+                    () = self.lifetime.stop().cancelled() => return,
+                };
+                self.handle_outcome(&call, outcome);
+                continue;
             }
-            continue;
-        }
-        tokio::select! {
-            () = sleep(pause) => node.registrations().request_check(),
-            () = node.wake_registrar.notified() => {}
-            () = node.stop.cancelled() => return,
-        }
-    }
-}
-
-/// Asks the master whether it still knows the node. All topics are due for registration if it does not.
-pub(super) async fn check(node: &NodeShared) {
-    if !node.registrations().has_registered() {
-        return;
-    }
-    let call = MasterCall::LookUpNode;
-    let outcome = perform(node, &call).await;
-    let notice = node.registrations().handle_outcome(&call, outcome);
-    if let Some(notice) = notice {
-        report(node, notice);
-    }
-    node.wake_registrar.notify_one();
-}
-
-async fn perform(node: &NodeShared, call: &MasterCall) -> CallOutcome {
-    let result = match call {
-        MasterCall::LookUpNode => match node.master.look_up_node(&node.name).await {
-            Ok(None) => return CallOutcome::NodeUnknown,
-            Ok(Some(uri)) if uri != node.uri => {
-                // A node that has ended did not replace this one: its registration has reached the master late.
-                let is_running = is_running(node, &uri).await;
-                return if is_running { CallOutcome::NodeReplaced { uri } } else { CallOutcome::NodeUnknown };
+            tokio::select! {
+                () = sleep(pause) => self.registrations().request_check(),
+                () = self.wake.notified() => {}
+                () = self.lifetime.stop().cancelled() => return,
             }
-            Ok(Some(_)) => Ok(()),
-            Err(error) => Err(error),
-        },
-        MasterCall::Register(registration) => register(node, registration).await,
-        MasterCall::Unregister(registration) => {
-            let (_, method) = method_of(registration.role);
-            node.master.unregister(method, &registration.topic, &node.uri).await
         }
-    };
-    match result {
-        Ok(()) => CallOutcome::Success,
-        Err(error @ NodeError::MasterRefused { .. }) => CallOutcome::Refused { reason: error.to_string() },
-        Err(error) => CallOutcome::Unreachable { reason: error.to_string() },
     }
-}
 
-/// Tells whether a node answers at a URI.
-async fn is_running(node: &NodeShared, uri: &str) -> bool {
-    let Ok(uri) = RpcUri::parse(uri) else { return false };
-    rpc::call(&uri, "getPid", vec![(&*node.name).into()]).await.is_ok()
-}
+    /// Asks the master whether it still knows the node. All topics are due for registration if it does not.
+    async fn check(&self) {
+        if !self.registrations().has_registered() {
+            return;
+        }
+        let call = MasterCall::LookUpNode;
+        let outcome = self.perform(&call).await;
+        self.handle_outcome(&call, outcome);
+        self.wake.notify_one();
+    }
 
-async fn register(node: &NodeShared, registration: &Registration) -> Result<(), NodeError> {
-    let Registration { role, topic, kind } = registration;
-    let (method, _) = method_of(*role);
-    let uris = node.master.register(method, topic, kind, &node.uri).await?;
-    if *role == Role::Subscriber {
-        let subscribed = node.topics().subscriptions.get(topic).cloned();
-        if let Some(subscribed) = subscribed {
+    async fn perform(&self, call: &MasterCall) -> CallOutcome {
+        let result = match call {
+            MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {
+                Ok(None) => return CallOutcome::NodeUnknown,
+                Ok(Some(uri)) if uri != self.uri => {
+                    // A node that has ended did not replace this one: its registration has reached the master late.
+                    let is_running = self.is_running(&uri).await;
+                    return if is_running {
+                        CallOutcome::NodeReplaced { uri }
+                    } else {
+                        CallOutcome::NodeUnknown
+                    };
+                }
+                Ok(Some(_)) => Ok(()),
+                Err(error) => Err(error),
+            },
+            MasterCall::Register(registration) => self.register_again(registration).await,
+            MasterCall::Unregister(registration) => self.call_unregister(registration).await,
+        };
+        match result {
+            Ok(()) => CallOutcome::Success,
+            Err(error @ NodeError::MasterRefused { .. }) => {
+                CallOutcome::Refused { reason: error.to_string() }
+            }
+            Err(error) => CallOutcome::Unreachable { reason: error.to_string() },
+        }
+    }
+
+    async fn call_register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
+        let Registration { role, topic, kind } = registration;
+        self.master.register(methods_of(*role).0, topic, kind, &self.uri).await
+    }
+
+    async fn call_unregister(&self, registration: &Registration) -> Result<(), NodeError> {
+        let method = methods_of(registration.role).1;
+        self.master.unregister(method, &registration.topic, &self.uri).await
+    }
+
+    /// Registers a topic that the master does not know any more.
+    async fn register_again(&self, registration: &Registration) -> Result<(), NodeError> {
+        let uris = self.call_register(registration).await?;
+        if registration.role == Role::Subscriber
+            && let Some(subscribed) = self.topics.find_subscribed(&registration.topic)
+        {
             subscribed.add_publishers(&uris);
         }
+        Ok(())
     }
-    Ok(())
-}
 
-fn report(node: &NodeShared, notice: Notice) {
-    let (name, master) = (&*node.name, node.master.uri().as_str());
-    match notice {
-        Notice::MasterLost { reason } => {
-            tracing::warn!(
-                node = name,
-                reason,
-                "the ROS master is not reachable; connections go on, trying again"
-            );
-        }
-        Notice::MasterBack => tracing::info!(node = name, master, "the ROS master is reachable again"),
-        Notice::Forgotten => {
-            tracing::warn!(
-                node = name,
-                master,
-                "the ROS master does not know the node any more; registering all topics again"
-            );
-        }
-        Notice::Refused { reason } => {
-            tracing::warn!(node = name, reason, "the ROS master refuses a registration; trying again");
-        }
-        Notice::NodeReplaced { uri } => {
-            node.close(format!("another node, at {uri}, has registered with the same name"));
+    /// Returns whether a node answers at a URI.
+    async fn is_running(&self, uri: &str) -> bool {
+        let Ok(uri) = RpcUri::parse(uri) else { return false };
+        rpc::call(&uri, "getPid", vec![(&**self.lifetime.node()).into()]).await.is_ok()
+    }
+
+    /// Notes the outcome of a call, and logs what it says of the master.
+    fn handle_outcome(&self, call: &MasterCall, outcome: CallOutcome) {
+        let notice = self.registrations().handle_outcome(call, outcome);
+        let Some(notice) = notice else { return };
+        let (name, master) = (&**self.lifetime.node(), self.master.uri().as_str());
+        match notice {
+            Notice::MasterLost { reason } => {
+                tracing::warn!(
+                    node = name,
+                    reason,
+                    "the ROS master is not reachable; connections go on, trying again"
+                );
+            }
+            Notice::MasterBack => tracing::info!(node = name, master, "the ROS master is reachable again"),
+            Notice::Forgotten => {
+                tracing::warn!(
+                    node = name,
+                    master,
+                    "the ROS master does not know the node any more; registering all topics again"
+                );
+            }
+            Notice::Refused { reason } => {
+                tracing::warn!(node = name, reason, "the ROS master refuses a registration; trying again");
+            }
+            Notice::NodeReplaced { uri } => {
+                self.lifetime.end(format!("another node, at {uri}, has registered with the same name"));
+            }
         }
     }
 }

@@ -1,8 +1,11 @@
 //! The API that a node offers to the master and to other nodes ("slave API"). No I/O.
 
+use std::sync::Arc;
+
 use super::master::{SUCCESS, split_answer};
 use super::node::NodeShared;
-use super::subscriber::PublisherState;
+use super::publisher::PublishedTopic;
+use super::subscriber::{PublisherState, SubscribedTopic};
 use super::xmlrpc::{Call, Response, Value};
 
 /// Code of an answer to a call that makes no sense.
@@ -101,18 +104,18 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
     match call {
         SlaveCall::BusStats => success(bus_statistics(node)),
         SlaveCall::BusInfo => success(bus_info(node)),
-        SlaveCall::MasterUri => success(node.master.uri().as_str()),
+        SlaveCall::MasterUri => success(node.registrar.master().uri().as_str()),
         SlaveCall::Pid => success(i64::from(std::process::id())),
         SlaveCall::Subscriptions => {
-            let topics = node.topics().subscriptions.values().cloned().collect::<Vec<_>>();
-            let pair = |topic: &std::sync::Arc<super::subscriber::SubscribedTopic>| {
+            let topics = node.topics.subscribed();
+            let pair = |topic: &Arc<SubscribedTopic>| {
                 [(&*topic.subscription.topic).into(), (&*topic.subscription.kind.name).into()].into()
             };
             success(topics.iter().map(pair).collect::<Vec<Value>>())
         }
         SlaveCall::Publications => {
-            let topics = node.topics().publications.values().cloned().collect::<Vec<_>>();
-            let pair = |topic: &std::sync::Arc<super::publisher::PublishedTopic>| {
+            let topics = node.topics.published();
+            let pair = |topic: &Arc<PublishedTopic>| {
                 [(&*topic.publication.topic).into(), (&*topic.publication.kind.name).into()].into()
             };
             success(topics.iter().map(pair).collect::<Vec<Value>>())
@@ -121,18 +124,16 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
         // It may be meant for a node that ended, whose port this node has by now, or the registration of a node that ended may
         // have reached the master late: the registrar asks who has the name.
         SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN) => {
-            node.registrations().request_check();
-            node.wake_registrar.notify_one();
+            node.registrar.request_check();
             success(0)
         }
         SlaveCall::Shutdown { caller, reason } => {
             let reason = if reason.is_empty() { "no reason given".to_owned() } else { reason };
-            node.close(format!("{caller} asked it to shut down: {reason}"));
+            node.lifetime.end(format!("{caller} asked it to shut down: {reason}"));
             success(0)
         }
         SlaveCall::PublisherUpdate { topic, publishers } => {
-            let subscribed = node.topics().subscriptions.get(&*topic).cloned();
-            if let Some(subscribed) = subscribed {
+            if let Some(subscribed) = node.topics.find_subscribed(&topic) {
                 subscribed.set_publishers(&publishers);
             }
             success(0)
@@ -141,7 +142,7 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
     }
 }
 
-/// Tells whether an answer to `getPublications` or `getSubscriptions` has a topic.
+/// Returns whether an answer to `getPublications` or `getSubscriptions` has a topic.
 pub(super) fn has_topic(answer: Value, topic: &str) -> bool {
     let Some((SUCCESS, _, topics)) = split_answer(answer) else { return false };
     let is_topic = |pair: &Value| pair.as_array().and_then(|pair| pair.first()?.as_text()) == Some(topic);
@@ -150,14 +151,15 @@ pub(super) fn has_topic(answer: Value, topic: &str) -> bool {
 
 fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value {
     let failure = |text: String| [FAILURE.into(), text.into(), Value::Int(0)].into();
-    if !node.topics().publications.contains_key(topic) {
-        return failure(format!("topic {topic} is not published by node {}", node.name));
+    if node.topics.find_published(topic).is_none() {
+        return failure(format!("topic {topic} is not published by node {}", node.name.full()));
     }
     if !protocols.iter().any(|protocol| protocol == "TCPROS") {
-        return failure(format!("node {} offers TCPROS only, asked for {protocols:?}", node.name));
+        return failure(format!("node {} offers TCPROS only, asked for {protocols:?}", node.name.full()));
     }
-    let text = format!("ready on {}:{}", node.host, node.tcpros_port);
-    let params = ["TCPROS".into(), node.host.as_str().into(), i64::from(node.tcpros_port).into()];
+    let (host, port) = (node.address.host(), node.address.tcpros_port());
+    let text = format!("ready on {host}:{port}");
+    let params = ["TCPROS".into(), host.into(), i64::from(port).into()];
     [SUCCESS.into(), text.into(), params.into()].into()
 }
 
@@ -168,7 +170,7 @@ fn int(count: u64) -> Value {
 
 /// Returns the statistics that `getBusStats` has: of publishers, subscribers, and services, which this node has none of.
 fn bus_statistics(node: &NodeShared) -> Value {
-    let (published, subscribed) = node.topics().lists();
+    let (published, subscribed) = (node.topics.published(), node.topics.subscribed());
     let publishers = published.iter().map(|topic| {
         let connections = topic.subscribers().into_iter().zip(0..).map(|(subscriber, id)| {
             let counts = subscriber.counts;
@@ -193,7 +195,6 @@ fn bus_statistics(node: &NodeShared) -> Value {
 /// Returns the connections as `getBusInfo` has them: number, other end, direction, transport, topic, whether connected, and
 /// a description.
 fn bus_info(node: &NodeShared) -> Value {
-    let (published, subscribed) = node.topics().lists();
     let mut connections: Vec<Value> = Vec::new();
     let mut add = |other: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
         let id = Value::Int(connections.len() as i64 + 1);
@@ -202,14 +203,14 @@ fn bus_info(node: &NodeShared) -> Value {
         connections
             .push([id, other, direction, "TCPROS".into(), topic, connected, description.into()].into());
     };
-    for topic in published {
+    for topic in node.topics.published() {
         for subscriber in topic.subscribers() {
             let description =
                 format!("TCPROS connection on port {} to [{}]", subscriber.local.port(), subscriber.remote);
             add(&subscriber.node, "o", &topic.publication.topic, true, description);
         }
     }
-    for topic in subscribed {
+    for topic in node.topics.subscribed() {
         for publisher in topic.publishers() {
             let (is_connected, description) = match publisher.state {
                 PublisherState::Connecting => (false, "connecting".to_owned()),

@@ -11,10 +11,11 @@ use tokio_util::task::TaskTracker;
 
 use super::error::NodeError;
 use super::incoming::{IncomingQueue, ReceivedMessage, WhenFull};
+use super::lifetime::NodeLifetime;
 use super::limits::{MAX_PUBLISHERS, QueueLimits};
 use super::memory::{MemoryLimit, MessageLimits};
-use super::node::RegistrationGuard;
 use super::publisher_link::PublisherLink;
+use super::registration_guard::RegistrationGuard;
 use super::tcpros::{Subscription, TopicType};
 
 /// Options of a subscriber.
@@ -239,8 +240,7 @@ impl SubscribedTopic {
         subscription: Subscription,
         options: SubscriberOptions,
         clock: SharedClock,
-        stop: CancellationToken,
-        tasks: TaskTracker,
+        lifetime: &NodeLifetime,
     ) -> Self {
         Self {
             subscription,
@@ -251,9 +251,9 @@ impl SubscribedTopic {
             }),
             queue: IncomingQueue::new(options.queue, options.when_full),
             clock,
-            stop,
+            stop: lifetime.stop().child_token(),
             changed: Notify::new(),
-            tasks,
+            tasks: lifetime.tasks().clone(),
             state: Mutex::default(),
         }
     }

@@ -44,7 +44,7 @@ pub enum FrameError {
 pub struct FrameBuffer {
     bytes: BytesMut,
     limits: MessageLimits,
-    /// Of the frame that has begun, if it is long.
+    /// Memory that a long frame takes from its first bytes on.
     memory: MessageMemory,
 }
 

@@ -1,0 +1,49 @@
+//! A topic that is registered as long as its publisher or subscriber exists.
+
+use std::sync::Arc;
+
+use super::error::NodeError;
+use super::registrar::Registrar;
+use super::registration::Registration;
+
+/// Keeps a topic in the node and with the master until it is dropped.
+#[derive(Debug)]
+pub(super) struct RegistrationGuard {
+    registrar: Arc<Registrar>,
+    registration: Registration,
+}
+
+impl RegistrationGuard {
+    /// Registers a topic that the node has. Returns the guard with the URIs of the topic's publishers or subscribers.
+    ///
+    /// # Errors
+    /// The master does not answer, or refuses; the topic is removed from the node then.
+    pub(super) async fn register(
+        registrar: &Arc<Registrar>,
+        registration: Registration,
+    ) -> Result<(Self, Vec<String>), NodeError> {
+        // Made first: the master may know the topic even where the call fails.
+        let guard = Self { registrar: Arc::clone(registrar), registration };
+        let uris = registrar.register(&guard.registration).await?;
+        Ok((guard, uris))
+    }
+
+    /// Checks that the node has not ended.
+    ///
+    /// # Errors
+    /// It has.
+    pub(super) fn check_open(&self) -> Result<(), NodeError> {
+        self.registrar.lifetime().check_open()
+    }
+
+    /// Returns the error of a node that has ended.
+    pub(super) fn closed(&self) -> NodeError {
+        self.registrar.lifetime().closed()
+    }
+}
+
+impl Drop for RegistrationGuard {
+    fn drop(&mut self) {
+        self.registrar.remove(self.registration.clone());
+    }
+}
