@@ -1,0 +1,218 @@
+//! Puts the messages of the peer together from their companions and payloads.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+use peernet_ros::messages::MessageInfo;
+
+use super::ConnectionLimits;
+use super::events::{Event, EventQueue};
+use crate::transport::MessageLoss;
+use crate::transport::memory::{MemoryBudget, Reservation};
+use crate::transport::ros::frames;
+use crate::transport::ros::pairing::{Half, Pairing, request_of};
+use crate::transport::ros::parts::Parts;
+
+/// Parts of messages that have not arrived as a whole. Their memory is reserved, and each waits for a limited time.
+#[derive(Debug)]
+pub(super) struct MessageAssembly {
+    /// Bytes of all frames of a message.
+    max_message_bytes: u64,
+    /// Whether a payload may arrive although its companion had all frames.
+    repeats_payloads: bool,
+    /// Timeout of the next part of a message.
+    part_timeout: Span,
+    budget: Arc<MemoryBudget>,
+    pairing: Pairing,
+    /// The first bytes of a message whose companion is still to come.
+    parts: Option<Parts>,
+    /// Stamp of the last companion with all frames of its message.
+    last_whole: i64,
+    /// Messages about the session itself that wait for payloads which they overtook.
+    overtaking: Vec<(MessageInfo, Reservation)>,
+}
+
+impl MessageAssembly {
+    pub(super) fn new(limits: &ConnectionLimits, budget: Arc<MemoryBudget>) -> Self {
+        Self {
+            max_message_bytes: limits.max_message_bytes,
+            repeats_payloads: limits.confirms_payloads,
+            part_timeout: limits.pairing_timeout,
+            budget,
+            pairing: Pairing::new(limits.max_incomplete, limits.pairing_timeout),
+            parts: None,
+            last_whole: i64::MIN,
+            overtaking: Vec::new(),
+        }
+    }
+
+    /// Changes the budget of messages that arrive from now on.
+    pub(super) fn set_budget(&mut self, budget: Arc<MemoryBudget>) {
+        self.budget = budget;
+    }
+
+    /// Takes the first bytes of a message.
+    pub(super) fn hear_part(&mut self, part: &MessageInfo, now: MonoTime) {
+        let parts = self.parts.take();
+        self.parts = Parts::extended(parts, (part, now), &self.budget, self.max_message_bytes);
+    }
+
+    /// Takes the companion of a message.
+    pub(super) fn hear_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
+        // Parts of another message are of one that was given up. The memory of the whole is counted below.
+        if let Some(parts) = self.parts.take().filter(|parts| parts.is_of(&info)) {
+            info.frames = parts.joined(&info.frames);
+        }
+        if let Err(problem) = frames::check(&info, self.max_message_bytes) {
+            events.push(Event::Garbage(problem.to_string()));
+            return;
+        }
+        let Some(reserved) = self.reserve(info.frames.len()) else {
+            events.push_incomplete(vec![MessageLoss { tag: request_of(&info), received: 1, total: 2 }]);
+            return;
+        };
+        let stamp = info.header.stamp.as_nanos();
+        if info.has_payload {
+            self.hear_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
+            return;
+        }
+        // The payload may come as well, until it is confirmed that payloads do.
+        self.last_whole = stamp.max(self.last_whole);
+        self.pairing.drop_payload(stamp);
+        let mut lost = Vec::new();
+        self.pairing.skip(stamp, &mut lost);
+        events.push_incomplete(lost);
+        // It may end the session, of which answers would be lost then.
+        if info.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
+            self.overtaking.push((info, reserved));
+        } else {
+            deliver(&info, None, vec![reserved], events);
+        }
+    }
+
+    /// Takes the payload of a message.
+    pub(super) fn hear_payload(
+        &mut self,
+        stamp: i64,
+        payload: Bytes,
+        now: MonoTime,
+        events: &mut EventQueue,
+    ) {
+        // Its companion had all frames.
+        if self.repeats_payloads && stamp <= self.last_whole && !self.pairing.awaits_payload(stamp) {
+            return;
+        }
+        let length = payload.len() as u64;
+        if length > self.max_message_bytes {
+            events.push(Event::Garbage(format!("a payload of {length} bytes")));
+            return;
+        }
+        // Where memory is short its loss is reported by its companion, which is still to come and has the number of the request.
+        let Some(reserved) = self.reserve(payload.len()) else { return };
+        self.hear_half(stamp, Half::Payload(payload), reserved, now, events);
+    }
+
+    fn hear_half(
+        &mut self,
+        stamp: i64,
+        half: Half,
+        reserved: Reservation,
+        now: MonoTime,
+        events: &mut EventQueue,
+    ) {
+        let mut lost = Vec::new();
+        let pair = self.pairing.add(stamp, half, reserved, now, &mut lost);
+        events.push_incomplete(lost);
+        if let Some(pair) = pair {
+            deliver(&pair.info, Some(&pair.payload), pair.reserved.into(), events);
+        }
+    }
+
+    /// Gives up what has waited for too long.
+    pub(super) fn expire(&mut self, now: MonoTime, events: &mut EventQueue) {
+        let mut lost = Vec::new();
+        self.pairing.expire(now, &mut lost);
+        // The companion that they belong to was lost, which its number shows.
+        let timeout = self.part_timeout;
+        self.parts = self.parts.take().filter(|parts| !parts.is_overdue(now, timeout));
+        events.push_incomplete(lost);
+    }
+
+    /// Returns whether no companion waits for its payload any more. Messages that had overtaken payloads are delivered then.
+    pub(super) fn deliver_overtaking(&mut self, events: &mut EventQueue) -> bool {
+        if self.pairing.awaits_payloads() {
+            return false;
+        }
+        for (info, reserved) in std::mem::take(&mut self.overtaking) {
+            deliver(&info, None, vec![reserved], events);
+        }
+        true
+    }
+
+    /// Returns when the next half of a message has waited for too long.
+    pub(super) fn next_timer(&self) -> Option<MonoTime> {
+        self.pairing.next_timer()
+    }
+
+    fn reserve(&self, bytes: usize) -> Option<Reservation> {
+        let mut reserved = Reservation::empty(&self.budget);
+        reserved.set(&self.budget, bytes as u64).ok().map(|()| reserved)
+    }
+}
+
+fn deliver(info: &MessageInfo, payload: Option<&Bytes>, reserved: Vec<Reservation>, events: &mut EventQueue) {
+    events.push(match frames::unpack(info, payload) {
+        Ok(frames) => Event::Message(frames, reserved),
+        Err(problem) => Event::Garbage(problem.to_string()),
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn assembly(budget: &Arc<MemoryBudget>) -> MessageAssembly {
+        let limits = ConnectionLimits {
+            max_message_bytes: 100,
+            confirms_payloads: false,
+            max_incomplete: 4,
+            pairing_timeout: Span::from_seconds(30),
+            heartbeat_interval: Span::from_seconds(1),
+            heartbeat_timeout: Span::from_seconds(5),
+        };
+        MessageAssembly::new(&limits, Arc::clone(budget))
+    }
+
+    fn companion(request: u64) -> MessageInfo {
+        let mut info = MessageInfo { request, ..MessageInfo::default() };
+        assert!(frames::pack(&mut info, &[Bytes::from_static(b"header")], false));
+        info
+    }
+
+    #[test]
+    fn message_beyond_the_budget_is_lost_and_counts_no_memory() {
+        let (budget, mut events) = (MemoryBudget::new(10), EventQueue::default());
+        let mut assembly = assembly(&budget);
+        assembly.hear_data(companion(1), MonoTime::default(), &mut events);
+        assembly.hear_data(companion(2), MonoTime::default(), &mut events);
+        let first = events.pop();
+        assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
+        assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
+        drop(first);
+        assert_eq!(budget.held(), 0);
+    }
+
+    #[test]
+    fn new_budget_holds_for_later_messages() {
+        let (small, mut events) = (MemoryBudget::new(1), EventQueue::default());
+        let mut assembly = assembly(&small);
+        assembly.hear_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assert!(assembly.next_timer().is_none());
+        let large = MemoryBudget::new(10);
+        assembly.set_budget(Arc::clone(&large));
+        assembly.hear_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assert_eq!((small.held(), large.held()), (0, 2));
+        assert!(assembly.next_timer().is_some() && events.pop().is_none());
+    }
+}

@@ -1,0 +1,66 @@
+//! Heartbeats of a connection.
+
+use peernet_clock::{MonoTime, Span};
+
+/// Times of the last messages in both directions: this end sends a heartbeat when it has sent nothing else, and a peer that sends
+/// nothing is gone.
+#[derive(Debug)]
+pub(super) struct Heartbeats {
+    interval: Span,
+    timeout: Span,
+    sent_at: MonoTime,
+    heard_at: MonoTime,
+}
+
+impl Heartbeats {
+    pub(super) fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
+        Self { interval, timeout, sent_at: now, heard_at: now }
+    }
+
+    /// Notes that this end sends a message.
+    pub(super) fn note_sent(&mut self, now: MonoTime) {
+        self.sent_at = now;
+    }
+
+    /// Notes that a message of the peer arrived.
+    pub(super) fn note_heard(&mut self, now: MonoTime) {
+        self.heard_at = now;
+    }
+
+    /// Returns whether this end should send a heartbeat.
+    pub(super) fn is_due(&self, now: MonoTime) -> bool {
+        now - self.sent_at >= self.interval
+    }
+
+    /// Returns whether the peer has sent nothing for too long.
+    pub(super) fn is_peer_silent(&self, now: MonoTime) -> bool {
+        now - self.heard_at >= self.timeout
+    }
+
+    /// Returns when a heartbeat is due or the peer has been silent for too long, whichever is earlier.
+    pub(super) fn next_timer(&self) -> MonoTime {
+        (self.sent_at + self.interval).min(self.heard_at + self.timeout)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: i64) -> MonoTime {
+        MonoTime::default() + Span::from_seconds(seconds)
+    }
+
+    #[test]
+    fn timer_is_the_earlier_of_both_deadlines() {
+        let mut heartbeats = Heartbeats::new(Span::from_seconds(1), Span::from_seconds(5), at(0));
+        assert_eq!(heartbeats.next_timer(), at(1));
+        assert!(!heartbeats.is_due(at(0)) && heartbeats.is_due(at(1)));
+        heartbeats.note_sent(at(4));
+        assert!(!heartbeats.is_due(at(4)));
+        assert_eq!(heartbeats.next_timer(), at(5));
+        assert!(!heartbeats.is_peer_silent(at(4)) && heartbeats.is_peer_silent(at(5)));
+        heartbeats.note_heard(at(5));
+        assert!(!heartbeats.is_peer_silent(at(9)) && heartbeats.is_peer_silent(at(10)));
+    }
+}

@@ -1,0 +1,114 @@
+//! Numbers and stamps of the companions of a connection.
+
+use peernet_ros::messages::{Header, MessageInfo, Time};
+
+/// Largest stamp of a header that both versions of ROS can encode. Nanoseconds.
+const MAX_STAMP: i64 = i32::MAX as i64 * 1_000_000_000;
+
+/// Headers of the companions that this end sends: their numbers have no gaps, and their stamps increase.
+#[derive(Debug)]
+pub(super) struct OutgoingSequence {
+    /// Identifier of the connection.
+    connection: String,
+    next_number: u64,
+    last_stamp: i64,
+}
+
+impl OutgoingSequence {
+    pub(super) fn new(connection: String) -> Self {
+        Self { connection, next_number: 0, last_stamp: 0 }
+    }
+
+    /// Returns the identifier of the connection.
+    pub(super) fn connection(&self) -> &str {
+        &self.connection
+    }
+
+    /// Returns the companion of a message that departs at `wall`, nanoseconds since the Unix epoch.
+    pub(super) fn begin(&mut self, kind: u8, wall: i64) -> MessageInfo {
+        // Stamps increase whatever the wall clock does, because a payload is found by its stamp.
+        let least = self.last_stamp + 1;
+        self.last_stamp = if wall <= MAX_STAMP { wall.max(least) } else { least };
+        let sequence = self.next_number();
+        let stamp = Time::from_nanos(self.last_stamp);
+        let seq = u32::try_from(sequence & u64::from(u32::MAX)).unwrap_or_default();
+        let header = Header { seq, stamp, frame_id: self.connection.clone() };
+        MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
+    }
+
+    /// Returns a companion for the first bytes of a message, and gives the message the number after it.
+    pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
+        let sequence = std::mem::replace(&mut message.sequence, self.next_number());
+        MessageInfo {
+            header: message.header.clone(),
+            kind: MessageInfo::PART,
+            sequence,
+            request: message.request,
+            ..MessageInfo::default()
+        }
+    }
+
+    fn next_number(&mut self) -> u64 {
+        let number = self.next_number;
+        self.next_number += 1;
+        number
+    }
+}
+
+/// Numbers of the companions that arrive.
+#[derive(Debug, Default)]
+pub(super) struct IncomingSequence {
+    /// Number of the next companion; unknown before the first.
+    expected: Option<u64>,
+    missed: u64,
+}
+
+impl IncomingSequence {
+    /// Counts the companions that are missing before one that arrived. A lower number than expected counts nothing.
+    pub(super) fn hear(&mut self, number: u64) {
+        let expected = self.expected.unwrap_or(number);
+        self.missed += number.saturating_sub(expected);
+        self.expected = Some(number.saturating_add(1).max(expected));
+    }
+
+    /// Returns the number of companions that never arrived.
+    pub(super) fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_increase_when_wall_clock_is_set_back() {
+        let mut sequence = OutgoingSequence::new("ab".into());
+        let stamps = [5_000, 4_000, 4_000, i64::MIN, i64::MAX, 9_000];
+        let stamps = stamps.map(|wall| sequence.begin(MessageInfo::HEARTBEAT, wall).header.stamp.as_nanos());
+        assert_eq!(stamps, [5_000, 5_001, 5_002, 5_003, 5_004, 9_000]);
+    }
+
+    #[test]
+    fn parts_are_numbered_before_their_message() {
+        let mut sequence = OutgoingSequence::new("ab".into());
+        let mut message = MessageInfo { request: 7, ..sequence.begin(MessageInfo::DATA, 5) };
+        let parts = [sequence.begin_part(&mut message), sequence.begin_part(&mut message)];
+        assert_eq!((parts[0].sequence, parts[1].sequence, message.sequence), (0, 1, 2));
+        let is_of_message = |part: &MessageInfo| part.header == message.header && part.request == 7;
+        assert!(parts.iter().all(is_of_message));
+        assert_eq!(sequence.begin(MessageInfo::HEARTBEAT, 5).sequence, 3);
+    }
+
+    #[test]
+    fn missing_companions_are_counted() {
+        let mut sequence = IncomingSequence::default();
+        for number in [5, 6, 9, 7, 10] {
+            sequence.hear(number);
+        }
+        assert_eq!(sequence.missed(), 2);
+        sequence.hear(u64::MAX);
+        sequence.hear(0);
+        assert_eq!(sequence.missed(), 2 + (u64::MAX - 11));
+    }
+}
