@@ -12,12 +12,13 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
-use super::channel::{Channel, ReceiveLimits, largest_message, queue_limits};
+use super::channel::Channel;
 use super::connection::Event;
 use super::interface::{
     EdgeTopics, NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicUse,
     end_in_background, open_node,
 };
+use super::limits::{ReceiveLimits, largest_message, queue_limits};
 use super::names::{TopicPair, allowed, edge_node_prefix, refusals_topic, sessions_topic};
 use super::serving::{Directive, Serving, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
@@ -105,7 +106,7 @@ struct Opened {
     request_info: Box<dyn SessionPublisher>,
     response_info: Box<dyn SessionSubscriber>,
     response: Box<dyn SessionSubscriber>,
-    /// What the cloud says instead of a welcome.
+    /// Topic on which the cloud refuses a connection.
     refusals: Box<dyn SessionSubscriber>,
 }
 

@@ -12,13 +12,12 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
-use super::channel::{
-    Channel, INFO_OVERHEAD_BYTES, MASTER_RETRY, ReceiveLimits, largest_message, payload_topic_closed,
-    queue_limits,
-};
+use super::channel::Channel;
 use super::connection::Event;
 use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
+use super::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
 use super::names::TopicPair;
+use super::payload_topic::{MASTER_RETRY, payload_topic_closed};
 use super::serving::{Directive, Serving, Sink};
 use crate::SessionSettings;
 use crate::transport::memory::{MemoryBudget, Reservation};

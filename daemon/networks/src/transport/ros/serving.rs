@@ -9,9 +9,10 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
-use super::channel::{Channel, ReceiveLimits};
+use super::channel::Channel;
 use super::connection::Event;
 use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
+use super::limits::ReceiveLimits;
 use super::names::without_connection;
 use super::payload;
 
@@ -71,7 +72,7 @@ impl<S: Sink> Serving<S> {
         let mut waiting = VecDeque::new();
         let mut foreign = SecondPublishers::default();
         let mut connected = BTreeSet::new();
-        let (mut is_closing, mut opens_payload_topic) = (false, false);
+        let mut is_closing = false;
         let mut left = None;
         loop {
             self.send_due();
@@ -113,8 +114,8 @@ impl<S: Sink> Serving<S> {
                     continue;
                 }
             }
-            let next = self.channel.lock().next_timer().map(|next| self.channel.instant(next));
-            let next = next.into_iter().chain(left.as_ref().map(|(_, until)| *until)).min();
+            let next =
+                self.channel.next_timer().into_iter().chain(left.as_ref().map(|(_, until)| *until)).min();
             let is_idle = waiting.is_empty();
             let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
             let step = tokio::select! {
@@ -149,13 +150,10 @@ impl<S: Sink> Serving<S> {
                 message = info.recv(), if is_idle => Step::Info(message),
                 message = receive(payload), if is_idle => Step::Payload(message),
                 directive = sink.wait(channel) => Step::Directive(directive),
-                () = channel.wake.notified() => {
-                    if let Some(kind) = channel.wanted.get()
-                        && !std::mem::replace(&mut opens_payload_topic, true)
-                    {
-                        let (channel, kind) = (Arc::clone(channel), *kind);
-                        tokio::spawn(async move { channel.publish_payload_topic(kind).await });
-                    }
+                () = channel.wait_for_remark() => Step::Other,
+                kind = channel.wait_for_payload_type() => {
+                    let channel = Arc::clone(channel);
+                    tokio::spawn(async move { channel.publish_payload_topic(kind).await });
                     Step::Other
                 }
                 () = changed => Step::Publishers,

@@ -1,0 +1,179 @@
+//! The topic on which this end publishes its payloads.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_ros::messages::Header;
+use peernet_ros::ros1::{Delivery, QueueLimits};
+use peernet_sample::Description;
+use tokio::sync::Notify;
+
+use super::connection::PeerState;
+use super::interface::{NodeFailure, SessionNode, SessionPublisher, TopicUse};
+use super::payload::{self, PayloadType};
+use crate::transport::SendFailure;
+
+/// Time between two attempts to open a topic while the master is away.
+pub(super) const MASTER_RETRY: Duration = Duration::from_secs(1);
+
+/// Payload topic of one end of a connection. The first payload decides its type, and has the connection's task open it. A payload
+/// that cannot travel on it travels in the companion of its message.
+#[derive(Debug)]
+pub(super) struct PayloadTopic {
+    name: String,
+    queue: QueueLimits,
+    state: Mutex<TopicState>,
+    /// Signals that the topic is to be opened.
+    requested: Notify,
+}
+
+#[derive(Debug, Default)]
+struct TopicState {
+    phase: TopicPhase,
+    /// A remark says that the QoS of the other end does not fit.
+    has_remarked_refusal: bool,
+    /// A remark says that payloads are too long for the topic.
+    has_remarked_size: bool,
+}
+
+#[derive(Debug, Default)]
+enum TopicPhase {
+    /// No payload was sent yet.
+    #[default]
+    Unused,
+    /// The topic is to be opened with a type.
+    Requested(PayloadType),
+    Opening,
+    Open(PayloadType, Box<dyn SessionPublisher>),
+}
+
+/// The first payload part of a message.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Payload<'a> {
+    /// Header of the message's companion.
+    pub(super) header: &'a Header,
+    pub(super) part: &'a Description,
+    pub(super) data: &'a Bytes,
+}
+
+impl PayloadTopic {
+    pub(super) fn new(name: String, queue: QueueLimits) -> Self {
+        Self { name, queue, state: Mutex::default(), requested: Notify::new() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, TopicState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the global name of the topic.
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Publishes a payload. Returns whether the peer gets it this way, so that it need not travel in the companion.
+    ///
+    /// # Errors
+    /// The queue of a peer that receives the topic is full, or the topic has ended.
+    pub(super) fn publish(
+        &self,
+        node: &dyn SessionNode,
+        (peer, peer_state): (&str, PeerState),
+        payload: &Payload<'_>,
+        remark: &mut dyn FnMut(String),
+    ) -> Result<bool, SendFailure> {
+        let Payload { header, part, data } = *payload;
+        let kind = PayloadType::of(part, data.len());
+        let mut state = self.state();
+        let TopicState { phase, has_remarked_refusal, has_remarked_size } = &mut *state;
+        let (opened, publisher) = match phase {
+            TopicPhase::Open(opened, publisher) => (opened, publisher),
+            TopicPhase::Unused => {
+                *phase = TopicPhase::Requested(kind);
+                self.requested.notify_one();
+                return Ok(false);
+            }
+            TopicPhase::Requested(_) | TopicPhase::Opening => return Ok(false),
+        };
+        if *opened != kind {
+            return Ok(false);
+        }
+        let max_bytes = max_payload_bytes(node, peer_state);
+        if let Some(max_bytes) = max_bytes.filter(|max_bytes| data.len() > *max_bytes) {
+            if !std::mem::replace(has_remarked_size, true) {
+                remark(payload_too_long(data.len(), max_bytes, publisher.topic()));
+            }
+            return Ok(false);
+        }
+        let is_confirmed = max_bytes.is_none() || peer_state.is_subscribed;
+        if !is_confirmed
+            && !*has_remarked_refusal
+            && let Some(reason) = publisher.refusal(peer)
+        {
+            *has_remarked_refusal = true;
+            remark(format!("payloads travel in their companions as well: {reason}"));
+        }
+        // A value that this version of ROS cannot encode travels in the companion.
+        let Ok(message) = payload::encode(node.form(), header, part, data) else {
+            return Ok(false);
+        };
+        match publisher.publish_to(peer, &[message]) {
+            Ok(Delivery::Taken) => Ok(is_confirmed),
+            Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
+            Ok(Delivery::Full | Delivery::Absent) => Ok(false),
+            Err(error) => Err(SendFailure::Gone(error.to_string())),
+        }
+    }
+
+    /// Waits until the topic is to be opened; returns the type that it is to have. That happens once. Dropping the future loses
+    /// nothing.
+    pub(super) async fn take_request(&self) -> PayloadType {
+        loop {
+            {
+                let phase = &mut self.state().phase;
+                if let TopicPhase::Requested(kind) = *phase {
+                    *phase = TopicPhase::Opening;
+                    return kind;
+                }
+            }
+            self.requested.notified().await;
+        }
+    }
+
+    /// Opens the topic.
+    ///
+    /// # Errors
+    /// The master does not answer, or refuses.
+    pub(super) async fn open(&self, node: &dyn SessionNode, kind: PayloadType) -> Result<(), NodeFailure> {
+        let publisher = node.publish(&self.name, (TopicUse::Payloads, kind.topic_type()), self.queue).await?;
+        self.state().phase = TopicPhase::Open(kind, publisher);
+        Ok(())
+    }
+}
+
+/// Returns the bytes that the sockets of both ends hold; `None` where payloads of any length arrive.
+fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
+    let own = node.receive_buffer_bytes()?;
+    Some(peer.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize)))
+}
+
+/// Returns the remark on a payload that the sockets do not hold.
+fn payload_too_long(bytes: usize, most: usize, topic: &str) -> String {
+    format!(
+        "a payload of {bytes} bytes is longer than the {most} bytes that the sockets of both hosts hold: such payloads travel \
+         in parts and not on topic {topic}, where other programs would see them; raise socket_buffer_bytes of the session, and \
+         net.core.rmem_max, on both hosts"
+    )
+}
+
+/// Returns the remark on a payload topic that could not be opened.
+pub(super) fn payload_topic_closed(topic: &str, error: &NodeFailure) -> String {
+    format!(
+        "topic {topic} could not be opened, and is tried again every {} s; payloads travel on the topic of their companions \
+         until then: {error}",
+        MASTER_RETRY.as_secs()
+    )
+}
+
+#[cfg(test)]
+mod tests;
