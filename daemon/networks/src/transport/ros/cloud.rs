@@ -1,5 +1,12 @@
 //! The cloud's end of all connections of one name.
 
+mod connection_table;
+mod payload_subscription;
+mod peers;
+mod refusals;
+mod sink;
+mod tasks;
+
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,16 +16,14 @@ use peernet_clock::SharedClock;
 use peernet_ros::messages::{Message, MessageInfo, SessionHello, WireForm};
 use peernet_ros::ros1::{QueueLimits, SubscriberOptions, TopicType, WhenFull};
 use tokio::sync::mpsc;
-use tokio::time::timeout;
-use tokio_util::sync::CancellationToken;
-use tokio_util::task::TaskTracker;
 
+use self::connection_table::Admission;
+use self::peers::{Delivery, Peers};
+use self::tasks::CloudTasks;
 use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, TopicUse, open_node};
 use super::names::{cloud_node, refusals_topic, sessions_topic};
-use super::peers::{Delivery, Peers, Standing};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
-use crate::transport::memory::MemoryBudget;
 use crate::transport::{
     Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
     SendOptions,
@@ -65,19 +70,18 @@ pub(crate) async fn bind(
     let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
-    let (stop, abort, tasks) = (CancellationToken::new(), CancellationToken::new(), TaskTracker::new());
     let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
-    let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
+    let tasks = CloudTasks::default();
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
-        (settings.clone(), budget, max),
+        (settings.clone(), max),
         (refusals, deliveries),
-        (stop.clone(), abort.clone(), tasks.clone()),
+        tasks.clone(),
     );
     let peers = Arc::new(peers);
-    tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, (stop.clone(), abort.clone())));
+    tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
     let sender = Box::new(RosCloudSender(peers));
-    let receiver = Box::new(RosCloudReceiver { node, arrivals, stop, abort, tasks });
+    let receiver = Box::new(RosCloudReceiver { node, arrivals, tasks });
     Ok(Bound { address: address.clone(), caveat, sender, receiver })
 }
 
@@ -86,17 +90,16 @@ async fn accept(
     peers: Arc<Peers>,
     node: Arc<dyn SessionNode>,
     mut sessions: Box<dyn SessionSubscriber>,
-    (stop, abort): (CancellationToken, CancellationToken),
+    tasks: CloudTasks,
 ) {
     loop {
         tokio::select! {
-            () = stop.cancelled() => return,
-            () = abort.cancelled() => return,
+            () = tasks.ending() => return,
             message = sessions.recv() => match message {
                 Ok(message) => hear(&peers, node.form(), message),
                 Err(error) => {
                     tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
-                    abort.cancel();
+                    tasks.abort();
                     return;
                 }
             },
@@ -134,15 +137,15 @@ impl CloudSender for RosCloudSender {
     }
 
     fn greet(&self, connection: ConnectionId) {
-        self.0.set_standing(connection, Standing::Greeted);
+        self.0.set_admission(connection, Admission::Greeted);
     }
 
     fn admit(&self, connection: ConnectionId) {
-        self.0.set_standing(connection, Standing::Admitted);
+        self.0.set_admission(connection, Admission::Admitted);
     }
 
     fn demote(&self, connection: ConnectionId) {
-        self.0.set_standing(connection, Standing::Unadmitted);
+        self.0.set_admission(connection, Admission::Unadmitted);
     }
 
     fn statistics(&self, connection: ConnectionId) -> TransportStatistics {
@@ -154,14 +157,12 @@ impl CloudSender for RosCloudSender {
 struct RosCloudReceiver {
     node: Arc<dyn SessionNode>,
     arrivals: mpsc::Receiver<Delivery>,
-    stop: CancellationToken,
-    abort: CancellationToken,
-    tasks: TaskTracker,
+    tasks: CloudTasks,
 }
 
 impl Drop for RosCloudReceiver {
     fn drop(&mut self) {
-        self.abort.cancel();
+        self.tasks.abort();
         self.node.close();
     }
 }
@@ -172,7 +173,7 @@ impl CloudReceiver for RosCloudReceiver {
             tokio::select! {
                 biased;
                 delivery = self.arrivals.recv() => delivery.map(|(arrival, _reserved)| arrival),
-                () = self.abort.cancelled() => None,
+                () = self.tasks.aborted() => None,
             }
         })
     }
@@ -181,11 +182,7 @@ impl CloudReceiver for RosCloudReceiver {
         Box::pin(async move {
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
-            self.stop.cancel();
-            self.tasks.close();
-            if timeout(linger, self.tasks.wait()).await.is_err() {
-                self.abort.cancel();
-            }
+            self.tasks.close(linger).await;
             self.node.end(linger).await;
         })
     }

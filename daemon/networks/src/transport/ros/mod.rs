@@ -20,7 +20,6 @@ mod pairing;
 mod parts;
 mod payload;
 mod payload_topic;
-mod peers;
 mod ros1;
 mod ros2;
 mod serving;

@@ -1,0 +1,279 @@
+//! The connections of a cloud, and the rules by which it opens more. No I/O.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_ros::messages::SessionHello;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::transport::ros::channel::Channel;
+use crate::transport::{AddressGroup, ConnectionId};
+
+/// Access that the sessions of a connection give it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Admission {
+    /// It has no session.
+    Unadmitted,
+    /// Its request for a session is being decided on.
+    Greeted,
+    /// It has a session.
+    Admitted,
+}
+
+/// Connections of a cloud: one of each pipeline at most, in bounded number.
+#[derive(Debug)]
+pub(super) struct ConnectionTable {
+    max_connections: usize,
+    /// Largest number of connections without a session.
+    max_unadmitted: usize,
+    table: Mutex<Table>,
+}
+
+#[derive(Debug, Default)]
+struct Table {
+    next: u64,
+    /// By the global names of their pipelines.
+    connections: BTreeMap<String, Arc<CloudConnection>>,
+}
+
+/// Result of a request for a connection.
+#[derive(Debug)]
+pub(super) enum Opening {
+    /// The connection was opened by an earlier request.
+    Repeated,
+    /// The connection may not be opened now, for a reason.
+    Refused(&'static str),
+    Begun {
+        connection: Arc<CloudConnection>,
+        /// An earlier connection of the pipeline, which was aborted.
+        replaced: Option<Arc<CloudConnection>>,
+    },
+}
+
+impl ConnectionTable {
+    pub(super) fn new(max_connections: usize, max_unadmitted: usize) -> Self {
+        Self { max_connections, max_unadmitted, table: Mutex::default() }
+    }
+
+    fn table(&self) -> MutexGuard<'_, Table> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds the connection that an edge asks for, if it may have one. `abort` ends it.
+    pub(super) fn open(
+        &self,
+        hello: &SessionHello,
+        group: AddressGroup,
+        abort: CancellationToken,
+    ) -> Opening {
+        let mut table = self.table();
+        let replaced = table.connections.get(&hello.pipeline).cloned();
+        if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
+            return Opening::Repeated;
+        }
+        if let Some(reason) = self.reason_to_refuse(&table, replaced.as_deref(), &hello.host, group) {
+            return Opening::Refused(reason);
+        }
+        let connection = Arc::new(CloudConnection {
+            id: ConnectionId(table.next),
+            identifier: hello.header.frame_id.clone(),
+            host: hello.host.clone(),
+            group,
+            channel: Mutex::default(),
+            admission: watch::Sender::new(Admission::Unadmitted),
+            abort,
+            ended: CancellationToken::new(),
+        });
+        table.next += 1;
+        table.connections.insert(hello.pipeline.clone(), Arc::clone(&connection));
+        if let Some(replaced) = &replaced {
+            replaced.abort.cancel();
+        }
+        Opening::Begun { connection, replaced }
+    }
+
+    /// Returns why an edge gets no connection now.
+    fn reason_to_refuse(
+        &self,
+        table: &Table,
+        replaced: Option<&CloudConnection>,
+        host: &str,
+        group: AddressGroup,
+    ) -> Option<&'static str> {
+        if let Some(earlier) = replaced {
+            // A host is believed that it has come back only from where it was.
+            let is_same = earlier.host == host && earlier.group == group;
+            return (!is_same).then_some(
+                "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
+                 the pipelines another name, or set ROS_NAMESPACE to a namespace of each robot",
+            );
+        }
+        let is_unadmitted =
+            |connection: &&Arc<CloudConnection>| *connection.admission.borrow() != Admission::Admitted;
+        let (mut all, mut of_group) = (0, 0);
+        for unadmitted in table.connections.values().filter(is_unadmitted) {
+            all += 1;
+            of_group += usize::from(unadmitted.group == group);
+        }
+        if table.connections.len() >= self.max_connections {
+            Some("there are too many; raise the limit of open files (LimitNOFILE)")
+        } else if all >= self.max_unadmitted.max(1) || of_group >= (self.max_unadmitted / 2).max(1) {
+            Some("too many others have no session yet")
+        } else {
+            None
+        }
+    }
+
+    /// Returns a connection by its number.
+    pub(super) fn find(&self, id: ConnectionId) -> Option<Arc<CloudConnection>> {
+        self.table().connections.values().find(|connection| connection.id == id).cloned()
+    }
+
+    /// Removes a connection that has ended, unless another has its topics already.
+    pub(super) fn remove(&self, pipeline: &str, connection: &Arc<CloudConnection>) {
+        let mut table = self.table();
+        if table.connections.get(pipeline).is_some_and(|current| Arc::ptr_eq(current, connection)) {
+            table.connections.remove(pipeline);
+        }
+    }
+}
+
+/// A connection of a cloud.
+#[derive(Debug)]
+pub(super) struct CloudConnection {
+    id: ConnectionId,
+    /// Random identifier that the edge gave the connection.
+    identifier: String,
+    /// Host of the edge.
+    host: String,
+    /// Addresses that count as one with that of the edge.
+    group: AddressGroup,
+    /// From the time when the topics are open until the connection has ended.
+    channel: Mutex<Option<Arc<Channel>>>,
+    admission: watch::Sender<Admission>,
+    abort: CancellationToken,
+    ended: CancellationToken,
+}
+
+impl CloudConnection {
+    /// Returns the number of the connection.
+    pub(super) fn id(&self) -> ConnectionId {
+        self.id
+    }
+
+    /// Returns the random identifier that the edge gave the connection.
+    pub(super) fn identifier(&self) -> &str {
+        &self.identifier
+    }
+
+    fn lock_channel(&self) -> MutexGuard<'_, Option<Arc<Channel>>> {
+        self.channel.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns this end of the connection, while its topics are open.
+    pub(super) fn channel(&self) -> Option<Arc<Channel>> {
+        self.lock_channel().clone()
+    }
+
+    /// Sets this end of the connection once its topics are open.
+    pub(super) fn set_channel(&self, channel: Arc<Channel>) {
+        *self.lock_channel() = Some(channel);
+    }
+
+    pub(super) fn set_admission(&self, admission: Admission) {
+        self.admission.send_replace(admission);
+    }
+
+    /// Returns the admission with its changes from now on.
+    pub(super) fn watch_admission(&self) -> watch::Receiver<Admission> {
+        self.admission.subscribe()
+    }
+
+    /// Returns the token that ends the connection without a goodbye.
+    pub(super) fn abort_token(&self) -> CancellationToken {
+        self.abort.clone()
+    }
+
+    /// Closes the topics: the next connection of the pipeline publishes the same.
+    pub(super) fn end(&self) {
+        self.lock_channel().take();
+        self.ended.cancel();
+    }
+
+    /// Waits until the topics are closed.
+    pub(super) async fn wait_for_end(&self) {
+        self.ended.cancelled().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+
+    use peernet_ros::messages::Header;
+
+    use super::*;
+
+    /// Asks for a connection of a host, which is at an address, for a pipeline.
+    fn open(
+        table: &ConnectionTable,
+        identifier: &str,
+        (host, address): (&str, &str),
+        pipeline: &str,
+    ) -> Opening {
+        let header = Header { frame_id: identifier.into(), ..Header::default() };
+        let (host, pipeline) = (host.to_owned(), pipeline.to_owned());
+        let hello = SessionHello { header, host, pipeline, ..SessionHello::default() };
+        let address: SocketAddr = format!("{address}:1").parse().expect("an address");
+        table.open(&hello, AddressGroup::of(address), CancellationToken::new())
+    }
+
+    fn begun(opening: Opening) -> Arc<CloudConnection> {
+        match opening {
+            Opening::Begun { connection, .. } => connection,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn new_connection_of_same_host_replaces_earlier_one() {
+        let table = ConnectionTable::new(10, 10);
+        let robot = ("a", "192.0.2.1");
+        let first = begun(open(&table, "1", robot, "/line"));
+        assert!(matches!(open(&table, "1", robot, "/line"), Opening::Repeated));
+        for (host, address) in [("b", "192.0.2.1"), ("a", "198.51.100.1")] {
+            let opening = open(&table, "2", (host, address), "/line");
+            assert!(matches!(opening, Opening::Refused(_)), "{host} at {address}: {opening:?}");
+        }
+        assert!(!first.abort_token().is_cancelled());
+        let second = open(&table, "2", robot, "/line");
+        let Opening::Begun { connection: second, replaced: Some(replaced) } = second else {
+            panic!("{second:?}")
+        };
+        assert!(Arc::ptr_eq(&first, &replaced) && first.abort_token().is_cancelled());
+        table.remove("/line", &first);
+        assert!(table.find(second.id()).is_some() && table.find(first.id()).is_none());
+        table.remove("/line", &second);
+        assert!(table.find(second.id()).is_none());
+    }
+
+    #[test]
+    fn connections_are_bounded_by_admission_and_in_all() {
+        let table = ConnectionTable::new(3, 2);
+        let open = |pipeline, address| open(&table, pipeline, ("a", address), pipeline);
+        let refusal = |pipeline, address| match open(pipeline, address) {
+            Opening::Refused(reason) => reason,
+            other => panic!("{other:?}"),
+        };
+        let first = begun(open("/1", "192.0.2.1"));
+        let unadmitted = "too many others have no session yet";
+        assert_eq!(refusal("/2", "192.0.2.1"), unadmitted, "half of the places is for other addresses");
+        begun(open("/2", "198.51.100.1"));
+        assert_eq!(refusal("/3", "203.0.113.1"), unadmitted);
+        first.set_admission(Admission::Admitted);
+        let third = begun(open("/3", "203.0.113.1"));
+        third.set_admission(Admission::Admitted);
+        assert!(refusal("/4", "203.0.113.1").starts_with("there are too many"));
+    }
+}

@@ -1,0 +1,71 @@
+//! The topic on which the cloud receives the payloads of a connection.
+
+use std::sync::Arc;
+
+use peernet_ros::ros1::{SubscriberOptions, TopicType};
+use tokio::task::JoinError;
+use tokio::time::sleep;
+use tokio_util::task::AbortOnDropHandle;
+
+use crate::transport::ros::channel::Channel;
+use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicUse};
+use crate::transport::ros::payload_topic::{MASTER_RETRY, payload_topic_closed};
+
+/// Subscription to the payloads of one connection, which is made once and in the background: it asks the master, which may be
+/// away.
+#[derive(Debug)]
+pub(super) enum PayloadSubscription {
+    /// The connection has had no session yet.
+    Unused {
+        /// Node of the cloud.
+        node: Arc<dyn SessionNode>,
+        /// Global name of the topic.
+        topic: String,
+        options: SubscriberOptions,
+    },
+    Opening(AbortOnDropHandle<Box<dyn SessionSubscriber>>),
+    /// It was opened, or its task has failed.
+    Ended,
+}
+
+impl PayloadSubscription {
+    /// Begins to subscribe, unless that was begun earlier.
+    pub(super) fn begin(&mut self, channel: &Arc<Channel>) {
+        if let Self::Unused { node, topic, options } = self {
+            let (node, topic, options) = (Arc::clone(node), std::mem::take(topic), options.clone());
+            let channel = Arc::clone(channel);
+            // What arrives meanwhile is in the companions.
+            let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options, &channel).await });
+            *self = Self::Opening(AbortOnDropHandle::new(subscribing));
+        }
+    }
+
+    /// Waits until the topic is subscribed to, which happens once.
+    pub(super) async fn opened(&mut self) -> Result<Box<dyn SessionSubscriber>, JoinError> {
+        let Self::Opening(subscribing) = self else { return std::future::pending().await };
+        let opened = subscribing.await;
+        *self = Self::Ended;
+        opened
+    }
+}
+
+/// Subscribes to a payload topic, again and again while the master is away.
+async fn subscribe(
+    node: &dyn SessionNode,
+    topic: &str,
+    options: SubscriberOptions,
+    channel: &Channel,
+) -> Box<dyn SessionSubscriber> {
+    let mut is_reported = false;
+    loop {
+        match node.subscribe(topic, (TopicUse::Payloads, TopicType::any()), options.clone()).await {
+            Ok(subscriber) => return subscriber,
+            Err(error) if !is_reported => {
+                channel.remark(&mut channel.lock(), payload_topic_closed(topic, &error));
+                is_reported = true;
+            }
+            Err(_) => {}
+        }
+        sleep(MASTER_RETRY).await;
+    }
+}

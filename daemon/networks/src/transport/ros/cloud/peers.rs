@@ -1,0 +1,156 @@
+//! The connections of a cloud.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use peernet_clock::SharedClock;
+use peernet_ros::messages::{MessageInfo, SessionHello};
+use peernet_ros::ros1::TopicType;
+use tokio::sync::mpsc;
+
+use super::connection_table::{Admission, CloudConnection, ConnectionTable, Opening};
+use super::payload_subscription::PayloadSubscription;
+use super::refusals::Refusals;
+use super::sink::CloudSink;
+use super::tasks::CloudTasks;
+use crate::SessionSettings;
+use crate::transport::memory::{MemoryBudget, Reservation};
+use crate::transport::ros::channel::Channel;
+use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
+use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
+use crate::transport::ros::names::TopicPair;
+use crate::transport::ros::serving::Serving;
+use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
+
+/// Largest companion before a session. Bytes.
+const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
+
+/// Companions of that length that a connection without a session holds: one is being received while another waits.
+const MAX_UNADMITTED_MESSAGES: usize = 2;
+
+/// Memory of all connections without a session. Bytes.
+const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
+
+/// An arrival that is handed up, with the memory that it holds.
+pub(super) type Delivery = (Arrival, Vec<Reservation>);
+
+/// All connections of a cloud.
+#[derive(Debug)]
+pub(super) struct Peers {
+    node: Arc<dyn SessionNode>,
+    clock: SharedClock,
+    settings: SessionSettings,
+    /// Limits of connections with a session, which share the memory.
+    admitted: ReceiveLimits,
+    table: ConnectionTable,
+    refusals: Refusals,
+    deliveries: mpsc::Sender<Delivery>,
+    tasks: CloudTasks,
+}
+
+impl Peers {
+    pub(super) fn new(
+        (node, clock): (Arc<dyn SessionNode>, SharedClock),
+        (settings, max_connections): (SessionSettings, usize),
+        (refusals, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
+        tasks: CloudTasks,
+    ) -> Self {
+        let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
+        let admitted = ReceiveLimits { max_message_bytes: largest_message(&settings), budget };
+        let max_unadmitted = (max_connections / 2)
+            .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
+        let table = ConnectionTable::new(max_connections, max_unadmitted);
+        let shared = (Arc::clone(&node), SharedClock::clone(&clock));
+        let refusals = Refusals::new(shared, refusals, deliveries.clone());
+        Self { node, clock, settings, admitted, table, refusals, deliveries, tasks }
+    }
+
+    pub(super) fn channel(&self, connection: ConnectionId) -> Option<Arc<Channel>> {
+        self.table.find(connection)?.channel()
+    }
+
+    pub(super) fn set_admission(&self, connection: ConnectionId, admission: Admission) {
+        if let Some(connection) = self.table.find(connection) {
+            connection.set_admission(admission);
+        }
+    }
+
+    /// Hands up that a node sent something that makes no sense.
+    pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
+        let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
+        if self.deliveries.try_send((garbage, Vec::new())).is_err() {
+            tracing::debug!(%from, problem, "a message that makes no sense is not counted, because nobody receives");
+        }
+    }
+
+    /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
+    pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
+        let group = AddressGroup::of(edge.remote);
+        let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
+            Opening::Repeated => return,
+            Opening::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
+            Opening::Begun { connection, replaced } => (connection, replaced),
+        };
+        let (peers, edge) = (Arc::clone(self), edge.clone());
+        self.tasks.spawn(async move {
+            if let Some(replaced) = replaced {
+                // Its topics have the same names.
+                replaced.wait_for_end().await;
+            }
+            if let Err(error) = peers.serve(&connection, &hello.pipeline, &edge).await {
+                peers.refusals.refuse_failed(&hello, &edge, &error.to_string());
+            }
+            peers.table.remove(&hello.pipeline, &connection);
+            connection.end();
+            // The connection may have ended by itself, which was handed up then; handing it up twice does no harm.
+            let gone = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
+            let _ = peers.deliveries.send((gone, Vec::new())).await;
+        });
+    }
+
+    async fn serve(
+        &self,
+        connection: &CloudConnection,
+        pipeline: &str,
+        edge: &RemoteNode,
+    ) -> Result<(), NodeFailure> {
+        let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
+        let kind = (TopicUse::Companions, TopicType::of::<MessageInfo>());
+        let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
+        // A budget for this connection alone, so that an edge without a session takes no memory from sessions, or from others
+        // without one.
+        let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
+        let unadmitted =
+            ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
+        let options = unadmitted.subscriber_options(&self.settings, &edge.node);
+        let info = self.node.subscribe(&request.info, kind, options).await?;
+        let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
+        let (identifier, sending) = (connection.identifier().to_owned(), (publisher, response.payload));
+        let channel = Arc::new(Channel::new(shared, identifier, &self.settings, budget, sending));
+        channel.set_peer(edge.clone());
+        connection.set_channel(Arc::clone(&channel));
+        let peer = Peer { connection: connection.id(), address: Some(edge.remote) };
+        let payloads = PayloadSubscription::Unused {
+            node: Arc::clone(&self.node),
+            topic: request.payload,
+            options: self.admitted.subscriber_options(&self.settings, &edge.node),
+        };
+        let sink = CloudSink::new(
+            (peer, connection.watch_admission()),
+            self.settings.hello_timeout(),
+            (unadmitted, self.admitted.clone()),
+            payloads,
+        );
+        let serving = Serving {
+            channel,
+            info,
+            payload: None,
+            sink,
+            deliveries: self.deliveries.clone(),
+            stop: self.tasks.stop_token(),
+            abort: connection.abort_token(),
+        };
+        serving.run("the cloud shuts down").await;
+        Ok(())
+    }
+}

@@ -1,0 +1,77 @@
+//! Refusals of connections.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peernet_clock::{LogThrottle, SharedClock};
+use peernet_ros::messages::{Header, Message, MessageInfo, SessionHello};
+use tokio::sync::mpsc;
+
+use super::peers::Delivery;
+use crate::transport::Arrival;
+use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
+
+/// Publishes why edges get no connection, and hands refusals up. An edge repeats its request, and is refused again each time.
+#[derive(Debug)]
+pub(super) struct Refusals {
+    node: Arc<dyn SessionNode>,
+    clock: SharedClock,
+    publisher: Box<dyn SessionPublisher>,
+    deliveries: mpsc::Sender<Delivery>,
+    throttle: Mutex<LogThrottle>,
+}
+
+impl Refusals {
+    pub(super) fn new(
+        (node, clock): (Arc<dyn SessionNode>, SharedClock),
+        publisher: Box<dyn SessionPublisher>,
+        deliveries: mpsc::Sender<Delivery>,
+    ) -> Self {
+        Self { node, clock, publisher, deliveries, throttle: Mutex::default() }
+    }
+
+    /// Refuses a connection that cannot be opened now. It is handed up once a minute for each reason and address.
+    pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+        let address = Some(edge.remote.ip());
+        let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_due = throttle.count(reason, address, self.clock.mono()).is_some();
+        drop(throttle);
+        self.publish(hello, reason);
+        if is_due {
+            self.hand_up(hello, edge, reason);
+        }
+    }
+
+    /// Refuses a connection whose opening failed. It is handed up each time.
+    pub(super) fn refuse_failed(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+        self.publish(hello, reason);
+        self.hand_up(hello, edge, reason);
+    }
+
+    fn publish(&self, hello: &SessionHello, reason: &str) {
+        let header = Header { frame_id: hello.header.frame_id.clone(), ..Header::default() };
+        let goodbye = MessageInfo {
+            header,
+            kind: MessageInfo::GOODBYE,
+            request: MessageInfo::NO_REQUEST,
+            reason: peernet_sample::printable_line(reason).into_owned(),
+            ..MessageInfo::default()
+        };
+        let encoded = goodbye.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
+        if let Err(error) = encoded.and_then(|message| self.publisher.publish(message)) {
+            let topic = self.publisher.topic();
+            tracing::debug!(%error, topic, "an edge is not told why it gets no connection");
+        }
+    }
+
+    fn hand_up(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+        let node = self.node.describe(&edge.node);
+        let pipeline = peernet_sample::printable_line(&hello.pipeline);
+        let reason = peernet_sample::printable_line(reason);
+        let host = edge.remote.ip();
+        let text = format!("refused a connection to {node} on {host} for pipeline {pipeline}: {reason}");
+        let refused = Arrival::Refused(hello.host.parse().ok(), text.clone());
+        if self.deliveries.try_send((refused, Vec::new())).is_err() {
+            tracing::warn!("{text}");
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! The cloud's side of one connection.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_ros::messages::MessageInfo;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until};
+
+use super::connection_table::Admission;
+use super::payload_subscription::PayloadSubscription;
+use super::peers::Delivery;
+use crate::transport::ros::channel::Channel;
+use crate::transport::ros::connection::Event;
+use crate::transport::ros::limits::ReceiveLimits;
+use crate::transport::ros::serving::{Directive, Sink};
+use crate::transport::{Arrival, Peer};
+
+/// Hands up the events of a connection, and follows what its sessions entitle it to.
+pub(super) struct CloudSink {
+    peer: Peer,
+    admission: watch::Receiver<Admission>,
+    /// Time in which a connection without a session must open one.
+    hello_timeout: Duration,
+    /// When the connection ends if it has no session.
+    deadline: Option<Instant>,
+    unadmitted: ReceiveLimits,
+    admitted: ReceiveLimits,
+    payloads: PayloadSubscription,
+}
+
+impl CloudSink {
+    pub(super) fn new(
+        (peer, admission): (Peer, watch::Receiver<Admission>),
+        hello_timeout: Duration,
+        (unadmitted, admitted): (ReceiveLimits, ReceiveLimits),
+        payloads: PayloadSubscription,
+    ) -> Self {
+        let deadline = Some(Instant::now() + hello_timeout);
+        Self { peer, admission, hello_timeout, deadline, unadmitted, admitted, payloads }
+    }
+
+    fn follow(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
+        self.deadline = (admission == Admission::Unadmitted).then(|| Instant::now() + self.hello_timeout);
+        if admission != Admission::Admitted {
+            return Directive::Limit(self.unadmitted.clone());
+        }
+        self.payloads.begin(channel);
+        Directive::Limit(self.admitted.clone())
+    }
+}
+
+impl Sink for CloudSink {
+    type Delivery = Delivery;
+
+    fn take(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
+        let connection = self.peer.connection;
+        let (arrival, reserved) = match event {
+            Event::Hello => {
+                channel.announce(MessageInfo::WELCOME);
+                return None;
+            }
+            Event::Welcome => return None,
+            Event::Message(frames, reserved) => (Arrival::Message(self.peer.clone(), frames), reserved),
+            Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
+            Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
+            Event::Garbage(problem) => (Arrival::Garbage(self.peer.address, problem), Vec::new()),
+            Event::Remark(text) => (Arrival::Remark(connection, text), Vec::new()),
+            Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
+        };
+        Some((arrival, reserved))
+    }
+
+    async fn wait(&mut self, channel: &Arc<Channel>) -> Directive {
+        let deadline = self.deadline;
+        let too_late = async move {
+            match deadline {
+                Some(deadline) => sleep_until(deadline).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            subscriber = self.payloads.opened() => match subscriber {
+                Ok(subscriber) => Directive::Admit(subscriber),
+                Err(error) => Directive::End(error.to_string()),
+            },
+            changed = self.admission.changed() => {
+                let admission = *self.admission.borrow_and_update();
+                match changed {
+                    Ok(()) => self.follow(admission, channel),
+                    Err(_) => Directive::End("the connection was closed here".to_owned()),
+                }
+            }
+            () = too_late => Directive::End("no session was opened in time".to_owned()),
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! The tasks of a cloud and their end.
+
+use std::time::Duration;
+
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+
+/// Tasks of a cloud. They are asked to stop first, and are aborted when they do not stop in time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CloudTasks {
+    stop: CancellationToken,
+    abort: CancellationToken,
+    tracker: TaskTracker,
+}
+
+impl CloudTasks {
+    /// Starts a task, which is to end when one of the tokens is cancelled.
+    pub(super) fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
+        self.tracker.spawn(task);
+    }
+
+    /// Returns the token that asks the tasks to stop with a goodbye.
+    pub(super) fn stop_token(&self) -> CancellationToken {
+        self.stop.clone()
+    }
+
+    /// Returns a token of one connection, which ends it without a goodbye.
+    pub(super) fn abort_token(&self) -> CancellationToken {
+        self.abort.child_token()
+    }
+
+    /// Ends all tasks without goodbyes.
+    pub(super) fn abort(&self) {
+        self.abort.cancel();
+    }
+
+    /// Waits until the tasks are aborted.
+    pub(super) async fn aborted(&self) {
+        self.abort.cancelled().await;
+    }
+
+    /// Waits until the tasks are asked to stop or are aborted.
+    pub(super) async fn ending(&self) {
+        tokio::select! {
+            () = self.stop.cancelled() => {}
+            () = self.abort.cancelled() => {}
+        }
+    }
+
+    /// Asks the tasks to stop, and aborts them after `linger`.
+    pub(super) async fn close(&self, linger: Duration) {
+        self.stop.cancel();
+        self.tracker.close();
+        if timeout(linger, self.tracker.wait()).await.is_err() {
+            self.abort();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn task_that_does_not_stop_is_aborted() {
+        let tasks = CloudTasks::default();
+        let (polite, stubborn) = (tasks.stop_token(), tasks.abort_token());
+        tasks.spawn(async move { polite.cancelled().await });
+        tasks.spawn(async move { stubborn.cancelled().await });
+        tasks.close(Duration::from_millis(20)).await;
+        tasks.aborted().await;
+        tasks.tracker.wait().await;
+    }
+
+    #[tokio::test]
+    async fn tasks_that_stop_are_not_aborted() {
+        let tasks = CloudTasks::default();
+        let other = tasks.clone();
+        tasks.spawn(async move { other.ending().await });
+        tasks.close(Duration::from_secs(60)).await;
+        assert!(!tasks.abort_token().is_cancelled());
+    }
+}
