@@ -16,8 +16,8 @@ use peernet_ros::ros2::{EndpointId, Ros2Error, Ros2Publisher};
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
-use tokio_util::task::TaskTracker;
 
+use super::publishing_tasks::PublishingTasks;
 use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
 
 /// Timeout of acknowledgments while other programs subscribe as well, which may be slow.
@@ -61,12 +61,13 @@ impl Ros2SessionPublisher {
         publisher: Ros2Publisher,
         most_bytes: usize,
         clock: SharedClock,
-        (tasks, stop): (&TaskTracker, CancellationToken),
+        tasks: &PublishingTasks,
     ) -> Self {
         let queue = Mutex::new(Queue { most_bytes, ..Queue::default() });
         let topic = publisher.topic().to_owned();
         let shared = Arc::new(Shared { publisher, topic, clock, queue, changed: Notify::new() });
-        tasks.spawn(Arc::clone(&shared).run(stop));
+        let publishing = Arc::clone(&shared);
+        tasks.spawn(|stop| publishing.run(stop));
         Self { shared }
     }
 

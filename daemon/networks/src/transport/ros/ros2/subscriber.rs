@@ -18,7 +18,8 @@ use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 use tokio_util::task::AbortOnDropHandle;
 
-use super::{Publishers, remote_node, ros2_name};
+use super::remote::remote_node;
+use super::{Publishers, ros2_name};
 use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
 };

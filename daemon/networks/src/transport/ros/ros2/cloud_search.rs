@@ -1,0 +1,127 @@
+//! Search for the cloud of a name in a domain.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_ros::messages::{Message, MessageInfo, SessionHello};
+use peernet_ros::ros2::{EndpointRole, ParticipantId, Ros2Node};
+use tokio::time::{sleep, timeout};
+
+use super::participant::{Participant, is_of_this_process};
+use super::ros2_name;
+use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
+use crate::transport::ros::names::sessions_topic;
+
+/// Time in which another cloud with the same name is looked for.
+const FIND_OTHER_CLOUD: Duration = Duration::from_secs(1);
+
+/// Time in which others that use the topics of a pipeline are looked for once the cloud is found.
+const FIND_OTHERS: Duration = Duration::from_millis(250);
+
+/// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the name of the
+/// cloud's participant.
+pub(super) async fn find_cloud(
+    participant: &Participant,
+    topics: &EdgeTopics,
+    patience: Duration,
+) -> Result<Arc<str>, NodeFailure> {
+    let node = participant.node()?;
+    let sessions = sessions_topic(&topics.cloud);
+    let clouds = || clouds_of(&node, &sessions);
+    // A cloud that has just ended may still be seen.
+    let found = await_discovery(&node, patience, || clouds().len() == 1).await;
+    if found.is_err() && clouds().is_empty() {
+        return Err(NodeFailure(format!(
+            "{} has no cloud with the name {}: nobody subscribes to {sessions} within {} s; {}",
+            node.describe_domain(),
+            topics.cloud,
+            patience.as_secs_f64(),
+            node.advise(),
+        )));
+    }
+    // DDS tells of no end of discovery, and others than the cloud may be found a little later.
+    sleep(FIND_OTHERS).await;
+    check_topics(&node, topics)?;
+    let clouds = clouds();
+    match clouds.first() {
+        Some(cloud) if clouds.len() == 1 => Ok(cloud.to_string().into()),
+        _ => Err(NodeFailure(format!(
+            "{} clouds serve the name {} in {}; stop all but one, or give each a name of its own",
+            clouds.len(),
+            topics.cloud,
+            node.describe_domain(),
+        ))),
+    }
+}
+
+/// Checks that no other program uses the topics of a pipeline.
+fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure> {
+    let remedy = "give the pipeline another name, or set ROS_NAMESPACE to a namespace of this robot";
+    let expected = ros2_name(MessageInfo::DEFINITION.name);
+    for topic in [&topics.request.info, &topics.response.info] {
+        if let Some(other) = node.endpoints_of(topic).iter().find(|found| found.type_name != expected) {
+            let of = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
+            return Err(NodeFailure(format!(
+                "topic {topic} has the message type {}{of} and would need {expected}; {remedy}",
+                other.type_name
+            )));
+        }
+    }
+    for topic in [&topics.request.info, &topics.request.payload] {
+        let publishers = node.publishers_of(topic);
+        if let Some(other) = publishers.iter().find(|found| !is_of_this_process(found.id.participant())) {
+            let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
+            let publisher = match &other.node {
+                Some(name) => format!("node {name}"),
+                None => {
+                    format!("a program without a known node (participant {})", other.id.participant())
+                }
+            };
+            return Err(NodeFailure(format!(
+                "{publisher} on {host} publishes topic {topic} already; stop it, {remedy}"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Checks that no other cloud serves a name.
+pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> Result<(), NodeFailure> {
+    let node = participant.node()?;
+    let sessions = sessions_topic(cloud);
+    // Not as soon as one is seen: it may just be ending.
+    sleep(FIND_OTHER_CLOUD).await;
+    match clouds_of(&node, &sessions).is_empty() {
+        true => Ok(()),
+        false => Err(NodeFailure(format!(
+            "another cloud serves the name {cloud} in {} already; stop it, or end the address with another name",
+            node.describe_domain()
+        ))),
+    }
+}
+
+/// Returns the other participants that subscribe to requests for connections.
+fn clouds_of(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
+    let expected = ros2_name(SessionHello::DEFINITION.name);
+    let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
+    let found = node.endpoints_of(sessions).into_iter();
+    found.filter(|found| is_cloud(found.role, &found.type_name)).map(|found| found.id.participant()).collect()
+}
+
+/// Waits until a condition holds for the state of discovery.
+async fn await_discovery(
+    node: &Ros2Node,
+    patience: Duration,
+    is_found: impl Fn() -> bool,
+) -> Result<(), tokio::time::error::Elapsed> {
+    let mut changes = node.discovery_changes();
+    let found = async {
+        while !is_found() {
+            if changes.changed().await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        }
+    };
+    timeout(patience, found).await
+}

@@ -1,0 +1,90 @@
+//! Membership of this process in a domain.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
+
+use crate::transport::ros::interface::NodeFailure;
+
+/// Participants of this process. Their publishers on the topics of a pipeline are those of its earlier connections.
+static OF_THIS_PROCESS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
+
+fn of_this_process() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
+    OF_THIS_PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Returns whether a participant is one of this process.
+pub(super) fn is_of_this_process(id: ParticipantId) -> bool {
+    of_this_process().contains(&id)
+}
+
+/// A participant of this process. It is known as such until it has left its domain.
+pub(super) struct Participant {
+    /// Present until the participant has left.
+    node: Mutex<Option<Arc<Ros2Node>>>,
+    id: ParticipantId,
+    name: String,
+    receive_buffer_bytes: usize,
+    caveat: Option<String>,
+}
+
+impl Participant {
+    /// Joins a domain.
+    ///
+    /// # Errors
+    /// The settings are not valid, or DDS cannot be started.
+    pub(super) async fn join(settings: Ros2Settings) -> Result<Self, NodeFailure> {
+        let node = Ros2Node::new(settings).await?;
+        let id = node.id();
+        of_this_process().insert(id);
+        Ok(Self {
+            id,
+            name: id.to_string(),
+            receive_buffer_bytes: node.receive_buffer_bytes(),
+            caveat: node.socket_buffer_warnings().first().map(ToString::to_string),
+            node: Mutex::new(Some(Arc::new(node))),
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Arc<Ros2Node>>> {
+        self.node.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the client of DDS.
+    ///
+    /// # Errors
+    /// The participant has left its domain.
+    pub(super) fn node(&self) -> Result<Arc<Ros2Node>, NodeFailure> {
+        self.lock().clone().ok_or_else(|| NodeFailure("the node of ROS 2 has left its domain".to_owned()))
+    }
+
+    /// Returns the text form of the identity, by which other ends recognise messages of this one.
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns the bytes that a socket of this host takes before it is read.
+    pub(super) fn receive_buffer_bytes(&self) -> usize {
+        self.receive_buffer_bytes
+    }
+
+    /// Returns a limit of this host that makes connections worse, with its remedy.
+    pub(super) fn caveat(&self) -> Option<&str> {
+        self.caveat.as_deref()
+    }
+
+    /// Leaves the domain at once.
+    pub(super) fn leave(&self) {
+        let node = self.lock().take();
+        of_this_process().remove(&self.id);
+        // Dropping the node leaves the domain on a separate thread.
+        drop(node);
+    }
+}
+
+impl Drop for Participant {
+    fn drop(&mut self) {
+        self.leave();
+    }
+}

@@ -1,0 +1,86 @@
+//! Quality of service of the topics of a session.
+
+use std::time::Duration;
+
+use peernet_ros::ros2::{EndpointRole, QosProfile, Reliability};
+
+use crate::settings::Ros2SessionSettings;
+use crate::transport::ros::interface::TopicUse;
+
+/// Companions that may be received and not yet handed on: those of a large payload come in many parts.
+const COMPANION_DEPTH: u32 = 256;
+
+/// Timeout of a payload that is sent once, when its companion has arrived.
+const BEST_EFFORT_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Quality of service of the topics of a session: the settings concern payloads only.
+#[derive(Clone, Debug)]
+pub(super) struct SessionQos {
+    reliability: Reliability,
+    depth: u32,
+    deadline_ms: Option<u64>,
+}
+
+impl SessionQos {
+    pub(super) fn new(settings: &Ros2SessionSettings) -> Self {
+        let Ros2SessionSettings { reliability, depth, deadline_ms, .. } = *settings;
+        Self { reliability, depth, deadline_ms }
+    }
+
+    /// Returns the profile of an endpoint.
+    pub(super) fn profile(&self, role: EndpointRole, topic_use: TopicUse) -> QosProfile {
+        match (topic_use, role) {
+            // Always reliable: companions keep account of what becomes of the payloads.
+            (TopicUse::Sessions | TopicUse::Companions, _) => {
+                QosProfile { depth: COMPANION_DEPTH, ..QosProfile::default() }
+            }
+            (TopicUse::Payloads, EndpointRole::Publisher) => QosProfile {
+                reliability: self.reliability,
+                depth: self.depth,
+                deadline_ms: self.deadline_ms.map(|ms| ms as f64),
+                ..QosProfile::default()
+            },
+            // A deadline is offered and not requested, so that both ends need not agree on one.
+            (TopicUse::Payloads, EndpointRole::Subscription) => {
+                QosProfile { reliability: self.reliability, depth: self.depth, ..QosProfile::default() }
+            }
+        }
+    }
+
+    /// Returns the timeout of a payload whose companion has arrived, if it is not the default.
+    pub(super) fn payload_timeout(&self) -> Option<Duration> {
+        let is_reliable = self.reliability == Reliability::Reliable;
+        let default = (!is_reliable).then_some(BEST_EFFORT_TIMEOUT);
+        self.deadline_ms.map(Duration::from_millis).or(default)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn qos(reliability: Reliability, deadline_ms: Option<u64>) -> SessionQos {
+        let settings = Ros2SessionSettings { reliability, deadline_ms, ..Ros2SessionSettings::default() };
+        SessionQos::new(&settings)
+    }
+
+    #[test]
+    fn settings_concern_payloads_and_deadline_is_only_offered() {
+        let qos = qos(Reliability::BestEffort, Some(50));
+        for role in [EndpointRole::Publisher, EndpointRole::Subscription] {
+            let companions = qos.profile(role, TopicUse::Companions);
+            assert_eq!((companions.reliability, companions.deadline_ms), (Reliability::Reliable, None));
+            assert_eq!(qos.profile(role, TopicUse::Payloads).reliability, Reliability::BestEffort);
+        }
+        assert_eq!(qos.profile(EndpointRole::Publisher, TopicUse::Payloads).deadline_ms, Some(50.0));
+        assert_eq!(qos.profile(EndpointRole::Subscription, TopicUse::Payloads).deadline_ms, None);
+    }
+
+    #[test]
+    fn payload_timeout_follows_deadline_and_reliability() {
+        let timeout = |reliability, deadline_ms| qos(reliability, deadline_ms).payload_timeout();
+        assert_eq!(timeout(Reliability::Reliable, None), None);
+        assert_eq!(timeout(Reliability::BestEffort, None), Some(BEST_EFFORT_TIMEOUT));
+        assert_eq!(timeout(Reliability::Reliable, Some(50)), Some(Duration::from_millis(50)));
+    }
+}

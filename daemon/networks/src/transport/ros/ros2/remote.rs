@@ -1,0 +1,35 @@
+//! Other participants of a domain.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+
+use peernet_ros::ros2::{ParticipantId, Ros2Node};
+
+use crate::transport::ros::interface::RemoteNode;
+
+/// Returns a text for people that names the nodes of a participant, as `node /viewer`.
+pub(super) fn describe(node: &Ros2Node, participant: &str) -> String {
+    let known = participant.parse().map(|id: ParticipantId| (node.nodes_of(id), node.host_of(id)));
+    let (names, host) = known.unwrap_or_default();
+    let host = host.map(|host| format!(" on host {host}")).unwrap_or_default();
+    match &names[..] {
+        [] => format!("participant {participant}{host}"),
+        [name] => format!("node {name}{host}"),
+        names => format!("one of the nodes {}{host}", names.join(", ")),
+    }
+}
+
+/// Returns the name and addresses of a participant. Its host is the one that it announces; ports mean nothing.
+pub(super) fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
+    let loopback = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    let remote = SocketAddr::new(node.host_of(id).unwrap_or(loopback), 0);
+    let local = local_address(remote).unwrap_or(SocketAddr::new(loopback, 0));
+    RemoteNode { node: id.to_string().into(), local, remote }
+}
+
+/// Returns the address from which packets to another one leave. Nothing is sent.
+fn local_address(remote: SocketAddr) -> Option<SocketAddr> {
+    let any = if remote.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
+    let socket = UdpSocket::bind(any).ok()?;
+    socket.connect(SocketAddr::new(remote.ip(), 9)).ok()?;
+    Some(SocketAddr::new(socket.local_addr().ok()?.ip(), 0))
+}
