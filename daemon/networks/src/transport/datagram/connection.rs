@@ -9,13 +9,15 @@ use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span};
 
-use super::counting::{ArrivalCounter, ArrivalTotals};
+use super::counting::ArrivalCounter;
+use super::false_claim::FalseClaim;
 use super::fragment::split_frames;
 use super::packet::{Packet, ResetReason, Role, SignOfLife, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::receiving::{Arrived, Receiving};
 use super::round_trip::RoundTripEstimator;
 use super::sending::{Batch, QueueLimits, Sending};
+use super::told_totals::ToldTotals;
 use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};
@@ -38,6 +40,14 @@ const BYES: (u32, u32) = (2, 8);
 /// Why a connection ends whose long datagrams are lost.
 const LONG_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
      (MTU) and does not say so; mend its MTU, or set datagram_bytes to what passes (1200 is tried by itself)";
+
+/// Why a connection ends whose ends contradict each other.
+const CONTRADICTED: &str = "the peer tells again and again of messages that were never sent: packets are altered or forged on the \
+     path; a new connection begins afresh";
+
+/// Signs of life in succession that contradict what was sent, at which the connection ends. It would not recover: the other
+/// end takes messages that are still to be sent for settled.
+const MAX_CONTRADICTIONS: u32 = 3;
 
 /// Most packets without a message that wait to be sent.
 const MAX_CONTROL: usize = 256;
@@ -94,8 +104,12 @@ pub(crate) struct Connection {
     byes: u32,
     counter: ArrivalCounter,
     /// What the other end told of the datagrams of this one.
-    told: Option<ArrivalTotals>,
+    told: ToldTotals,
     round_trip: RoundTripEstimator,
+    /// The last sign of life, which counts once when the network doubles it.
+    last_sign: SignOfLife,
+    /// Signs of life in succession that contradict what was sent.
+    contradictions: u32,
 }
 
 impl Connection {
@@ -121,8 +135,10 @@ impl Connection {
             pinged: now,
             byes: 0,
             counter: ArrivalCounter::new(now),
-            told: None,
+            told: ToldTotals::default(),
             round_trip: RoundTripEstimator::default(),
+            last_sign: SignOfLife::default(),
+            contradictions: 0,
         }
     }
 
@@ -156,24 +172,29 @@ impl Connection {
         match packet {
             Packet::Data { number, fragment, .. } => {
                 self.counter.arrive(number, now);
-                match self.receiving.receive(&fragment, now) {
+                match self.receiving.receive(number, &fragment, now) {
                     Arrived::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
                         Err(error) => self.events.push_back(Event::Garbage(error.to_string())),
                     },
                     Arrived::Nothing => {}
-                    Arrived::Garbage(problem) => self.events.push_back(Event::Garbage(problem.into())),
+                    Arrived::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
                 }
                 if let Some(progress) = self.receiving.progress() {
                     self.say(progress);
                 }
                 self.report(now);
             }
-            Packet::Progress { sequence, end, .. } => self.sending.progress(sequence, end, now),
+            Packet::Progress { sequence, end, .. } => {
+                let progress = self.sending.progress(sequence, end, now);
+                self.refuse(progress);
+            }
             Packet::Lost { sequence, received, .. } => {
-                let (tag, total, lost) = self.sending.lost((sequence, received), self.told_lost(), now);
-                self.events.extend(lost.map(Event::Lost));
-                self.say(Packet::LostKnown { connection: self.id, sequence, tag, total });
+                let lost = self.sending.lost((sequence, received), self.told.lost(), now);
+                if let Some((tag, total, lost)) = self.refuse(lost) {
+                    self.events.extend(lost.map(Event::Lost));
+                    self.say(Packet::LostKnown { connection: self.id, sequence, tag, total });
+                }
             }
             Packet::LostKnown { sequence, tag, total, .. } => {
                 let incomplete = self.receiving.known(sequence, tag, total);
@@ -186,11 +207,8 @@ impl Connection {
             }
             Packet::Pong { sign, .. } => {
                 self.learn(&sign, now);
-                let trip = now - (MonoTime::default() + Span::from_nanos(i64::try_from(sign.time).unwrap_or(0)));
-                // One that took longer would have ended the connection.
-                if trip >= Span::ZERO && trip <= self.limits.heartbeat_timeout {
-                    self.round_trip.measure(trip, now);
-                }
+                let asked = Span::from_nanos(i64::try_from(sign.time).unwrap_or(0));
+                self.round_trip.answer(MonoTime::default() + asked, now);
             }
             Packet::Bye { next, .. } => self.hear_bye(next, now),
             Packet::ByeHeard { .. } if self.phase != Phase::Open => self.phase = Phase::Closed,
@@ -220,21 +238,35 @@ impl Connection {
 
     /// The other end says how far it has come.
     fn learn(&mut self, sign: &SignOfLife, now: MonoTime) {
-        self.receiving.expect(sign.next, now);
-        self.sending.settled(sign.settled);
+        if std::mem::replace(&mut self.last_sign, *sign) == *sign {
+            return;
+        }
+        let settled = self.sending.settled(sign.settled);
+        if self.refuse(settled).is_none() {
+            self.contradictions += 1;
+            if self.contradictions >= MAX_CONTRADICTIONS {
+                self.say(Packet::Bye { connection: self.id, next: self.sending.next() });
+                self.end(CONTRADICTED);
+            }
+            return;
+        }
+        self.contradictions = 0;
+        let told = self.told.tell(sign.arrivals, self.sending.datagrams());
+        self.refuse(told);
+        let expected = self.receiving.expect(sign.next, sign.time, now);
+        self.refuse(expected);
         self.counter.expect(sign.number, now);
-        self.told = Some(self.told.unwrap_or_default().max(sign.arrivals));
     }
 
-    /// Datagrams of this end that were lost, as far as the other end has told.
-    fn told_lost(&self) -> u64 {
-        self.told.map_or(0, |told| told.lost)
+    /// Passes on a claim that cannot be true; it changes nothing else.
+    fn refuse<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
+        claim.map_err(|claim| self.events.push_back(Event::Garbage(claim.to_string()))).ok()
     }
 
     /// What is known of the datagrams of both directions, and the round trip.
     pub(crate) fn statistics(&mut self, now: MonoTime) -> TransportStatistics {
         TransportStatistics {
-            sent: self.sending.statistics(self.told),
+            sent: self.sending.statistics(self.told.totals()),
             received: self.counter.statistics(now),
             round_trip: self.round_trip.estimate(),
         }
@@ -242,7 +274,8 @@ impl Connection {
 
     fn hear_bye(&mut self, next: u64, now: MonoTime) {
         self.byes += 1;
-        self.receiving.expect(next, now);
+        let expected = self.receiving.expect(next, self.byes.into(), now);
+        self.refuse(expected);
         let (patient, last) = BYES;
         if self.byes >= patient {
             self.receiving.give_up_all();
@@ -291,7 +324,7 @@ impl Connection {
         let expired = self.sending.expire(now);
         self.events.extend(expired.into_iter().map(Event::Lost));
         self.report(now);
-        if self.sending.loses_long(self.told_lost(), now) {
+        if self.sending.loses_long(self.told.lost(), now) {
             tracing::debug!(bytes = self.sending.longest(), "none of the longest datagrams arrive");
             // The handshake of the next connection finds out what passes.
             if self.role == Role::Cloud {
@@ -308,6 +341,7 @@ impl Connection {
         let is_due = |at: MonoTime| at <= now;
         if is_due(self.ping_at()) || self.asks_at().is_some_and(is_due) {
             self.pinged = now;
+            self.round_trip.ask(now);
             let time = u64::try_from(now.nanos()).unwrap_or(0);
             let sign = self.sign_of_life(time, now);
             self.say(Packet::Ping { connection: self.id, sign });

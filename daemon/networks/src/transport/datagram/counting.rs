@@ -15,6 +15,10 @@ const WAIT: Span = Span::from_seconds(1);
 /// counted: nobody can tell whether it came before.
 const REMEMBERED: u64 = 4_096;
 
+/// Numbers that one packet may pass over by itself. A longer gap is believed when the next packet has a number beyond it,
+/// too: a packet that was altered or forged on the way cannot make millions of lost datagrams.
+const MAX_GAP: u64 = 64;
+
 /// Totals that the receiving end of a direction tells its sending end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ArrivalTotals {
@@ -29,10 +33,19 @@ pub(crate) struct ArrivalTotals {
 impl ArrivalTotals {
     /// The larger of each: what was told earlier may arrive later.
     pub(crate) fn max(self, other: Self) -> Self {
+        self.of_each(other, u64::max)
+    }
+
+    /// The smaller of each.
+    pub(crate) fn min(self, other: Self) -> Self {
+        self.of_each(other, u64::min)
+    }
+
+    fn of_each(self, other: Self, choose: fn(u64, u64) -> u64) -> Self {
         Self {
-            lost: self.lost.max(other.lost),
-            duplicated: self.duplicated.max(other.duplicated),
-            reordered: self.reordered.max(other.reordered),
+            lost: choose(self.lost, other.lost),
+            duplicated: choose(self.duplicated, other.duplicated),
+            reordered: choose(self.reordered, other.reordered),
         }
     }
 }
@@ -54,6 +67,16 @@ pub(crate) struct ArrivalCounter {
     since: MonoTime,
     /// Arrived numbers from `decided` to `waiting`, and from there on.
     arrived: (u64, u64),
+    /// A number beyond a long gap that the next packet has to confirm.
+    suspect: Option<Suspect>,
+}
+
+/// A number beyond a long gap.
+#[derive(Clone, Copy, Debug)]
+struct Suspect {
+    number: u64,
+    /// Whether a datagram had it; otherwise the other end has only told it.
+    has_arrived: bool,
 }
 
 impl ArrivalCounter {
@@ -67,6 +90,7 @@ impl ArrivalCounter {
             waiting: 0,
             since: now,
             arrived: (0, 0),
+            suspect: None,
         }
     }
 
@@ -76,9 +100,10 @@ impl ArrivalCounter {
         self.datagrams += 1;
         let ahead = self.ahead(number);
         if ahead >= 0 {
-            self.advance(ahead.unsigned_abs() + 1);
-            self.mark(self.next - 1);
-            self.arrived.1 += 1;
+            let number = self.next + ahead.unsigned_abs();
+            if self.is_believed(Suspect { number, has_arrived: true }) {
+                self.arrive_next(number);
+            }
             return;
         }
         let Some(number) = self.next.checked_add_signed(ahead) else { return };
@@ -100,7 +125,38 @@ impl ArrivalCounter {
     /// The other end has sent the numbers below this one, of which only the low half is known.
     pub(crate) fn expect(&mut self, next: u32, now: MonoTime) {
         self.decide(now);
-        self.advance(self.ahead(next).max(0).unsigned_abs());
+        let number = self.next + self.ahead(next).max(0).unsigned_abs();
+        if self.is_believed(Suspect { number, has_arrived: false }) {
+            self.advance(number.saturating_sub(self.next));
+        }
+    }
+
+    /// Whether a number that is not below the next one is believed: it is near, or the packet before had one that is near it.
+    fn is_believed(&mut self, found: Suspect) -> bool {
+        if found.number - self.next <= MAX_GAP {
+            self.suspect = None;
+            return true;
+        }
+        // A datagram that the network has doubled does not confirm itself.
+        let confirms = |suspect: &Suspect| {
+            let distance = suspect.number.abs_diff(found.number);
+            distance <= MAX_GAP && (distance > 0 || !found.has_arrived || !suspect.has_arrived)
+        };
+        let Some(suspect) = self.suspect.take_if(|suspect| confirms(suspect)) else {
+            self.suspect = Some(found);
+            return false;
+        };
+        if suspect.has_arrived && suspect.number < found.number {
+            self.arrive_next(suspect.number);
+        }
+        true
+    }
+
+    /// A datagram arrived whose number is not below the next one.
+    fn arrive_next(&mut self, number: u64) {
+        self.advance(number + 1 - self.next);
+        self.mark(number);
+        self.arrived.1 += 1;
     }
 
     /// So many more numbers were sent; none of them has arrived.
@@ -203,9 +259,38 @@ mod tests {
     }
 
     #[test]
+    fn single_number_far_ahead_counts_nothing_as_lost() {
+        for far in [100, 1 << 20, i32::MAX as u32] {
+            let mut counter = ArrivalCounter::new(at(0));
+            for number in [0, 1, far, far, 3, 2, 4] {
+                counter.arrive(number, at(10));
+            }
+            counter.expect(far, at(20));
+            counter.expect(5, at(30));
+            counter.totals(at(1_000));
+            counter.totals(at(2_000));
+            assert_eq!(counter.totals(at(3_000)), totals(0, 0, 1), "{far}");
+        }
+    }
+
+    #[test]
+    fn long_gap_is_counted_when_next_packet_confirms_it() {
+        let mut counter = ArrivalCounter::new(at(0));
+        for number in [0, 2_000, 2_001, 2_003] {
+            counter.arrive(number, at(10));
+        }
+        for _ in 0..2 {
+            counter.expect(3_000, at(20));
+        }
+        counter.totals(at(1_000));
+        assert_eq!(counter.totals(at(2_000)), totals(3_000 - 4, 0, 0));
+    }
+
+    #[test]
     fn numbers_go_on_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
-        for number in [i32::MAX as u32, u32::MAX - 1, u32::MAX, 0, 2] {
+        let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
+        for number in numbers {
             counter.arrive(number, at(0));
         }
         assert_eq!(counter.next, (1 << 32) + 3);

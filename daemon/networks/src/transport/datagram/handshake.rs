@@ -10,6 +10,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use peernet_clock::{MonoTime, Span};
 use sha2::Sha256;
 
+use super::MIN_DATAGRAM_BYTES;
 use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 
 /// The largest datagram that every path is trusted to carry: with its headers below IPv6's 1,280 bytes.
@@ -145,6 +146,8 @@ impl Dialling {
                 (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
                 None
             }
+            // No cloud takes shorter ones only: a length that was altered on the way must not stay for the whole session.
+            Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
                 Some(Dialled::Opened { connection, terms: Terms { datagram, ..terms } })

@@ -11,6 +11,7 @@ pub(crate) mod connection;
 pub(crate) mod counting;
 pub(crate) mod endpoint;
 mod entry;
+mod false_claim;
 pub(crate) mod fragment;
 pub mod fuzzing;
 pub(crate) mod handshake;
@@ -21,6 +22,8 @@ pub(crate) mod receiving;
 pub(crate) mod round_trip;
 pub(crate) mod sending;
 mod timers;
+mod told_totals;
+mod watermark;
 pub(crate) mod window;
 
 #[cfg(test)]

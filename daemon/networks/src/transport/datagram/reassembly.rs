@@ -18,6 +18,10 @@ use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 /// Message numbers whose state is kept at once.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
+/// How far above the messages that are known to have been sent a fragment's message may be when that needs more than
+/// [`MAX_SPAN`] states. One altered number must not give up all that is awaited.
+const MAX_AHEAD: u64 = 64;
+
 /// What messages may cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ReassemblyLimits {
@@ -47,6 +51,8 @@ pub(crate) enum Received {
     Duplicate,
     /// It contradicts the fragments that came before.
     Inconsistent,
+    /// Its message is too far above those that are known to have been sent.
+    TooFarAhead,
 }
 
 /// A message that will not be handed out.
@@ -67,7 +73,8 @@ pub(crate) struct Reassembly {
     limits: ReassemblyLimits,
     budget: Arc<MemoryBudget>,
     floor: u64,
-    /// Messages below are known to have left as a whole: their sender sends one after the other.
+    /// Messages below are known to have left as a whole: their sender sends one after the other. Only these are given up
+    /// when nothing of them arrives.
     sent: u64,
     /// The states of the numbers from the floor on; the first one is not settled.
     slots: VecDeque<Slot>,
@@ -113,8 +120,8 @@ impl Reassembly {
     }
 
     /// Whether nothing is awaited.
-    pub(crate) fn is_settled(&self) -> bool {
-        self.slots.is_empty()
+    pub(crate) const fn is_settled(&self) -> bool {
+        self.floor >= self.sent && self.unfinished == 0
     }
 
     /// The messages that were lost since the last call.
@@ -127,7 +134,10 @@ impl Reassembly {
         if fragment.sequence < self.floor {
             return Received::Duplicate;
         }
-        self.expect(fragment.sequence, now);
+        let most = self.floor.saturating_add(MAX_SPAN).max(self.sent.saturating_add(MAX_AHEAD));
+        if fragment.sequence >= most {
+            return Received::TooFarAhead;
+        }
         self.extend(fragment.sequence.saturating_add(1), now);
         let at = (fragment.sequence - self.floor) as usize;
         let received = match self.slots.get_mut(at) {
@@ -199,9 +209,9 @@ impl Reassembly {
         Received::Message { bytes, reserved }
     }
 
-    /// The other end has sent all messages below this number.
-    pub(crate) fn expect(&mut self, next: u64, now: MonoTime) {
-        self.extend(next, now);
+    /// The other end has sent all messages below this number, as is known since then.
+    pub(crate) fn expect(&mut self, next: u64, since: MonoTime) {
+        self.extend(next, since);
         let first = self.sent.max(self.floor);
         if next <= first {
             return;
@@ -209,7 +219,7 @@ impl Reassembly {
         let newly = (first - self.floor) as usize..(next - self.floor) as usize;
         for slot in self.slots.range_mut(newly) {
             if let Slot::Unfinished(unfinished) = slot {
-                unfinished.sent.get_or_insert(now);
+                unfinished.sent.get_or_insert(since);
             }
         }
         self.sent = next;
@@ -241,8 +251,9 @@ impl Reassembly {
     /// Gives up what has waited too long.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         let ReassemblyLimits { timeout, idle_timeout, .. } = self.limits;
-        self.give_up(|slot| match slot {
-            Slot::Missing { since } => now - *since >= timeout,
+        let next = self.sent;
+        self.give_up(|sequence, slot| match slot {
+            Slot::Missing { since } => sequence < next && now - *since >= timeout,
             Slot::Unfinished(unfinished) => {
                 let Unfinished { deadline, progress, sent, .. } = **unfinished;
                 deadline.is_some_and(|deadline| deadline <= now)
@@ -255,13 +266,14 @@ impl Reassembly {
 
     /// Gives up all that is awaited.
     pub(crate) fn give_up_all(&mut self) {
-        self.give_up(|_| true);
+        let next = self.sent;
+        self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));
     }
 
-    fn give_up(&mut self, is_over: impl Fn(&Slot) -> bool) {
+    fn give_up(&mut self, is_over: impl Fn(u64, &Slot) -> bool) {
         for (at, slot) in self.slots.iter_mut().enumerate() {
             let sequence = self.floor + at as u64;
-            if !is_over(slot) {
+            if !is_over(sequence, slot) {
                 continue;
             }
             match std::mem::replace(slot, Slot::Settled) {

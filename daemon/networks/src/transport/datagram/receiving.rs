@@ -5,9 +5,11 @@ use std::sync::Arc;
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
+use super::false_claim::FalseClaim;
 use super::packet::{Fragment, Packet};
 use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, Received};
 use super::sending::read_tag;
+use super::watermark::SentWatermark;
 use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
@@ -29,9 +31,11 @@ const REPORT_PAUSE: Span = Span::from_millis(50);
 pub(crate) struct Receiving {
     connection: u64,
     reassembly: Reassembly,
-    /// The furthest that has arrived: sequence, and end in its message.
+    watermark: SentWatermark,
+    /// The furthest that has arrived since the other end was told last: sequence, and end in its message. Not of all time: a
+    /// number that was altered on the way must not stay.
     furthest: (u64, u32),
-    /// Bytes that arrived since the other end was told of it.
+    /// Bytes that arrived since then.
     untold: u32,
     reports: Vec<Report>,
 }
@@ -52,7 +56,7 @@ pub(crate) enum Arrived {
     /// Nothing to hand out.
     Nothing,
     /// It makes no sense.
-    Garbage(&'static str),
+    Garbage(String),
 }
 
 impl Receiving {
@@ -60,6 +64,7 @@ impl Receiving {
         Self {
             connection,
             reassembly: Reassembly::new(limits, budget),
+            watermark: SentWatermark::default(),
             furthest: (0, 0),
             untold: 0,
             reports: Vec::new(),
@@ -70,15 +75,21 @@ impl Receiving {
         self.reassembly.set_limits(limits, budget);
     }
 
-    /// A fragment arrived.
-    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Arrived {
-        let end = fragment.offset + fragment.bytes.len() as u32;
-        self.furthest = self.furthest.max((fragment.sequence, end));
-        self.untold = self.untold.saturating_add(fragment.bytes.len() as u32);
-        match self.reassembly.receive(fragment, now) {
+    /// A fragment arrived in the datagram of a number.
+    pub(crate) fn receive(&mut self, number: u32, fragment: &Fragment<'_>, now: MonoTime) -> Arrived {
+        // Messages leave one after the other.
+        self.claim(fragment.sequence, number.into(), now);
+        let received = self.reassembly.receive(fragment, now);
+        if !matches!(received, Received::TooFarAhead) {
+            let end = fragment.offset + fragment.bytes.len() as u32;
+            self.furthest = self.furthest.max((fragment.sequence, end));
+            self.untold = self.untold.saturating_add(fragment.bytes.len() as u32);
+        }
+        match received {
             Received::Message { bytes, reserved } => Arrived::Message(bytes, reserved),
             Received::Stored | Received::Duplicate => Arrived::Nothing,
-            Received::Inconsistent => Arrived::Garbage("a fragment that contradicts its message"),
+            Received::Inconsistent => Arrived::Garbage("a fragment that contradicts its message".into()),
+            Received::TooFarAhead => Arrived::Garbage(FalseClaim::TooFarAhead.to_string()),
         }
     }
 
@@ -88,13 +99,25 @@ impl Receiving {
             return None;
         }
         self.untold = 0;
-        let (sequence, end) = self.furthest;
+        let (sequence, end) = std::mem::take(&mut self.furthest);
         Some(Packet::Progress { connection: self.connection, sequence, end })
     }
 
-    /// The other end has sent all messages below this number.
-    pub(crate) fn expect(&mut self, next: u64, now: MonoTime) {
-        self.reassembly.expect(next, now);
+    /// A packet says that the other end has sent all messages below this number; `packet` tells packets apart.
+    ///
+    /// # Errors
+    /// When it is too far above those that are known to have been sent; the next packet may confirm it.
+    pub(crate) fn expect(&mut self, next: u64, packet: u64, now: MonoTime) -> Result<(), FalseClaim> {
+        self.claim(next, packet, now);
+        let most = self.reassembly.floor().saturating_add(MAX_SPAN);
+        if next <= most { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
+    }
+
+    /// Notes what a packet claims to have been sent.
+    fn claim(&mut self, next: u64, packet: u64, now: MonoTime) {
+        if let Some((confirmed, since)) = self.watermark.claim(next, packet, now) {
+            self.reassembly.expect(confirmed, since);
+        }
     }
 
     /// Messages with a lower number are settled, and the other end knows of those that are lost.
@@ -105,7 +128,8 @@ impl Receiving {
 
     /// Whether nothing is awaited and the other end knows what was lost.
     pub(crate) fn is_settled(&self) -> bool {
-        self.reassembly.is_settled() && self.reports.is_empty()
+        let is_known = self.watermark.claimed() <= self.reassembly.floor();
+        is_known && self.reassembly.is_settled() && self.reports.is_empty()
     }
 
     /// Gives up all that is awaited.

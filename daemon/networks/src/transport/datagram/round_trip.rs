@@ -1,11 +1,16 @@
 //! The round trip of a connection's signs of life.
 
+use std::collections::VecDeque;
+
 use peernet_clock::{MonoTime, Span};
 
 use crate::statistics::TransportRoundTrip;
 
 /// The shortest round trip is that of the last one to two of these, as paths change.
 const MIN_PERIOD: Span = Span::from_seconds(150);
+
+/// Most signs of life whose answers are awaited: those of a second while they follow each other as fast as they do.
+const MAX_ASKED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
 #[derive(Debug, Default)]
@@ -14,11 +19,29 @@ pub(crate) struct RoundTripEstimator {
     /// The shortest of this period and of the one before.
     shortest: (Option<Span>, Option<Span>),
     period_began: MonoTime,
+    /// When the signs of life left that were not answered, oldest first.
+    asked: VecDeque<MonoTime>,
 }
 
 impl RoundTripEstimator {
-    /// A sign of life was answered after so long.
-    pub(crate) fn measure(&mut self, trip: Span, now: MonoTime) {
+    /// A sign of life leaves.
+    pub(crate) fn ask(&mut self, now: MonoTime) {
+        if self.asked.len() >= MAX_ASKED {
+            self.asked.pop_front();
+        }
+        self.asked.push_back(now);
+    }
+
+    /// An answer says that it is one to the sign of life that left at a time. One that answers none is not measured: it was
+    /// doubled or altered on the way.
+    pub(crate) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
+        if let Some(at) = self.asked.iter().position(|time| *time == asked) {
+            self.asked.remove(at);
+            self.measure(now - asked, now);
+        }
+    }
+
+    fn measure(&mut self, trip: Span, now: MonoTime) {
         if now - self.period_began >= MIN_PERIOD {
             self.shortest = (None, self.shortest.0);
             self.period_began = now;
@@ -47,6 +70,20 @@ impl RoundTripEstimator {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_answers_to_what_was_asked_are_measured() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut estimator = RoundTripEstimator::default();
+        estimator.ask(at(10));
+        estimator.answer(at(11), at(30));
+        assert_eq!(estimator.estimate(), None);
+        estimator.answer(at(10), at(30));
+        let first = estimator.estimate().expect("it was answered");
+        assert_eq!(first.min, Some(Span::from_millis(20)));
+        estimator.answer(at(10), at(40));
+        assert_eq!(estimator.estimate(), Some(first), "an answer counts once");
+    }
 
     #[test]
     fn estimate_smooths_and_forgets_old_minimum() {

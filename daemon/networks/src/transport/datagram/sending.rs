@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use peernet_clock::{MonoTime, Span};
 
 use super::counting::ArrivalTotals;
+use super::false_claim::FalseClaim;
 use super::fragment::{OutgoingMessage, fragment_count};
 use super::packet::{DATA_HEADER_BYTES, Fragment, Role, Terms, write_data_header};
 use super::reassembly::MAX_SPAN;
@@ -172,13 +173,11 @@ impl Sending {
 
     /// Totals of this direction; `arrivals` is what the other end told, if it has.
     pub(crate) fn statistics(&self, arrivals: Option<ArrivalTotals>) -> DatagramStatistics {
-        // No peer can have missed or mixed up more than was sent.
-        let known = |count: fn(ArrivalTotals) -> u64| arrivals.map(|told| count(told).min(self.datagrams));
         DatagramStatistics {
             datagrams: Some(self.datagrams),
-            lost: known(|told| told.lost),
+            lost: arrivals.map(|told| told.lost),
             duplicated: arrivals.map(|told| told.duplicated),
-            reordered: known(|told| told.reordered),
+            reordered: arrivals.map(|told| told.reordered),
             retransmitted: Some(self.retransmitted),
         }
     }
@@ -265,13 +264,34 @@ impl Sending {
         expired
     }
 
+    /// How far sending has come: the message of which the next part leaves, and where that part begins.
+    fn position(&self) -> (u64, u32) {
+        self.queue.front().map_or((self.next, 0), |message| (message.sequence, message.offset))
+    }
+
     /// The other end has come so far.
-    pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
+    ///
+    /// # Errors
+    /// When so much was not sent.
+    pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) -> Result<(), FalseClaim> {
+        let (current, offset) = self.position();
+        if sequence > current || (sequence == current && end > offset) {
+            return Err(FalseClaim::Unsent);
+        }
         self.window.progress(sequence, end, now);
+        Ok(())
     }
 
     /// The other end has settled all messages below this number.
-    pub(crate) fn settled(&mut self, below: u64) {
+    ///
+    /// # Errors
+    /// When one of them was not sent.
+    pub(crate) fn settled(&mut self, below: u64) -> Result<(), FalseClaim> {
+        let (current, offset) = self.position();
+        // What has begun to leave may have been given up already.
+        if below > current + u64::from(offset > 0) {
+            return Err(FalseClaim::Unsent);
+        }
         while self.first < below
             && let Some(record) = self.records.pop_front()
         {
@@ -280,25 +300,35 @@ impl Sending {
                 self.long_losses = None;
             }
         }
+        Ok(())
     }
 
     /// The other end says that a message is lost; `lost` is as in [`loses_long`](Self::loses_long). Returns what to tell it,
     /// and what to tell here.
+    ///
+    /// # Errors
+    /// When the message was not sent, or has fewer fragments than are said to have arrived.
     pub(crate) fn lost(
         &mut self,
         (sequence, received): (u64, u32),
         lost: u64,
         now: MonoTime,
-    ) -> (u64, u32, Option<MessageLoss>) {
+    ) -> Result<(u64, u32, Option<MessageLoss>), FalseClaim> {
+        let (current, offset) = self.position();
+        if sequence > current || (sequence == current && offset == 0) {
+            return Err(FalseClaim::Unsent);
+        }
         let at = sequence.checked_sub(self.first).and_then(|at| usize::try_from(at).ok());
-        // A message that waits or is being sent cannot be lost yet.
-        let next = self.next();
-        let Some(record) = at.filter(|_| sequence < next).and_then(|at| self.records.get_mut(at)) else {
-            return (0, 0, None);
+        // A message that is being sent cannot be lost yet.
+        let Some(record) = at.filter(|_| sequence < current).and_then(|at| self.records.get_mut(at)) else {
+            return Ok((0, 0, None));
         };
         let (tag, fragments) = (record.tag, record.fragments);
+        if received > fragments {
+            return Err(FalseClaim::Fragments);
+        }
         if std::mem::replace(&mut record.is_lost, true) {
-            return (tag, fragments, None);
+            return Ok((tag, fragments, None));
         }
         let kept = record.kept.take();
         self.window.lost();
@@ -313,10 +343,9 @@ impl Sending {
             && self.enqueue(frames, 0, None).is_ok()
         {
             self.retransmitted += u64::from(fragments);
-            return (tag, fragments, None);
+            return Ok((tag, fragments, None));
         }
-        let received = received.min(fragments);
-        (tag, fragments, Some(MessageLoss { tag: read_tag(tag), received, total: fragments }))
+        Ok((tag, fragments, Some(MessageLoss { tag: read_tag(tag), received, total: fragments })))
     }
 
     /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end

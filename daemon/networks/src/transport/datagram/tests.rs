@@ -16,6 +16,8 @@ use super::sending::QueueLimits;
 use crate::transport::memory::MemoryBudget;
 use crate::transport::{Arrival, ConnectionId};
 
+mod altered_packets;
+
 const PREFIX: &[u8] = b"\x01x";
 const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
 

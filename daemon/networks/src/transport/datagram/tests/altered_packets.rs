@@ -1,0 +1,207 @@
+//! Packets that were altered or forged on the way: one alone harms no later message and makes no absurd total.
+
+use super::*;
+
+/// Far above everything that is sent here.
+const FAR: u64 = 1 << 20;
+
+/// Alters a packet of one kind; `None` where it is another.
+type Alteration = for<'a> fn(Packet<'a>) -> Option<Packet<'a>>;
+
+/// What an alteration is called, and the alteration.
+type Case = (&'static str, Alteration);
+
+fn sign(packet: Packet<'_>, alter: fn(&mut SignOfLife)) -> Option<Packet<'_>> {
+    match packet {
+        Packet::Ping { connection, mut sign } => {
+            alter(&mut sign);
+            Some(Packet::Ping { connection, sign })
+        }
+        Packet::Pong { connection, mut sign } => {
+            alter(&mut sign);
+            Some(Packet::Pong { connection, sign })
+        }
+        _ => None,
+    }
+}
+
+fn data(packet: Packet<'_>, sequence: u64, number: u32) -> Option<Packet<'_>> {
+    let Packet::Data { connection, number: old, mut fragment } = packet else { return None };
+    fragment.sequence += sequence;
+    Some(Packet::Data { connection, number: old.wrapping_add(number), fragment })
+}
+
+const CASES: [Case; 13] = [
+    ("next message far ahead", |packet| sign(packet, |sign| sign.next += FAR)),
+    ("next message within the window", |packet| sign(packet, |sign| sign.next += 500)),
+    ("settled message far ahead", |packet| sign(packet, |sign| sign.settled += FAR)),
+    ("settled message ahead", |packet| sign(packet, |sign| sign.settled += 2)),
+    ("next datagram far ahead", |packet| sign(packet, |sign| sign.number += FAR as u32)),
+    ("lost datagrams", |packet| sign(packet, |sign| sign.arrivals.lost = u64::MAX)),
+    ("duplicated datagrams", |packet| sign(packet, |sign| sign.arrivals.duplicated |= 1 << 40)),
+    ("reordered datagrams", |packet| sign(packet, |sign| sign.arrivals.reordered += 3)),
+    ("time", |packet| sign(packet, |sign| sign.time ^= 1 << 22)),
+    ("fragment far ahead", |packet| data(packet, FAR, 0)),
+    ("fragment ahead", |packet| data(packet, 500, 0)),
+    ("datagram far ahead", |packet| data(packet, 0, FAR as u32)),
+    ("datagram half of all numbers ahead", |packet| data(packet, 0, i32::MAX as u32)),
+];
+
+impl World {
+    /// Alters the next packet on the wire in one direction that is of the alteration's kind.
+    fn alter_next(&mut self, is_to_cloud: bool, alter: Alteration) {
+        let (at, from) = if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
+        for _ in 0..5_000 {
+            for (to_cloud, _, datagram) in self.wire.values_mut() {
+                let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
+                if *to_cloud == is_to_cloud
+                    && let Some(packet) = alter(Packet::read(at, body).expect("a packet"))
+                {
+                    let mut altered = PREFIX.to_vec();
+                    packet.write(from, &mut altered);
+                    *datagram = altered;
+                    return;
+                }
+            }
+            self.step();
+        }
+        panic!("no such packet is sent");
+    }
+
+    /// Exchanges a message each way. Returns whether both arrive.
+    fn exchange(&mut self, id: ConnectionId, tag: u64) -> bool {
+        self.arrivals.clear();
+        self.events.clear();
+        let (up, down) = (tag.to_be_bytes(), (!tag).to_be_bytes());
+        self.send(Some(tag), &up);
+        let sent = self.cloud.send(id, vec![Bytes::copy_from_slice(&down)], Some(tag));
+        self.steps(30);
+        let is_up = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == up[..]);
+        let is_down = |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == down[..]);
+        sent.is_ok() && self.arrivals.iter().any(is_up) && self.events.iter().any(is_down)
+    }
+}
+
+/// An open connection over which some messages went.
+fn open() -> (World, ConnectionId) {
+    let mut world = World::new(CALM, 1);
+    let id = world.open();
+    for tag in 0..20 {
+        assert!(world.exchange(id, tag));
+    }
+    (world, id)
+}
+
+#[test]
+fn single_altered_packet_harms_no_later_message() {
+    for (name, alter) in CASES {
+        for is_to_cloud in [true, false] {
+            let (mut world, id) = open();
+            // The message that is under way may be lost with the packet that is altered.
+            world.send(Some(90), b"up");
+            world.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
+            world.alter_next(is_to_cloud, alter);
+            // Longer than anything is waited for, with signs of life in between.
+            world.steps(6_000);
+            for tag in 100..130 {
+                assert!(
+                    world.exchange(id, tag),
+                    "{name}, to the cloud: {is_to_cloud}, {tag}: {:?}",
+                    world.events
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn single_altered_packet_makes_no_absurd_total() {
+    for (name, alter) in CASES {
+        for is_to_cloud in [true, false] {
+            let (mut world, id) = open();
+            world.send(Some(90), b"up");
+            world.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
+            world.alter_next(is_to_cloud, alter);
+            world.steps(6_000);
+            let now = world.now;
+            let edge = world.edge.as_mut().expect("open").statistics(now);
+            let cloud = world.cloud.statistics(id, now);
+            for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
+                let [lost, duplicated, reordered] =
+                    [direction.lost, direction.duplicated, direction.reordered]
+                        .map(|total| total.expect("told"));
+                assert!(
+                    lost <= 1 && duplicated == 0 && reordered <= 1,
+                    "{name}, {is_to_cloud}: {direction:?}"
+                );
+            }
+            for trip in [edge.round_trip, cloud.round_trip] {
+                let trip = trip.expect("it was measured");
+                assert_eq!(trip.min, Some(Span::from_millis(10)), "{name}, {is_to_cloud}: {trip:?}");
+                assert!(trip.smoothed <= Span::from_millis(12), "{name}, {is_to_cloud}: {trip:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn word_of_messages_never_sent_is_garbage() {
+    let (mut world, id) = open();
+    let connection = id.0;
+    let forged = [
+        // Of the last message that was sent, which has one fragment.
+        Packet::Lost { connection, sequence: 19, received: 9, total: 9 },
+        Packet::Lost { connection, sequence: FAR, received: 0, total: 0 },
+        Packet::Progress { connection, sequence: FAR, end: 1 },
+        Packet::Ping { connection, sign: SignOfLife { next: FAR, time: 1, ..SignOfLife::default() } },
+        Packet::Ping { connection, sign: SignOfLife { settled: FAR, time: 2, ..SignOfLife::default() } },
+    ];
+    for packet in forged {
+        world.arrivals.clear();
+        let mut body = Vec::new();
+        packet.write(Role::Edge, &mut body);
+        world.cloud.hear(world.edge_address, None, &body, world.now);
+        world.steps(1);
+        let is_garbage = |arrival: &Arrival| matches!(arrival, Arrival::Garbage(Some(_), _));
+        assert_eq!(world.arrivals.iter().filter(|arrival| is_garbage(arrival)).count(), 1, "{packet:?}");
+        assert!(world.exchange(id, 200), "{packet:?}");
+    }
+}
+
+#[test]
+fn long_gap_with_many_messages_ends_nothing() {
+    let (mut world, id) = open();
+    world.weather.loss = 100;
+    let mut sent = 0;
+    for _ in 0..3_000 {
+        let edge = world.edge.as_mut().expect("open");
+        sent += u32::from(edge.send(vec![Bytes::from_static(&[7; 100])], Some(sent.into()), None).is_ok());
+        world.step();
+    }
+    assert!(sent > 2_000, "{sent} were sent into nothing");
+    world.weather.loss = 0;
+    world.steps(2_000);
+    for tag in 10_000..10_010 {
+        assert!(world.exchange(id, tag), "{:?}", world.events);
+    }
+}
+
+#[test]
+fn ends_that_contradict_each_other_open_another_connection() {
+    for jump in [FAR, 500] {
+        let (mut world, id) = open();
+        // Two in succession that agree are believed: the cloud takes messages that are still to be sent for lost.
+        for time in 1..3 {
+            let sign = SignOfLife { time, next: 20 + jump, ..SignOfLife::default() };
+            let mut body = Vec::new();
+            Packet::Ping { connection: id.0, sign }.write(Role::Edge, &mut body);
+            world.cloud.hear(world.edge_address, None, &body, world.now);
+        }
+        world.steps(20_000);
+        let reason = world.events.iter().find_map(|event| match event {
+            Event::Gone(reason) => Some(reason.as_str()),
+            _ => None,
+        });
+        assert!(reason.is_some_and(|reason| reason.contains("altered or forged")), "{:?}", world.events);
+    }
+}

@@ -1,0 +1,92 @@
+//! How far a peer has come, from packets any one of which may have been altered or forged on the way.
+
+use peernet_clock::MonoTime;
+
+/// The number below which the peer has sent all messages.
+///
+/// One packet alone moves it nowhere: it follows the lower of the last two claims, as RTP also waits for a second packet
+/// before it believes a jump (RFC 3550, appendix A.1).
+#[derive(Debug, Default)]
+pub(super) struct SentWatermark {
+    confirmed: u64,
+    last: Claim,
+}
+
+/// What one packet claims.
+#[derive(Clone, Copy, Debug, Default)]
+struct Claim {
+    next: u64,
+    /// Tells packets apart: a packet that the network has doubled does not confirm itself.
+    packet: u64,
+    at: MonoTime,
+}
+
+impl SentWatermark {
+    /// A packet claims that all messages below `next` were sent; `packet` differs from that of the packet before, unless it
+    /// is the same one. Returns the watermark and since when it was claimed, if it has moved.
+    pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
+        if (next, packet) == (self.last.next, self.last.packet) {
+            return None;
+        }
+        let last = std::mem::replace(&mut self.last, Claim { next, packet, at: now });
+        let confirmed = next.min(last.next);
+        if confirmed <= self.confirmed {
+            return None;
+        }
+        self.confirmed = confirmed;
+        Some((confirmed, last.at))
+    }
+
+    /// What the last packet claimed.
+    pub(super) const fn claimed(&self) -> u64 {
+        self.last.next
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Span;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::default() + Span::from_millis(millis)
+    }
+
+    #[test]
+    fn second_packet_confirms_claim_since_the_first() {
+        let mut sent = SentWatermark::default();
+        assert_eq!(sent.claim(5, 1, at(10)), None);
+        assert_eq!(sent.claim(7, 2, at(20)), Some((5, at(10))));
+        assert_eq!(sent.claim(7, 2, at(25)), None, "a doubled packet");
+        assert_eq!(sent.claim(7, 3, at(30)), Some((7, at(20))));
+        assert_eq!(sent.claim(6, 4, at(40)), None, "a late packet");
+        assert_eq!(sent.claimed(), 6);
+    }
+
+    #[test]
+    fn gap_of_any_length_is_believed_when_confirmed() {
+        let mut sent = SentWatermark::default();
+        assert_eq!(sent.claim(1_000_000, 1, at(10)), None);
+        assert_eq!(sent.claim(1_000_001, 2, at(20)), Some((1_000_000, at(10))));
+    }
+
+    proptest! {
+        #[test]
+        fn single_false_claim_moves_nothing(count in 2_u64..60, place: prop::sample::Index, claimed: u64) {
+            let mut sent = SentWatermark::default();
+            let place = place.index(count as usize) as u64;
+            for number in 0..count {
+                if number == place {
+                    if let Some((next, _)) = sent.claim(claimed, u64::MAX, at(number as i64)) {
+                        prop_assert!(next <= number);
+                    }
+                }
+                if let Some((next, _)) = sent.claim(number, number, at(number as i64)) {
+                    prop_assert!(next <= number);
+                }
+            }
+        }
+    }
+}
