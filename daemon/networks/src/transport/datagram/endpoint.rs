@@ -10,6 +10,7 @@ use super::connection::{Connection, ConnectionLimits, Event};
 use super::entry::{Entry, Standing, reply_address};
 use super::handshake::{CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
+use super::packet_writer::PacketWriter;
 use super::partial_message::PEAK_COST;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
@@ -182,7 +183,7 @@ impl Endpoint {
         let reassembly = || (unadmitted_limits(&self.limits.reassembly), Arc::clone(&self.unadmitted));
         let entry = self.entries.entry(id).or_insert_with(|| Entry {
             connection: Connection::new(
-                (Role::Cloud, id, prefix),
+                PacketWriter::new(Role::Cloud, id, prefix),
                 Terms { datagram, ..terms },
                 limits,
                 reassembly(),
@@ -202,7 +203,7 @@ impl Endpoint {
         if entry.datagram != datagram && !entry.has_delivered {
             entry.datagram = datagram;
             entry.connection = Connection::new(
-                (Role::Cloud, id, prefix),
+                PacketWriter::new(Role::Cloud, id, prefix),
                 Terms { datagram, ..terms },
                 limits,
                 reassembly(),

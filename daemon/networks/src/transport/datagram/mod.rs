@@ -7,7 +7,9 @@
 //! and closes sessions. [`window`] bounds how much is on its way, [`counting`] has the losses of datagrams, [`endpoint`] has all connections of a port, and
 //! [`packet`] describes the wire form.
 
+mod congestion;
 pub(crate) mod connection;
+mod control_queue;
 pub(crate) mod counting;
 pub(crate) mod endpoint;
 mod entry;
@@ -15,12 +17,22 @@ mod false_claim;
 pub(crate) mod fragment;
 pub mod fuzzing;
 pub(crate) mod handshake;
+mod heartbeat;
+mod in_flight;
+mod long_losses;
+mod measurement;
+mod outstanding;
+mod pacing;
 pub(crate) mod packet;
+pub(crate) mod packet_writer;
 mod partial_message;
 pub(crate) mod reassembly;
 pub(crate) mod receiving;
 pub(crate) mod round_trip;
+pub(crate) mod send_queue;
 pub(crate) mod sending;
+mod shutdown;
+mod sign_history;
 mod timers;
 mod told_totals;
 mod watermark;

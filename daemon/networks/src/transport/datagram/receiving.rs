@@ -6,9 +6,9 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
 use super::false_claim::FalseClaim;
+use super::outstanding::read_tag;
 use super::packet::{Fragment, Packet};
 use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, Received};
-use super::sending::read_tag;
 use super::watermark::SentWatermark;
 use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;

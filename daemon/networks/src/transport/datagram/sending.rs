@@ -1,37 +1,22 @@
 //! The sending half of a virtual connection: messages that wait, and what became of those that left.
 
-use std::collections::VecDeque;
+use peernet_clock::MonoTime;
 
-use peernet_clock::{MonoTime, Span};
-
-use super::counting::ArrivalTotals;
 use super::false_claim::FalseClaim;
 use super::fragment::{OutgoingMessage, fragment_count};
-use super::packet::{DATA_HEADER_BYTES, Fragment, Role, Terms, write_data_header};
-use super::reassembly::MAX_SPAN;
+use super::long_losses::LongLossDetector;
+use super::outstanding::{OutstandingMessages, read_tag, written_tag};
+use super::packet::{Fragment, Terms};
+use super::packet_writer::PacketWriter;
+use super::send_queue::{QueueLimits, SendQueue};
 use super::window::SendWindow;
-use crate::statistics::DatagramStatistics;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
 /// Largest message without a tag that is sent again when it is lost: what opens and closes sessions.
 const MAX_KEPT_BYTES: u32 = 64 * 1024;
 
-/// Long datagrams do not pass when so many messages in a row, and for at least so long, lost all of them. Chance alone
-/// does so once in 40,000 times where 30 % are lost and messages have two datagrams.
-const LONG_LOST: u32 = 16;
-const LONG_LOST_FOR: Span = Span::from_seconds(1);
-
 /// Most bytes of datagrams that leave at once.
 const MAX_BATCH_BYTES: usize = 60_000;
-
-/// What may wait to be sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct QueueLimits {
-    /// Messages.
-    pub(crate) messages: usize,
-    /// Bytes; a single message is always taken.
-    pub(crate) bytes: u64,
-}
 
 /// Datagrams that leave together: all but the last have the same length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,86 +27,42 @@ pub(crate) struct Batch {
     pub(crate) count: usize,
 }
 
-/// A message that left or waits.
-#[derive(Debug)]
-struct Record {
-    /// As it is written: 0 for none.
-    tag: u64,
-    fragments: u32,
-    /// The message, while it may have to be sent again.
-    kept: Option<Frames>,
-    is_lost: bool,
-}
-
-/// Messages of several datagrams in a row of which at most one arrived.
-#[derive(Clone, Copy, Debug)]
-struct LongLosses {
-    messages: u32,
-    /// Datagrams that were lost before, as far as the other end had told.
-    before: u64,
-    /// When the first of them was told of.
-    since: MonoTime,
-}
-
 /// The sending half.
 #[derive(Debug)]
 pub(crate) struct Sending {
-    role: Role,
-    connection: u64,
-    prefix: &'static [u8],
+    writer: PacketWriter,
+    /// Bytes of every fragment but the last of a message.
     stride: u16,
-    limits: QueueLimits,
     window: SendWindow,
-    queue: VecDeque<OutgoingMessage>,
-    queued_bytes: u64,
-    next: u64,
-    /// Of the messages from `first` on, until the other end has settled them.
-    records: VecDeque<Record>,
-    first: u64,
+    queue: SendQueue,
+    outstanding: OutstandingMessages,
+    long_losses: LongLossDetector,
     /// When a part of a message last left.
     sent_at: MonoTime,
     /// Datagrams that left: the number of the next.
     datagrams: u64,
     /// Datagrams of messages that were sent again.
     retransmitted: u64,
-    long_losses: Option<LongLosses>,
-}
-
-/// The number for a tag on the wire, where 0 is none.
-fn written_tag(tag: Option<u64>) -> u64 {
-    tag.map_or(0, |tag| tag.wrapping_add(1))
-}
-
-/// The tag that a number on the wire stands for.
-pub(crate) fn read_tag(written: u64) -> Option<u64> {
-    written.checked_sub(1)
 }
 
 impl Sending {
     pub(crate) fn new(
-        (role, connection, prefix): (Role, u64, &'static [u8]),
+        writer: PacketWriter,
         terms: Terms,
         limits: QueueLimits,
         bits_per_second: Option<u64>,
         now: MonoTime,
     ) -> Self {
-        let overhead = prefix.len() + DATA_HEADER_BYTES;
         Self {
-            role,
-            connection,
-            prefix,
-            stride: usize::from(terms.datagram).saturating_sub(overhead).max(1) as u16,
-            limits,
+            writer,
+            stride: usize::from(terms.datagram).saturating_sub(writer.data_overhead()).max(1) as u16,
             window: SendWindow::new(terms, bits_per_second, now),
-            queue: VecDeque::new(),
-            queued_bytes: 0,
-            next: 0,
-            records: VecDeque::new(),
-            first: 0,
+            queue: SendQueue::new(limits),
+            outstanding: OutstandingMessages::default(),
+            long_losses: LongLossDetector::default(),
             sent_at: now,
             datagrams: 0,
             retransmitted: 0,
-            long_losses: None,
         }
     }
 
@@ -136,9 +77,7 @@ impl Sending {
         deadline: Option<MonoTime>,
     ) -> Result<(), SendFailure> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
-        let is_full =
-            self.queue.len() >= self.limits.messages || self.queued_bytes + bytes > self.limits.bytes;
-        if !self.queue.is_empty() && is_full {
+        if !self.queue.has_room(bytes) {
             return Err(SendFailure::Full);
         }
         self.enqueue(frames, written_tag(tag), deadline)
@@ -146,24 +85,23 @@ impl Sending {
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
         let kept = (tag == 0).then(|| frames.clone());
-        let message = OutgoingMessage::new(frames, self.next, tag, deadline)
+        let message = OutgoingMessage::new(frames, self.outstanding.next(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
         let kept = kept.filter(|_| message.total <= MAX_KEPT_BYTES);
-        let fragments = fragment_count(message.total, self.stride);
-        if self.records.len() as u64 >= MAX_SPAN {
-            self.records.pop_front();
-            self.first += 1;
-        }
-        self.records.push_back(Record { tag, fragments, kept, is_lost: false });
-        self.next += 1;
-        self.queued_bytes += u64::from(message.total);
-        self.queue.push_back(message);
+        self.outstanding.push(tag, fragment_count(message.total, self.stride), kept);
+        self.queue.push(message);
         Ok(())
+    }
+
+    /// How far sending has come: the message of which the next part leaves, and where that part begins.
+    fn position(&self) -> (u64, u32) {
+        let waiting = self.queue.front().map(|message| (message.sequence, message.offset));
+        waiting.unwrap_or_else(|| (self.outstanding.next(), 0))
     }
 
     /// The number of the first message that has not left as a whole.
     pub(crate) fn next(&self) -> u64 {
-        self.queue.front().map_or(self.next, |message| message.sequence)
+        self.position().0
     }
 
     /// Datagrams that left: the number of the next.
@@ -171,15 +109,9 @@ impl Sending {
         self.datagrams
     }
 
-    /// Totals of this direction; `arrivals` is what the other end told, if it has.
-    pub(crate) fn statistics(&self, arrivals: Option<ArrivalTotals>) -> DatagramStatistics {
-        DatagramStatistics {
-            datagrams: Some(self.datagrams),
-            lost: arrivals.map(|told| told.lost),
-            duplicated: arrivals.map(|told| told.duplicated),
-            reordered: arrivals.map(|told| told.reordered),
-            retransmitted: Some(self.retransmitted),
-        }
+    /// Datagrams of messages that were sent again.
+    pub(crate) const fn retransmitted(&self) -> u64 {
+        self.retransmitted
     }
 
     /// Whether nothing waits to be sent.
@@ -187,10 +119,9 @@ impl Sending {
         self.queue.is_empty()
     }
 
-    /// When the other end should be asked what has arrived: `pause` after the last message, and every `period` while
-    /// they follow each other. `None` when nothing is open.
-    pub(crate) fn asks_at(&self, pinged: MonoTime, (pause, period): (Span, Span)) -> Option<MonoTime> {
-        (self.first < self.next()).then(|| (self.sent_at.max(pinged) + pause).min(pinged + period))
+    /// When a part of a message last left; `None` when all that left is settled.
+    pub(crate) fn unsettled_since(&self) -> Option<MonoTime> {
+        (self.outstanding.first() < self.next()).then_some(self.sent_at)
     }
 
     /// When something more can leave, if nothing is heard until then.
@@ -204,7 +135,7 @@ impl Sending {
         let full = self.longest();
         let mut batch: Option<Batch> = None;
         while self.window.is_open(now)
-            && let Some(message) = self.queue.front_mut()
+            && let Some(message) = self.queue.front()
         {
             let count = batch.map_or(0, |batch| batch.count);
             if count >= most || (count > 0 && out.len() - start + full > MAX_BATCH_BYTES) {
@@ -224,17 +155,12 @@ impl Sending {
                 bytes: &[],
             };
             let begin = out.len();
-            out.extend_from_slice(self.prefix);
-            write_data_header(self.role, (self.connection, self.datagrams as u32), &fragment, out);
+            self.writer.write_data_header(self.datagrams as u32, &fragment, out);
+            let Some((sequence, end)) = self.queue.take(self.stride, out) else { break };
             self.datagrams += 1;
-            let (_, taken) = message.take(self.stride, out);
             let length = out.len() - begin;
-            self.window.sent(message.sequence, message.offset, length as u32, now);
+            self.window.sent(sequence, end, length as u32, now);
             self.sent_at = now;
-            self.queued_bytes -= u64::from(taken);
-            if message.is_done() {
-                self.queue.pop_front();
-            }
             let segment = batch.map_or(length, |batch| batch.segment);
             batch = Some(Batch { segment, count: count + 1 });
             // A shorter one can only be the last, and after a short first one there is no longer one.
@@ -247,26 +173,8 @@ impl Sending {
 
     /// Drops the waiting messages whose deadline is over. Returns their tags and fragments.
     pub(crate) fn expire(&mut self, now: MonoTime) -> Vec<MessageLoss> {
-        let mut expired = Vec::new();
-        let (first, records, queued) = (self.first, &mut self.records, &mut self.queued_bytes);
-        self.queue.retain(|message| {
-            if message.deadline.is_none_or(|deadline| now < deadline) {
-                return true;
-            }
-            *queued -= u64::from(message.remaining());
-            let at = message.sequence.checked_sub(first).and_then(|at| usize::try_from(at).ok());
-            if let Some(record) = at.and_then(|at| records.get_mut(at)) {
-                record.is_lost = true;
-                expired.push(MessageLoss { tag: read_tag(record.tag), received: 0, total: record.fragments });
-            }
-            false
-        });
-        expired
-    }
-
-    /// How far sending has come: the message of which the next part leaves, and where that part begins.
-    fn position(&self) -> (u64, u32) {
-        self.queue.front().map_or((self.next, 0), |message| (message.sequence, message.offset))
+        let expired = self.queue.expire(now);
+        expired.into_iter().filter_map(|sequence| self.outstanding.expire(sequence)).collect()
     }
 
     /// The other end has come so far.
@@ -292,13 +200,8 @@ impl Sending {
         if below > current + u64::from(offset > 0) {
             return Err(FalseClaim::Unsent);
         }
-        while self.first < below
-            && let Some(record) = self.records.pop_front()
-        {
-            self.first += 1;
-            if record.fragments > 1 && !record.is_lost {
-                self.long_losses = None;
-            }
+        for message in self.outstanding.settle(below) {
+            self.long_losses.arrive(message.fragments);
         }
         Ok(())
     }
@@ -318,27 +221,20 @@ impl Sending {
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
-        let at = sequence.checked_sub(self.first).and_then(|at| usize::try_from(at).ok());
         // A message that is being sent cannot be lost yet.
-        let Some(record) = at.filter(|_| sequence < current).and_then(|at| self.records.get_mut(at)) else {
+        let Some(message) = self.outstanding.get_mut(sequence).filter(|_| sequence < current) else {
             return Ok((0, 0, None));
         };
-        let (tag, fragments) = (record.tag, record.fragments);
+        let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {
             return Err(FalseClaim::Fragments);
         }
-        if std::mem::replace(&mut record.is_lost, true) {
+        if std::mem::replace(&mut message.is_lost, true) {
             return Ok((tag, fragments, None));
         }
-        let kept = record.kept.take();
+        let kept = message.kept.take();
         self.window.lost();
-        // The one that arrived may be the last, which is shorter than the others.
-        if received > 1 {
-            self.long_losses = None;
-        } else if fragments > 1 {
-            self.long_losses.get_or_insert(LongLosses { messages: 0, before: lost, since: now }).messages +=
-                1;
-        }
+        self.long_losses.lose(fragments, received, lost, now);
         if let Some(frames) = kept
             && self.enqueue(frames, 0, None).is_ok()
         {
@@ -351,16 +247,12 @@ impl Sending {
     /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end
     /// has told: it may give messages up for other reasons, too.
     pub(crate) fn loses_long(&self, lost: u64, now: MonoTime) -> bool {
-        self.long_losses.is_some_and(|losses| {
-            losses.messages >= LONG_LOST
-                && lost.saturating_sub(losses.before) >= u64::from(LONG_LOST)
-                && now - losses.since >= LONG_LOST_FOR
-        })
+        self.long_losses.loses_all(lost, now)
     }
 
     /// Bytes of the longest datagrams that are sent.
     pub(crate) fn longest(&self) -> usize {
-        self.prefix.len() + DATA_HEADER_BYTES + usize::from(self.stride)
+        self.writer.data_overhead() + usize::from(self.stride)
     }
 
     pub(crate) fn tick(&mut self, now: MonoTime) {

@@ -11,8 +11,9 @@ use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::handshake::{Dialled, Dialling};
 use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
+use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
-use super::sending::QueueLimits;
+use super::send_queue::QueueLimits;
 use crate::transport::memory::MemoryBudget;
 use crate::transport::{Arrival, ConnectionId};
 
@@ -134,7 +135,7 @@ impl World {
                     if let Some(Dialled::Opened { connection, terms }) = self.dialling.hear(&packet, now) {
                         let limits = limits();
                         self.edge = Some(Connection::new(
-                            (Role::Edge, connection, PREFIX),
+                            PacketWriter::new(Role::Edge, connection, PREFIX),
                             terms,
                             limits.connection,
                             (limits.reassembly, MemoryBudget::new(10_000_000)),

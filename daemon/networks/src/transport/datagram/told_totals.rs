@@ -35,11 +35,6 @@ impl ToldTotals {
     pub(super) const fn totals(&self) -> Option<ArrivalTotals> {
         self.confirmed
     }
-
-    /// Datagrams that were lost, as far as the other end has told.
-    pub(super) fn lost(&self) -> u64 {
-        self.confirmed.map_or(0, |told| told.lost)
-    }
 }
 
 #[cfg(test)]
@@ -54,9 +49,9 @@ mod tests {
     fn totals_follow_what_is_told_twice() {
         let mut told = ToldTotals::default();
         assert_eq!(told.tell(totals(1, 2, 3), 10), Ok(()));
-        assert_eq!((told.totals(), told.lost()), (None, 0));
+        assert_eq!(told.totals(), None);
         assert_eq!(told.tell(totals(2, 2, 4), 10), Ok(()));
-        assert_eq!((told.totals(), told.lost()), (Some(totals(1, 2, 3)), 1));
+        assert_eq!(told.totals(), Some(totals(1, 2, 3)));
         assert_eq!(told.tell(totals(9, 9, 9), 10), Ok(()));
         assert_eq!(told.totals(), Some(totals(2, 2, 4)), "one packet alone is not believed");
         assert_eq!(told.tell(totals(2, 3, 4), 10), Ok(()));

@@ -5,146 +5,84 @@
 //! slowest link on the way. After a loss it grows with time and not with what arrives, as CUBIC's does (RFC 9438): every
 //! loss costs a whole message, so the size that was too much is tried again after seconds and not within the next message.
 
-use std::collections::VecDeque;
+use peernet_clock::MonoTime;
 
-use peernet_clock::{MonoTime, Span};
-
+use super::congestion::CongestionWindow;
+use super::in_flight::BytesInFlight;
+use super::pacing::Pacer;
 use super::packet::Terms;
 
 /// Bytes that an end receives before it says how far it has come.
 pub(crate) const PROGRESS_BYTES: u32 = 16 * 1024;
 
-/// The least that may be on its way: more than goes unsaid for.
-const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
-
-/// What may be on its way at first.
-const FIRST_WINDOW: u32 = 256 * 1024;
-
-/// Without word from the other end for so long, what was sent is taken for arrived or lost.
-const SILENCE: Span = Span::from_millis(200);
-
-/// How far ahead of the configured rate sending may be.
-const BURST: Span = Span::from_millis(2);
-
-/// Growth in a second after a loss, as a part of the size: it doubles in three seconds.
-const GROWTH_AFTER_LOSS: f64 = 0.25;
-
 /// The state of one direction of a connection.
 #[derive(Debug)]
 pub(crate) struct SendWindow {
-    most: u32,
-    size: u32,
-    /// Below it the window doubles with each round trip.
-    threshold: u32,
-    sent: u64,
-    arrived: u64,
-    /// Sequence, end in its message, and position in the stream of all bytes of each datagram on its way.
-    marks: VecDeque<(u64, u32, u64)>,
-    heard: MonoTime,
-    /// When something last arrived.
-    progressed: MonoTime,
-    /// What was on its way at the last loss: what is lost of it counts once.
-    recovery: u64,
-    bytes_per_second: Option<u64>,
-    /// When the configured rate allows the next datagram.
-    next: MonoTime,
+    congestion: CongestionWindow,
+    in_flight: BytesInFlight,
+    pacer: Pacer,
 }
 
 impl SendWindow {
     /// A window for the other end's terms; `bits_per_second` is the configured rate.
     pub(crate) fn new(terms: Terms, bits_per_second: Option<u64>, now: MonoTime) -> Self {
-        let most = terms.window.max(MIN_WINDOW);
         Self {
-            most,
-            size: FIRST_WINDOW.min(most),
-            threshold: most,
-            sent: 0,
-            arrived: 0,
-            marks: VecDeque::new(),
-            heard: now,
-            progressed: now,
-            recovery: 0,
-            bytes_per_second: bits_per_second.map(|bits| (bits / 8).max(1)),
-            next: now,
+            congestion: CongestionWindow::new(terms.window, now),
+            in_flight: BytesInFlight::new(now),
+            pacer: Pacer::new(bits_per_second, now),
         }
     }
 
     /// Bytes that may be on their way.
     #[cfg(test)]
     pub(crate) const fn size(&self) -> u32 {
-        self.size
+        self.congestion.size()
+    }
+
+    fn is_full(&self) -> bool {
+        self.in_flight.bytes() >= u64::from(self.congestion.size())
     }
 
     /// Whether another datagram may leave now.
     pub(crate) fn is_open(&self, now: MonoTime) -> bool {
-        self.sent - self.arrived < u64::from(self.size) && self.next <= now + BURST
+        !self.is_full() && self.pacer.opens_at() <= now
     }
 
     /// When it may be open again, if nothing is heard until then.
     pub(crate) fn opens_at(&self) -> MonoTime {
-        if self.sent - self.arrived >= u64::from(self.size) {
-            return self.heard + SILENCE;
-        }
-        self.next - BURST
+        if self.is_full() { self.in_flight.ends_at() } else { self.pacer.opens_at() }
     }
 
     /// A datagram left, with the part of a message that ends there.
     pub(crate) fn sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
-        if self.sent == self.arrived {
-            self.heard = now;
-        }
-        self.sent += u64::from(bytes);
-        self.marks.push_back((sequence, end, self.sent));
-        if let Some(rate) = self.bytes_per_second {
-            let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
-            self.next = self.next.max(now) + Span::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX));
-        }
+        self.in_flight.send((sequence, end), bytes, now);
+        self.pacer.sent(bytes, now);
     }
 
     /// The other end has come so far.
     pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
-        let before = self.arrived;
-        while let Some((marked, at, position)) = self.marks.front().copied()
-            && (marked, at) <= (sequence, end)
-        {
-            self.arrived = position;
-            self.marks.pop_front();
+        let arrived = self.in_flight.progress((sequence, end), now);
+        if arrived > 0 {
+            self.congestion.grow(arrived, now);
         }
-        let arrived = self.arrived - before;
-        if arrived == 0 {
-            return;
-        }
-        let growth = if self.size < self.threshold {
-            arrived
-        } else {
-            let elapsed = (now - self.progressed).min(SILENCE).seconds();
-            (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
-        };
-        (self.heard, self.progressed) = (now, now);
-        self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.most)) as u32;
     }
 
     /// A message was lost on the way.
     pub(crate) fn lost(&mut self) {
-        if self.arrived < self.recovery {
-            return;
-        }
-        self.recovery = self.sent;
-        self.size = (self.size / 2).max(MIN_WINDOW);
-        self.threshold = self.size;
+        self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived());
     }
 
     /// Takes what is on its way for gone when nothing was heard of it for long.
     pub(crate) fn tick(&mut self, now: MonoTime) {
-        if self.sent > self.arrived && now - self.heard >= SILENCE {
-            self.arrived = self.sent;
-            self.marks.clear();
-        }
+        self.in_flight.tick(now);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use peernet_clock::Span;
+
+    use super::super::congestion::{FIRST_WINDOW, MIN_WINDOW};
     use super::*;
 
     const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
@@ -172,8 +110,7 @@ mod tests {
         for round in 0..20 {
             let sent = fill(&mut window, at(round));
             window.progress(0, sent, at(round));
-            window.marks.clear();
-            window.arrived = window.sent;
+            window.progress(u64::MAX, 0, at(round));
         }
         assert!(window.size() <= TERMS.window);
     }

@@ -21,6 +21,7 @@ use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::handshake::{Dialled as Answer, Dialling, PathTooSmall};
 use crate::transport::datagram::packet::{Packet, Role, Terms};
+use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
@@ -50,7 +51,7 @@ pub(crate) async fn dial(
     let budget = MemoryBudget::new(largest.saturating_mul(UNFINISHED_MESSAGES));
     let now = time_since(start, Instant::now());
     let connection = Connection::new(
-        (Role::Edge, id, PREFIX),
+        PacketWriter::new(Role::Edge, id, PREFIX),
         terms,
         connection_limits(settings),
         (reassembly_limits(settings), budget),

@@ -1,0 +1,63 @@
+//! How much may be on its way, by what arrives and what is lost.
+
+use peernet_clock::MonoTime;
+
+use super::in_flight::SILENCE;
+use super::window::PROGRESS_BYTES;
+
+/// The least that may be on its way: more than goes unsaid for.
+pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
+
+/// What may be on its way at first.
+pub(super) const FIRST_WINDOW: u32 = 256 * 1024;
+
+/// Growth in a second after a loss, as a part of the size: it doubles in three seconds.
+const GROWTH_AFTER_LOSS: f64 = 0.25;
+
+/// A size between [`MIN_WINDOW`] and what the other end takes, that grows with what arrives and is halved at losses.
+#[derive(Debug)]
+pub(super) struct CongestionWindow {
+    most: u32,
+    size: u32,
+    /// Below it the window doubles with each round trip.
+    threshold: u32,
+    /// When something last arrived.
+    progressed: MonoTime,
+    /// Bytes that had left at the last loss: what is lost of them counts once.
+    recovery: u64,
+}
+
+impl CongestionWindow {
+    /// `most` is what the other end takes.
+    pub(super) fn new(most: u32, now: MonoTime) -> Self {
+        let most = most.max(MIN_WINDOW);
+        Self { most, size: FIRST_WINDOW.min(most), threshold: most, progressed: now, recovery: 0 }
+    }
+
+    /// Bytes that may be on their way.
+    pub(super) const fn size(&self) -> u32 {
+        self.size
+    }
+
+    /// So many bytes arrived, at least one.
+    pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
+        let growth = if self.size < self.threshold {
+            arrived
+        } else {
+            let elapsed = (now - self.progressed).min(SILENCE).seconds();
+            (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
+        };
+        self.progressed = now;
+        self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.most)) as u32;
+    }
+
+    /// A message was lost, while `sent` bytes had left in all and `arrived` of them were not on their way any more.
+    pub(super) fn shrink(&mut self, sent: u64, arrived: u64) {
+        if arrived < self.recovery {
+            return;
+        }
+        self.recovery = sent;
+        self.size = (self.size / 2).max(MIN_WINDOW);
+        self.threshold = self.size;
+    }
+}

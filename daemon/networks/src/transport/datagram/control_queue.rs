@@ -1,0 +1,40 @@
+//! Packets without a message that wait to be sent.
+
+use std::collections::VecDeque;
+
+use super::packet::Packet;
+use super::packet_writer::PacketWriter;
+use super::sending::Batch;
+
+/// Most packets that wait. More than that is waiting when nothing leaves; all of it is repeated or comes again.
+const MAX_PACKETS: usize = 256;
+
+/// Packets of a connection that leave before its messages.
+#[derive(Debug)]
+pub(super) struct ControlQueue {
+    writer: PacketWriter,
+    packets: VecDeque<Packet<'static>>,
+}
+
+impl ControlQueue {
+    pub(super) const fn new(writer: PacketWriter) -> Self {
+        Self { writer, packets: VecDeque::new() }
+    }
+
+    /// Queues a packet; one that finds no room is dropped.
+    pub(super) fn push(&mut self, packet: Packet<'static>) {
+        if self.packets.len() < MAX_PACKETS {
+            self.packets.push_back(packet);
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.packets.clear();
+    }
+
+    /// Appends the datagram of the next packet.
+    pub(super) fn fill(&mut self, out: &mut Vec<u8>) -> Option<Batch> {
+        let packet = self.packets.pop_front()?;
+        Some(Batch { segment: self.writer.write(&packet, out), count: 1 })
+    }
+}

@@ -1,0 +1,73 @@
+//! When the other end is asked for a sign of life, and when it counts as gone.
+
+use peernet_clock::{MonoTime, Span};
+
+/// How long after a message the other end is asked what has arrived.
+const ASK_PAUSE: Span = Span::from_millis(50);
+
+/// How often it is asked at least while messages follow each other: statistics come with the answers.
+const ASK_PERIOD: Span = Span::from_seconds(1);
+
+/// The times of a connection's signs of life.
+#[derive(Debug)]
+pub(super) struct Heartbeat {
+    interval: Span,
+    timeout: Span,
+    /// When the other end was last heard of.
+    heard: MonoTime,
+    /// When it was last asked for a sign of life.
+    pinged: MonoTime,
+}
+
+impl Heartbeat {
+    pub(super) const fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
+        Self { interval, timeout, heard: now, pinged: now }
+    }
+
+    /// How long the other end may be silent.
+    pub(super) const fn timeout(&self) -> Span {
+        self.timeout
+    }
+
+    /// Something arrived.
+    pub(super) fn hear(&mut self, now: MonoTime) {
+        self.heard = now;
+    }
+
+    /// The other end is asked for a sign of life.
+    pub(super) fn ping(&mut self, now: MonoTime) {
+        self.pinged = now;
+    }
+
+    /// When the other end is to be asked; `sent_at` is when the last part of a message left, while messages are not settled
+    /// there: it is asked sooner then, as its answer tells what never arrived.
+    pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
+        let idle = self.heard.max(self.pinged) + self.interval;
+        let asks = sent_at.map(|sent| (sent.max(self.pinged) + ASK_PAUSE).min(self.pinged + ASK_PERIOD));
+        asks.map_or(idle, |at| idle.min(at))
+    }
+
+    /// When the other end counts as gone, if nothing is heard until then.
+    pub(super) fn ends_at(&self) -> MonoTime {
+        self.heard + self.timeout
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_end_is_asked_when_idle_and_after_messages() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut heartbeat = Heartbeat::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_000), at(5_000)));
+        heartbeat.hear(at(500));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_500), at(5_500)));
+        assert_eq!(heartbeat.ping_at(Some(at(600))), at(650), "after the last message");
+        assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_000), "once a second while they follow each other");
+        heartbeat.ping(at(1_000));
+        assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_050));
+        assert_eq!(heartbeat.ping_at(None), at(3_000));
+    }
+}

@@ -1,0 +1,108 @@
+//! The messages that the other end has not settled.
+
+use std::collections::VecDeque;
+
+use super::reassembly::MAX_SPAN;
+use crate::transport::{Frames, MessageLoss};
+
+/// A message that left or waits.
+#[derive(Debug)]
+pub(super) struct OutstandingMessage {
+    /// As it is written: 0 for none.
+    pub(super) tag: u64,
+    pub(super) fragments: u32,
+    /// The message, while it may have to be sent again.
+    pub(super) kept: Option<Frames>,
+    /// Whether it is known to be lost.
+    pub(super) is_lost: bool,
+}
+
+/// The messages with the numbers from [`first`](Self::first) on, without a gap. At most [`MAX_SPAN`]: the other end keeps no more.
+#[derive(Debug, Default)]
+pub(super) struct OutstandingMessages {
+    first: u64,
+    messages: VecDeque<OutstandingMessage>,
+}
+
+/// The number for a tag on the wire, where 0 is none.
+pub(super) fn written_tag(tag: Option<u64>) -> u64 {
+    tag.map_or(0, |tag| tag.wrapping_add(1))
+}
+
+/// The tag that a number on the wire stands for.
+pub(super) fn read_tag(written: u64) -> Option<u64> {
+    written.checked_sub(1)
+}
+
+impl OutstandingMessages {
+    /// Messages with a lower number are settled, or too old to be told of.
+    pub(super) const fn first(&self) -> u64 {
+        self.first
+    }
+
+    /// The number that the next message gets.
+    pub(super) fn next(&self) -> u64 {
+        self.first + self.messages.len() as u64
+    }
+
+    /// Adds a message, which gets the number [`next`](Self::next).
+    pub(super) fn push(&mut self, tag: u64, fragments: u32, kept: Option<Frames>) {
+        if self.messages.len() as u64 >= MAX_SPAN {
+            self.messages.pop_front();
+            self.first += 1;
+        }
+        self.messages.push_back(OutstandingMessage { tag, fragments, kept, is_lost: false });
+    }
+
+    /// The message of a number, unless it is settled.
+    pub(super) fn get_mut(&mut self, sequence: u64) -> Option<&mut OutstandingMessage> {
+        let at = usize::try_from(sequence.checked_sub(self.first)?).ok()?;
+        self.messages.get_mut(at)
+    }
+
+    /// Drops the messages below a number. Returns those that arrived.
+    pub(super) fn settle(&mut self, below: u64) -> impl Iterator<Item = OutstandingMessage> + '_ {
+        let count = below.saturating_sub(self.first).min(self.messages.len() as u64);
+        self.first += count;
+        self.messages.drain(..count as usize).filter(|message| !message.is_lost)
+    }
+
+    /// A message was dropped before it left as a whole. Returns what to tell of it.
+    pub(super) fn expire(&mut self, sequence: u64) -> Option<MessageLoss> {
+        let message = self.get_mut(sequence)?;
+        message.is_lost = true;
+        Some(MessageLoss { tag: read_tag(message.tag), received: 0, total: message.fragments })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_go_on_when_messages_are_settled() {
+        let mut outstanding = OutstandingMessages::default();
+        for tag in [None, Some(0), Some(7)] {
+            outstanding.push(written_tag(tag), 2, None);
+        }
+        let expired = MessageLoss { tag: Some(0), received: 0, total: 2 };
+        assert_eq!(outstanding.expire(1), Some(expired));
+        assert_eq!(outstanding.expire(3), None);
+        assert_eq!(outstanding.settle(2).count(), 1, "the lost one did not arrive");
+        assert_eq!((outstanding.first(), outstanding.next()), (2, 3));
+        assert!(outstanding.get_mut(1).is_none());
+        assert_eq!(outstanding.get_mut(2).and_then(|message| read_tag(message.tag)), Some(7));
+        assert_eq!(outstanding.settle(9).count(), 1);
+        assert_eq!((outstanding.first(), outstanding.next()), (3, 3));
+    }
+
+    #[test]
+    fn oldest_message_makes_room() {
+        let mut outstanding = OutstandingMessages::default();
+        for tag in 0..=MAX_SPAN {
+            outstanding.push(tag, 1, None);
+        }
+        assert_eq!((outstanding.first(), outstanding.next()), (1, MAX_SPAN + 1));
+        assert_eq!(outstanding.get_mut(1).map(|message| message.tag), Some(1));
+    }
+}

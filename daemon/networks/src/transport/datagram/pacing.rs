@@ -1,0 +1,53 @@
+//! Keeping a configured rate.
+
+use peernet_clock::{MonoTime, Span};
+
+/// How far ahead of the configured rate sending may be.
+const BURST: Span = Span::from_millis(2);
+
+/// Spaces datagrams so that they leave at a configured rate on the average.
+#[derive(Debug)]
+pub(super) struct Pacer {
+    /// `None` spaces nothing.
+    bytes_per_second: Option<u64>,
+    /// When the rate allows the next datagram.
+    next: MonoTime,
+}
+
+impl Pacer {
+    pub(super) fn new(bits_per_second: Option<u64>, now: MonoTime) -> Self {
+        Self { bytes_per_second: bits_per_second.map(|bits| (bits / 8).max(1)), next: now }
+    }
+
+    /// When another datagram may leave.
+    pub(super) fn opens_at(&self) -> MonoTime {
+        self.next - BURST
+    }
+
+    /// A datagram of so many bytes left.
+    pub(super) fn sent(&mut self, bytes: u32, now: MonoTime) {
+        if let Some(rate) = self.bytes_per_second {
+            let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
+            self.next = self.next.max(now) + Span::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pause_is_made_good_by_one_burst_only() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut pacer = Pacer::new(Some(8_000_000), at(0));
+        pacer.sent(1_000, at(5_000));
+        assert_eq!(pacer.opens_at(), at(4_999));
+        pacer.sent(1_000, at(5_000));
+        pacer.sent(1_000, at(5_000));
+        assert_eq!(pacer.opens_at(), at(5_001));
+        let mut unpaced = Pacer::new(None, at(0));
+        unpaced.sent(u32::MAX, at(0));
+        assert_eq!(unpaced.opens_at(), at(-2));
+    }
+}

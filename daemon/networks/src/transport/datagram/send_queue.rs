@@ -1,0 +1,118 @@
+//! The messages that wait to be sent.
+
+use std::collections::VecDeque;
+
+use peernet_clock::MonoTime;
+
+use super::fragment::OutgoingMessage;
+
+/// What may wait to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct QueueLimits {
+    /// Messages.
+    pub(crate) messages: usize,
+    /// Bytes; a single message is always taken.
+    pub(crate) bytes: u64,
+}
+
+/// Messages in the order of their numbers, of which only the first may have left in part.
+#[derive(Debug)]
+pub(super) struct SendQueue {
+    limits: QueueLimits,
+    messages: VecDeque<OutgoingMessage>,
+    /// What is left of all of them.
+    bytes: u64,
+}
+
+impl SendQueue {
+    pub(super) const fn new(limits: QueueLimits) -> Self {
+        Self { limits, messages: VecDeque::new(), bytes: 0 }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.messages.is_empty()
+    }
+
+    /// Whether a message of so many bytes may be queued.
+    pub(super) fn has_room(&self, bytes: u64) -> bool {
+        let is_full = self.messages.len() >= self.limits.messages || self.bytes + bytes > self.limits.bytes;
+        self.messages.is_empty() || !is_full
+    }
+
+    /// Queues a message, whether there is room or not.
+    pub(super) fn push(&mut self, message: OutgoingMessage) {
+        self.bytes += u64::from(message.remaining());
+        self.messages.push_back(message);
+    }
+
+    /// The message of which the next part leaves.
+    pub(super) fn front(&self) -> Option<&OutgoingMessage> {
+        self.messages.front()
+    }
+
+    /// Takes the next bytes of the first message, at most so many, and appends them. Returns the number of the message and where
+    /// they end in it.
+    pub(super) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
+        let message = self.messages.front_mut()?;
+        let (_, taken) = message.take(most, out);
+        self.bytes -= u64::from(taken);
+        let end = (message.sequence, message.offset);
+        if message.is_done() {
+            self.messages.pop_front();
+        }
+        Some(end)
+    }
+
+    /// Drops the messages whose deadline is over. Returns their numbers.
+    pub(super) fn expire(&mut self, now: MonoTime) -> Vec<u64> {
+        let (mut expired, bytes) = (Vec::new(), &mut self.bytes);
+        self.messages.retain(|message| {
+            let is_kept = message.deadline.is_none_or(|deadline| now < deadline);
+            if !is_kept {
+                *bytes -= u64::from(message.remaining());
+                expired.push(message.sequence);
+            }
+            is_kept
+        });
+        expired
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytes::Bytes;
+    use peernet_clock::Span;
+
+    use super::*;
+
+    fn message(sequence: u64, size: usize, deadline: Option<MonoTime>) -> OutgoingMessage {
+        OutgoingMessage::new(vec![Bytes::from(vec![7; size])], sequence, 0, deadline).expect("small")
+    }
+
+    #[test]
+    fn bytes_follow_what_is_queued_taken_and_expired() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
+        assert!(queue.has_room(5_000), "a single message is always taken");
+        // Each has six bytes of its own.
+        queue.push(message(0, 94, None));
+        queue.push(message(1, 494, Some(at(10))));
+        assert!(queue.has_room(400) && !queue.has_room(401));
+        assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 60)));
+        assert!(queue.has_room(460) && !queue.has_room(461));
+        assert_eq!((queue.expire(at(9)), queue.expire(at(10))), (vec![], vec![1]));
+        assert!(queue.has_room(960) && !queue.has_room(961));
+        assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 100)));
+        assert!(queue.is_empty() && queue.front().is_none());
+        assert_eq!(queue.take(60, &mut Vec::new()), None);
+    }
+
+    #[test]
+    fn number_of_messages_is_bounded() {
+        let mut queue = SendQueue::new(QueueLimits { messages: 2, bytes: 1_000 });
+        queue.push(message(0, 1, None));
+        assert!(queue.has_room(1));
+        queue.push(message(1, 1, None));
+        assert!(!queue.has_room(1));
+    }
+}

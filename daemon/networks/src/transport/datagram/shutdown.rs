@@ -1,0 +1,120 @@
+//! The end of a connection: a goodbye that is repeated until the other end has heard it.
+
+use peernet_clock::{MonoTime, Span};
+
+/// The pause between goodbyes.
+const BYE_PAUSE: Span = Span::from_millis(50);
+
+/// The goodbye from which on nothing is awaited any more, and the one that is always the last.
+const PATIENT_BYES: u32 = 2;
+const LAST_BYE: u32 = 8;
+
+/// How far the end of a connection has come.
+#[derive(Debug)]
+pub(super) struct Shutdown {
+    phase: Phase,
+    /// Goodbyes of the other end that were heard.
+    byes: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Open,
+    Closing { next_bye: MonoTime },
+    Closed,
+}
+
+impl Shutdown {
+    pub(super) const fn new() -> Self {
+        Self { phase: Phase::Open, byes: 0 }
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.phase == Phase::Open
+    }
+
+    /// Whether the connection is over.
+    pub(super) fn is_closed(&self) -> bool {
+        self.phase == Phase::Closed
+    }
+
+    /// Begins to say goodbye.
+    pub(super) fn begin(&mut self, now: MonoTime) {
+        if self.is_open() {
+            self.phase = Phase::Closing { next_bye: now };
+        }
+    }
+
+    /// When the next goodbye is to be said.
+    pub(super) const fn bye_at(&self) -> Option<MonoTime> {
+        match self.phase {
+            Phase::Closing { next_bye } => Some(next_bye),
+            Phase::Open | Phase::Closed => None,
+        }
+    }
+
+    /// A goodbye is said.
+    pub(super) fn say_bye(&mut self, now: MonoTime) {
+        self.phase = Phase::Closing { next_bye: now + BYE_PAUSE };
+    }
+
+    /// The other end says that it has heard the goodbye.
+    pub(super) fn confirm(&mut self) {
+        if !self.is_open() {
+            self.phase = Phase::Closed;
+        }
+    }
+
+    /// The other end says goodbye. Returns how many times it has.
+    pub(super) fn hear_bye(&mut self) -> u32 {
+        self.byes += 1;
+        self.byes
+    }
+
+    /// Whether the other end has said goodbye so often that nothing more is awaited of it.
+    pub(super) const fn is_impatient(&self) -> bool {
+        self.byes >= PATIENT_BYES
+    }
+
+    /// Whether the other end has said its last goodbye.
+    pub(super) const fn is_last_bye(&self) -> bool {
+        self.byes >= LAST_BYE
+    }
+
+    /// Ends the connection. Returns whether it was not over before.
+    pub(super) fn close(&mut self) -> bool {
+        std::mem::replace(&mut self.phase, Phase::Closed) != Phase::Closed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn goodbye_is_repeated_until_it_is_confirmed() {
+        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut shutdown = Shutdown::new();
+        shutdown.confirm();
+        assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
+        shutdown.begin(at(10));
+        assert_eq!(shutdown.bye_at(), Some(at(10)));
+        shutdown.say_bye(at(20));
+        shutdown.begin(at(30));
+        assert_eq!(shutdown.bye_at(), Some(at(70)));
+        shutdown.confirm();
+        assert!(shutdown.is_closed() && shutdown.bye_at().is_none() && !shutdown.close());
+    }
+
+    #[test]
+    fn patience_ends_before_the_last_goodbye() {
+        let mut shutdown = Shutdown::new();
+        let mut heard = Vec::new();
+        for _ in 0..8 {
+            shutdown.hear_bye();
+            heard.push((shutdown.is_impatient(), shutdown.is_last_bye()));
+        }
+        assert_eq!(heard[..2], [(false, false), (true, false)]);
+        assert_eq!(heard[6..], [(true, false), (true, true)]);
+    }
+}
