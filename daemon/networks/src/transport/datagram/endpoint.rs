@@ -1,32 +1,25 @@
 //! The cloud's end of all virtual connections of a port, without I/O.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span};
 
+use super::MIN_DATAGRAM_BYTES;
+use super::answers::AnswerQueue;
+use super::arrival_queue::{ArrivalQueue, Delivery};
 use super::connection::{Connection, ConnectionLimits, Event};
+use super::connection_table::{ConnectionTable, Room};
 use super::entry::{Entry, Standing, reply_address};
 use super::handshake::{CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
 use super::packet_writer::PacketWriter;
-use super::partial_message::PEAK_COST;
 use super::reassembly::ReassemblyLimits;
+use super::reassembly_budgets::ReassemblyBudgets;
 use super::sending::Batch;
 use super::timers::Timers;
 use crate::statistics::TransportStatistics;
-use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
-
-/// Largest message of a connection without a session.
-const MAX_UNADMITTED_BYTES: u32 = 64 * 1024;
-
-/// Unfinished messages of a connection without a session.
-const MAX_UNADMITTED_MESSAGES: usize = 2;
-
-/// Memory for the unfinished messages of all connections without a session.
-const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 
 /// How often a connection's new address is asked whether it is one.
 const PATH_PAUSE: Span = Span::from_millis(100);
@@ -36,12 +29,6 @@ const PATH_BYTES: usize = 17;
 
 /// The shortest time between two looks at a connection.
 const SOON: Span = Span::from_millis(1);
-
-/// Most answers to strangers that wait to be sent.
-const MAX_ANSWERS: usize = 256;
-
-/// Most arrivals that wait to be handed out; more come when the layer above does not take them.
-const MAX_ARRIVALS: usize = 1_024;
 
 /// Time limits and bounds of a port.
 #[derive(Clone, Debug)]
@@ -65,49 +52,34 @@ pub(crate) struct Route {
     pub(crate) from: Option<IpAddr>,
 }
 
-/// Something that arrived, and the memory that it takes.
-#[derive(Debug)]
-pub(crate) struct Delivery {
-    pub(crate) arrival: Arrival,
-    pub(crate) _reserved: Option<Reservation>,
-}
-
 /// All connections of a port.
 #[derive(Debug)]
 pub(crate) struct Endpoint {
     key: CookieKey,
     prefix: &'static [u8],
     limits: EndpointLimits,
-    unadmitted: Arc<MemoryBudget>,
-    admitted: Arc<MemoryBudget>,
-    entries: HashMap<u64, Entry>,
-    nonces: HashMap<(SocketAddr, u64), u64>,
-    opened: u64,
-    /// Answers to those who have no connection.
-    answers: VecDeque<(Route, Vec<u8>)>,
+    budgets: ReassemblyBudgets,
+    table: ConnectionTable,
+    answers: AnswerQueue,
     /// Connections that may have something to send.
     ready: VecDeque<u64>,
     timers: Timers,
-    arrivals: VecDeque<Delivery>,
+    arrivals: ArrivalQueue,
 }
 
 impl Endpoint {
+    /// Each datagram begins with `prefix`.
     pub(crate) fn new(secret: [u8; 32], prefix: &'static [u8], limits: EndpointLimits) -> Self {
-        let largest = u64::from(limits.reassembly.max_message_bytes) * PEAK_COST;
         Self {
             key: CookieKey::new(secret),
             prefix,
-            unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
-            // One largest message alone always fits, in whatever order its fragments come.
-            admitted: MemoryBudget::new(limits.max_unfinished_bytes.max(largest)),
+            budgets: ReassemblyBudgets::new(limits.reassembly, limits.max_unfinished_bytes),
             limits,
-            entries: HashMap::new(),
-            nonces: HashMap::new(),
-            opened: 0,
-            answers: VecDeque::new(),
+            table: ConnectionTable::default(),
+            answers: AnswerQueue::new(prefix),
             ready: VecDeque::new(),
             timers: Timers::default(),
-            arrivals: VecDeque::new(),
+            arrivals: ArrivalQueue::default(),
         }
     }
 
@@ -125,7 +97,7 @@ impl Endpoint {
                 }
                 let to = reply_address(source, reply_port);
                 let cookie = self.key.cookie(to, nonce, now);
-                self.answer(Route { to, from: local }, Packet::Cookie { nonce, cookie });
+                self.answers.push(Route { to, from: local }, &Packet::Cookie { nonce, cookie });
             }
             Packet::Open { nonce, cookie, reply_port, terms } => {
                 let to = reply_address(source, reply_port);
@@ -137,13 +109,14 @@ impl Endpoint {
             }
             packet => {
                 let Some(connection) = packet.connection() else { return };
-                if self.entries.contains_key(&connection) {
+                if self.table.contains(connection) {
                     return self.hear_known(connection, back, body.len(), packet, now);
                 }
                 match packet {
-                    Packet::Bye { .. } => self.answer(back, Packet::ByeHeard { connection }),
+                    Packet::Bye { .. } => self.answers.push(back, &Packet::ByeHeard { connection }),
                     Packet::Data { .. } | Packet::Ping { .. } => {
-                        self.answer(back, Packet::Reset { id: connection, reason: ResetReason::Unknown });
+                        self.answers
+                            .push(back, &Packet::Reset { id: connection, reason: ResetReason::Unknown });
                     }
                     _ => {}
                 }
@@ -160,154 +133,88 @@ impl Endpoint {
         now: MonoTime,
     ) {
         let to = reply_address(source, reply_port);
-        let known = self.nonces.get(&(to, nonce)).copied();
-        let id = match known {
-            Some(id) => id,
-            None if !self.make_room(AddressGroup::of(source)) => {
-                tracing::debug!(%source, "refused a connection: as many are open as are allowed");
-                let refused = Packet::Reset { id: nonce, reason: ResetReason::Full };
-                return self.answer(Route { to, from: local }, refused);
-            }
-            None => {
-                self.opened += 1;
-                let id = self.key.connection(self.opened);
-                self.nonces.insert((to, nonce), id);
-                id
-            }
-        };
+        let route = Route { to, from: local };
         let own = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
-        let datagram = terms.datagram.min(own.datagram).max(super::MIN_DATAGRAM_BYTES);
-        let limits = self.limits.connection;
-        let prefix = self.prefix;
-        let reassembly = || (unadmitted_limits(&self.limits.reassembly), Arc::clone(&self.unadmitted));
-        let entry = self.entries.entry(id).or_insert_with(|| Entry {
-            connection: Connection::new(
-                PacketWriter::new(Role::Cloud, id, prefix),
-                Terms { datagram, ..terms },
-                limits,
-                reassembly(),
-                now,
-            ),
-            source,
-            reply_port,
-            local,
-            nonce,
-            datagram,
-            standing: Standing::Unadmitted { since: now },
-            path_asked: None,
-            has_delivered: false,
-            is_ready: false,
-        });
-        // An edge that found no answer to a large datagram asks for smaller ones.
-        if entry.datagram != datagram && !entry.has_delivered {
-            entry.datagram = datagram;
-            entry.connection = Connection::new(
-                PacketWriter::new(Role::Cloud, id, prefix),
-                Terms { datagram, ..terms },
-                limits,
-                reassembly(),
-                now,
-            );
+        let datagram = terms.datagram.min(own.datagram).max(MIN_DATAGRAM_BYTES);
+        let known = self.table.find(to, nonce);
+        if known.is_none() && !self.make_room(AddressGroup::of(source)) {
+            tracing::debug!(%source, "refused a connection: as many are open as are allowed");
+            let refused = Packet::Reset { id: nonce, reason: ResetReason::Full };
+            return self.answers.push(route, &refused);
         }
-        let datagram = entry.datagram;
-        let mut answer = self.prefix.to_vec();
-        let terms = Terms { datagram, ..own };
-        Packet::Opened { nonce, connection: id, terms }.write(Role::Cloud, &mut answer);
+        let id = known.unwrap_or_else(|| self.key.connection(self.table.opened() + 1));
+        let connect = || {
+            let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
+            let terms = Terms { datagram, ..terms };
+            Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted(), now)
+        };
+        let datagram = match self.table.get_mut(id) {
+            // An edge that found no answer to a large datagram asks for smaller ones.
+            Some(entry) if entry.datagram != datagram && !entry.has_delivered => {
+                (entry.connection, entry.datagram) = (connect(), datagram);
+                datagram
+            }
+            Some(entry) => entry.datagram,
+            None => {
+                let standing = Standing::Unadmitted { since: now };
+                let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, standing);
+                self.table.insert(id, entry);
+                datagram
+            }
+        };
+        let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..own } };
         // As long as the longest that will be sent: what does not fit on the path is noticed at once.
-        answer.resize(answer.len().max(datagram.into()), 0);
-        self.push_answer(Route { to, from: local }, answer);
+        self.answers.push_padded(route, &opened, datagram.into());
         self.schedule(id, now);
     }
 
-    /// Whether one more connection may be opened. One without a session makes room: the oldest of the same address, or
-    /// else of the address that has most of them.
+    /// Whether one more connection may be opened; closes the one that makes room for it.
     fn make_room(&mut self, group: AddressGroup) -> bool {
-        let max = self.limits.max_connections.max(1);
-        let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
-        for entry in self.entries.values() {
-            let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
-            *all += 1;
-            *unadmitted += usize::from(matches!(entry.standing, Standing::Unadmitted { .. }));
+        match self.table.room(group, self.limits.max_connections) {
+            Room::Free => true,
+            Room::None => false,
+            Room::Replaces(id) => {
+                self.close_now(id, "it made room for another connection");
+                self.collect(id);
+                true
+            }
         }
-        let of_group = groups.get(&group).copied().unwrap_or_default();
-        let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
-        let half = (max / 2).max(1);
-        let crowded = if (!group.is_loopback() && of_group.0 >= half) || of_group.1 >= (max / 4).max(1) {
-            group
-        } else if self.entries.len() >= max || unadmitted >= half {
-            let most = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
-            most.map_or(group, |(group, _)| *group)
-        } else {
-            return true;
-        };
-        let oldest = self
-            .entries
-            .iter()
-            .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
-            .filter_map(|(id, entry)| match entry.standing {
-                Standing::Unadmitted { since } => Some((since, *id)),
-                _ => None,
-            })
-            .min();
-        let Some((_, id)) = oldest else { return false };
-        self.close_now(id, "it made room for another connection");
-        self.collect(id);
-        true
     }
 
     fn hear_known(&mut self, id: u64, back: Route, bytes: usize, packet: Packet<'_>, now: MonoTime) {
-        let Some(entry) = self.entries.get_mut(&id) else { return };
+        let Some(entry) = self.table.get_mut(id) else { return };
         if back.to == entry.source {
             entry.local = back.from;
         } else if let Packet::PathConfirmed { token, .. } = packet {
             let to = reply_address(back.to, entry.reply_port);
             let is_token = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
             if is_token(now) || is_token(now - Span::from_seconds(10)) {
-                self.nonces.remove(&(reply_address(entry.source, entry.reply_port), entry.nonce));
-                (entry.source, entry.local) = (back.to, back.from);
-                self.nonces.insert((to, entry.nonce), id);
-                let moved = Arrival::Moved(ConnectionId(id), back.to);
-                self.arrivals.push_back(Delivery { arrival: moved, _reserved: None });
+                self.table.relocate(id, back.to, back.from);
+                self.arrivals.push(Arrival::Moved(ConnectionId(id), back.to), None);
             }
         } else if bytes >= PATH_BYTES && entry.path_asked.is_none_or(|asked| now - asked >= PATH_PAUSE) {
             entry.path_asked = Some(now);
             let to = reply_address(back.to, entry.reply_port);
             let token = first_u64(&self.key.cookie(to, id, now));
-            self.answer(Route { to, from: back.from }, Packet::Path { connection: id, token });
+            self.answers.push(Route { to, from: back.from }, &Packet::Path { connection: id, token });
         }
-        if let Some(entry) = self.entries.get_mut(&id) {
+        if let Some(entry) = self.table.get_mut(id) {
             entry.connection.hear(packet, now);
         }
         self.collect(id);
     }
 
     fn garbage(&mut self, source: SocketAddr, problem: String) {
-        let arrival = Arrival::Garbage(Some(source), problem);
-        if self.arrivals.len() < MAX_ARRIVALS {
-            self.arrivals.push_back(Delivery { arrival, _reserved: None });
-        }
-    }
-
-    fn answer(&mut self, route: Route, packet: Packet<'_>) {
-        let mut answer = self.prefix.to_vec();
-        packet.write(Role::Cloud, &mut answer);
-        self.push_answer(route, answer);
-    }
-
-    fn push_answer(&mut self, route: Route, answer: Vec<u8>) {
-        // Whoever is not answered asks again.
-        if self.answers.len() < MAX_ANSWERS {
-            self.answers.push_back((route, answer));
-        }
+        self.arrivals.push(Arrival::Garbage(Some(source), problem), None);
     }
 
     /// Takes what a connection has to tell, and notes that it may have something to send.
     fn collect(&mut self, id: u64) {
-        let Some(entry) = self.entries.get_mut(&id) else { return };
+        let Some(entry) = self.table.get_mut(id) else { return };
         let connection = ConnectionId(id);
         while let Some(event) = entry.connection.next_event() {
-            let (arrival, _reserved) = match event {
+            let (arrival, reserved) = match event {
                 Event::Message(frames, reserved) => {
                     entry.has_delivered = true;
                     let peer = Peer { connection, address: Some(entry.source) };
@@ -319,11 +226,7 @@ impl Endpoint {
                 Event::Gone(_) if !entry.has_delivered => continue,
                 Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
             };
-            let is_droppable =
-                matches!(arrival, Arrival::Garbage(..) | Arrival::Incomplete(..) | Arrival::Lost(..));
-            if !is_droppable || self.arrivals.len() < MAX_ARRIVALS {
-                self.arrivals.push_back(Delivery { arrival, _reserved });
-            }
+            self.arrivals.push(arrival, reserved);
         }
         if !entry.is_ready {
             entry.is_ready = true;
@@ -333,7 +236,7 @@ impl Endpoint {
 
     /// What arrived next.
     pub(crate) fn next_arrival(&mut self) -> Option<Delivery> {
-        self.arrivals.pop_front()
+        self.arrivals.pop()
     }
 
     /// Queues a message to a connection.
@@ -346,7 +249,7 @@ impl Endpoint {
         frames: Frames,
         tag: Option<u64>,
     ) -> Result<(), SendFailure> {
-        let entry = self.entries.get_mut(&id.0);
+        let entry = self.table.get_mut(id.0);
         let entry = entry.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?;
         entry.connection.send(frames, tag, None)?;
         self.collect(id.0);
@@ -355,7 +258,7 @@ impl Endpoint {
 
     /// The connection's hello is being decided on.
     pub(crate) fn greet(&mut self, id: ConnectionId) {
-        if let Some(entry) = self.entries.get_mut(&id.0)
+        if let Some(entry) = self.table.get_mut(id.0)
             && matches!(entry.standing, Standing::Unadmitted { .. })
         {
             entry.standing = Standing::Greeted;
@@ -364,14 +267,14 @@ impl Endpoint {
 
     /// Returns what is known of a connection; nothing when it is over.
     pub(crate) fn statistics(&mut self, id: ConnectionId, now: MonoTime) -> TransportStatistics {
-        let entry = self.entries.get_mut(&id.0);
+        let entry = self.table.get_mut(id.0);
         entry.map(|entry| entry.connection.statistics(now)).unwrap_or_default()
     }
 
     /// The connection has a session.
     pub(crate) fn admit(&mut self, id: ConnectionId) {
-        let (limits, budget) = (self.limits.reassembly, Arc::clone(&self.admitted));
-        if let Some(entry) = self.entries.get_mut(&id.0) {
+        let (limits, budget) = self.budgets.admitted();
+        if let Some(entry) = self.table.get_mut(id.0) {
             entry.standing = Standing::Admitted;
             entry.connection.set_reassembly(limits, budget);
         }
@@ -379,9 +282,8 @@ impl Endpoint {
 
     /// The connection has no session any more.
     pub(crate) fn demote(&mut self, id: ConnectionId, now: MonoTime) {
-        let limits = unadmitted_limits(&self.limits.reassembly);
-        let budget = Arc::clone(&self.unadmitted);
-        if let Some(entry) = self.entries.get_mut(&id.0) {
+        let (limits, budget) = self.budgets.unadmitted();
+        if let Some(entry) = self.table.get_mut(id.0) {
             entry.standing = Standing::Unadmitted { since: now };
             entry.connection.set_reassembly(limits, budget);
         }
@@ -390,7 +292,7 @@ impl Endpoint {
     /// Does what is due.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         while let Some(id) = self.timers.take_due(now) {
-            let Some(entry) = self.entries.get_mut(&id) else { continue };
+            let Some(entry) = self.table.get_mut(id) else { continue };
             if entry.is_late(self.limits.hello_timeout, now) && !entry.connection.is_closed() {
                 self.close_now(id, "no hello came in time");
             } else {
@@ -403,14 +305,14 @@ impl Endpoint {
 
     /// Sees to it that a connection is looked at in time. Called after each change.
     fn schedule(&mut self, id: u64, now: MonoTime) {
-        if let Some(entry) = self.entries.get(&id) {
+        if let Some(entry) = self.table.get(id) {
             let at = entry.next_timer(self.limits.hello_timeout, now);
             self.timers.bring_forward(id, at.max(now + SOON));
         }
     }
 
     fn close_now(&mut self, id: u64, reason: &str) {
-        if let Some(entry) = self.entries.get_mut(&id) {
+        if let Some(entry) = self.table.get_mut(id) {
             entry.connection.end(reason);
             entry.connection.abandon();
         }
@@ -423,23 +325,21 @@ impl Endpoint {
 
     /// Appends datagrams that leave now. Returns where they go; `None` when there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
-        if let Some((route, answer)) = self.answers.pop_front() {
+        if let Some((route, answer)) = self.answers.pop() {
             out.extend_from_slice(&answer);
             return Some((route, Batch { segment: answer.len(), count: 1 }));
         }
         // Whatever changes a connection makes it ready.
         while let Some(id) = self.ready.pop_front() {
-            let Some(entry) = self.entries.get_mut(&id) else { continue };
-            let to = reply_address(entry.source, entry.reply_port);
+            let Some(entry) = self.table.get_mut(id) else { continue };
             if let Some(batch) = entry.connection.fill(out, most, now) {
-                let route = Route { to, from: entry.local };
+                let route = Route { to: entry.reply_address(), from: entry.local };
                 self.ready.push_back(id);
                 return Some((route, batch));
             }
             entry.is_ready = false;
             if entry.connection.is_closed() {
-                self.nonces.remove(&(to, entry.nonce));
-                self.entries.remove(&id);
+                self.table.remove(id);
                 self.timers.remove(id);
             } else {
                 self.schedule(id, now);
@@ -450,18 +350,18 @@ impl Endpoint {
 
     /// Begins to say goodbye to all.
     pub(crate) fn close(&mut self, now: MonoTime) {
-        for (id, entry) in &mut self.entries {
+        for (id, entry) in self.table.iter_mut() {
             entry.connection.close(now);
-            self.timers.bring_forward(*id, now);
+            self.timers.bring_forward(id, now);
         }
         self.tick(now);
     }
 
     /// Says goodbye to all, once.
     pub(crate) fn abandon(&mut self) {
-        let ids: Vec<u64> = self.entries.keys().copied().collect();
+        let ids: Vec<u64> = self.table.iter_mut().map(|(id, _)| id).collect();
         for id in ids {
-            if let Some(entry) = self.entries.get_mut(&id) {
+            if let Some(entry) = self.table.get_mut(id) {
                 entry.connection.abandon();
             }
             self.collect(id);
@@ -470,26 +370,17 @@ impl Endpoint {
 
     /// Whether no connection is left.
     pub(crate) fn is_empty(&self) -> bool {
-        self.entries.is_empty() && self.answers.is_empty()
+        self.table.len() == 0 && self.answers.is_empty()
     }
 
     /// Connections that are open.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
-        self.entries.len()
+        self.table.len()
     }
 
     /// Memory that unfinished messages, and messages that were not handed on, take.
     pub(crate) fn held_bytes(&self) -> u64 {
-        self.admitted.held() + self.unadmitted.held()
-    }
-}
-
-/// What may arrive on a connection without a session.
-fn unadmitted_limits(admitted: &ReassemblyLimits) -> ReassemblyLimits {
-    ReassemblyLimits {
-        max_message_bytes: MAX_UNADMITTED_BYTES.min(admitted.max_message_bytes),
-        max_unfinished_messages: MAX_UNADMITTED_MESSAGES,
-        ..*admitted
+        self.budgets.held()
     }
 }

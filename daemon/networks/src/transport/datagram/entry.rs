@@ -32,6 +32,34 @@ pub(super) struct Entry {
 }
 
 impl Entry {
+    /// A connection whose datagrams come from an address, and which is answered at a port there.
+    pub(super) const fn new(
+        connection: Connection,
+        (source, reply_port): (SocketAddr, u16),
+        local: Option<IpAddr>,
+        nonce: u64,
+        datagram: u16,
+        standing: Standing,
+    ) -> Self {
+        Self {
+            connection,
+            source,
+            reply_port,
+            local,
+            nonce,
+            datagram,
+            standing,
+            path_asked: None,
+            has_delivered: false,
+            is_ready: false,
+        }
+    }
+
+    /// Where it is answered.
+    pub(super) fn reply_address(&self) -> SocketAddr {
+        reply_address(self.source, self.reply_port)
+    }
+
     /// Whether it has gone without a hello for too long.
     pub(super) fn is_late(&self, hello_timeout: Span, now: MonoTime) -> bool {
         matches!(self.standing, Standing::Unadmitted { since } if now - since >= hello_timeout)

@@ -7,8 +7,11 @@
 //! and closes sessions. [`window`] bounds how much is on its way, [`counting`] has the losses of datagrams, [`endpoint`] has all connections of a port, and
 //! [`packet`] describes the wire form.
 
+mod answers;
+pub(crate) mod arrival_queue;
 mod congestion;
 pub(crate) mod connection;
+mod connection_table;
 mod control_queue;
 pub(crate) mod counting;
 pub(crate) mod endpoint;
@@ -27,6 +30,7 @@ pub(crate) mod packet;
 pub(crate) mod packet_writer;
 mod partial_message;
 pub(crate) mod reassembly;
+mod reassembly_budgets;
 pub(crate) mod receiving;
 pub(crate) mod round_trip;
 pub(crate) mod send_queue;

@@ -21,6 +21,8 @@
 
 use super::counting::ArrivalTotals;
 
+mod read;
+
 /// The version of this layout.
 pub(crate) const VERSION: u8 = 1;
 
@@ -134,127 +136,7 @@ pub(crate) enum InvalidPacket {
     Fragment,
 }
 
-/// Takes integers from the front of a slice.
-struct Reader<'a>(&'a [u8]);
-
-impl<'a> Reader<'a> {
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], InvalidPacket> {
-        let (taken, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::Length)?;
-        self.0 = rest;
-        Ok(*taken)
-    }
-
-    fn u8(&mut self) -> Result<u8, InvalidPacket> {
-        self.take().map(u8::from_be_bytes)
-    }
-
-    fn u16(&mut self) -> Result<u16, InvalidPacket> {
-        self.take().map(u16::from_be_bytes)
-    }
-
-    fn u32(&mut self) -> Result<u32, InvalidPacket> {
-        self.take().map(u32::from_be_bytes)
-    }
-
-    fn u64(&mut self) -> Result<u64, InvalidPacket> {
-        self.take().map(u64::from_be_bytes)
-    }
-
-    fn terms(&mut self) -> Result<Terms, InvalidPacket> {
-        Ok(Terms { window: self.u32()?, datagram: self.u16()? })
-    }
-
-    fn sign_of_life(&mut self) -> Result<SignOfLife, InvalidPacket> {
-        let (time, next, settled, number) = (self.u64()?, self.u64()?, self.u64()?, self.u32()?);
-        let (lost, duplicated, reordered) = (self.u64()?, self.u64()?, self.u64()?);
-        let arrivals = ArrivalTotals { lost, duplicated, reordered };
-        Ok(SignOfLife { time, next, settled, number, arrivals })
-    }
-
-    fn rest(&mut self) -> &'a [u8] {
-        std::mem::take(&mut self.0)
-    }
-
-    /// Padding, which is sent as zeros and not looked at.
-    fn padding(&mut self) {
-        self.0 = &[];
-    }
-}
-
-impl<'a> Packet<'a> {
-    /// Reads a body that anybody may have sent to an end of a connection.
-    ///
-    /// # Errors
-    /// When it is not exactly one packet that the other end sends.
-    pub(crate) fn read(at: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
-        let mut reader = Reader(body);
-        let kind = reader.u8()?;
-        if (kind & FROM_CLOUD != 0) != (at == Role::Edge) {
-            return Err(InvalidPacket::Direction);
-        }
-        let packet = Self::fields(kind & !FROM_CLOUD, at, &mut reader, body.len())?;
-        if reader.0.is_empty() { Ok(packet) } else { Err(InvalidPacket::Length) }
-    }
-
-    fn fields(kind: u8, at: Role, reader: &mut Reader<'a>, length: usize) -> Result<Self, InvalidPacket> {
-        match (kind, at) {
-            (1, Role::Cloud) => {
-                let packet =
-                    Self::Hello { version: reader.u8()?, nonce: reader.u64()?, reply_port: reader.u16()? };
-                reader.padding();
-                // A shorter one would be answered with more than was sent.
-                if length < HELLO_BYTES { Err(InvalidPacket::Length) } else { Ok(packet) }
-            }
-            (2, Role::Edge) => Ok(Self::Cookie { nonce: reader.u64()?, cookie: reader.take()? }),
-            (3, Role::Cloud) => {
-                let (nonce, cookie) = (reader.u64()?, reader.take()?);
-                let packet = Self::Open { nonce, cookie, reply_port: reader.u16()?, terms: reader.terms()? };
-                reader.padding();
-                Ok(packet)
-            }
-            (4, Role::Edge) => {
-                let (nonce, connection) = (reader.u64()?, reader.u64()?);
-                let packet = Self::Opened { nonce, connection, terms: reader.terms()? };
-                reader.padding();
-                Ok(packet)
-            }
-            (5, _) => {
-                let (connection, number) = (reader.u64()?, reader.u32()?);
-                Ok(Self::Data { connection, number, fragment: fragment(reader)? })
-            }
-            (6, _) => {
-                Ok(Self::Progress { connection: reader.u64()?, sequence: reader.u64()?, end: reader.u32()? })
-            }
-            (7, _) => {
-                let (connection, sequence) = (reader.u64()?, reader.u64()?);
-                Ok(Self::Lost { connection, sequence, received: reader.u32()?, total: reader.u32()? })
-            }
-            (8, _) => {
-                let (connection, sequence) = (reader.u64()?, reader.u64()?);
-                Ok(Self::LostKnown { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
-            }
-            (9 | 10, _) => {
-                let (connection, sign) = (reader.u64()?, reader.sign_of_life()?);
-                Ok(if kind == 9 { Self::Ping { connection, sign } } else { Self::Pong { connection, sign } })
-            }
-            (11, _) => Ok(Self::Bye { connection: reader.u64()?, next: reader.u64()? }),
-            (12, _) => Ok(Self::ByeHeard { connection: reader.u64()? }),
-            (13, _) => Ok(Self::Path { connection: reader.u64()?, token: reader.u64()? }),
-            (14, _) => Ok(Self::PathConfirmed { connection: reader.u64()?, token: reader.u64()? }),
-            (15, Role::Edge) => {
-                let id = reader.u64()?;
-                let reason = match reader.u8()? {
-                    1 => ResetReason::Unknown,
-                    2 => ResetReason::Full,
-                    3 => ResetReason::LongLost,
-                    _ => return Err(InvalidPacket::Kind),
-                };
-                Ok(Self::Reset { id, reason })
-            }
-            _ => Err(InvalidPacket::Kind),
-        }
-    }
-
+impl Packet<'_> {
     /// Appends the body that an end of a connection sends.
     pub(crate) fn write(&self, from: Role, out: &mut Vec<u8>) {
         let start = out.len();
@@ -396,87 +278,5 @@ fn data_header(connection: u64, number: u32, fragment: &Fragment<'_>) -> [u8; DA
     header
 }
 
-fn fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> {
-    let (sequence, tag) = (reader.u64()?, reader.u64()?);
-    let (offset, total, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
-    let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);
-    let bytes = reader.rest();
-    let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
-    // A number at the end of all numbers leaves no room for the next.
-    if !is_aligned || offset >= total || sequence == u64::MAX {
-        return Err(InvalidPacket::Fragment);
-    }
-    if bytes.len() as u64 != u64::from((total - offset).min(u32::from(stride))) {
-        return Err(InvalidPacket::Fragment);
-    }
-    Ok(Fragment { sequence, tag, offset, total, checksum, stride, lifetime_ms, bytes })
-}
-
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn both_ways(from: Role, packet: Packet<'_>) -> usize {
-        let to = if from == Role::Edge { Role::Cloud } else { Role::Edge };
-        let mut wire = Vec::new();
-        packet.write(from, &mut wire);
-        assert_eq!(Packet::read(to, &wire), Ok(packet));
-        assert_eq!(Packet::read(from, &wire), Err(InvalidPacket::Direction));
-        wire.len()
-    }
-
-    #[test]
-    fn packets_read_back_as_written() {
-        let (nonce, connection, cookie) = (7, u64::MAX, [9; 16]);
-        let terms = Terms { window: 1 << 20, datagram: 1_200 };
-        let hello = both_ways(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });
-        let answer = both_ways(Role::Cloud, Packet::Cookie { nonce, cookie });
-        assert!(answer <= hello, "no response is larger than its request");
-        both_ways(Role::Edge, Packet::Open { nonce, cookie, reply_port: 0, terms });
-        both_ways(Role::Cloud, Packet::Opened { nonce, connection, terms });
-        let reset = both_ways(Role::Cloud, Packet::Reset { id: connection, reason: ResetReason::Full });
-        for from in [Role::Edge, Role::Cloud] {
-            let bytes = &[1, 2, 3][..];
-            let fragment = Fragment {
-                sequence: 5,
-                tag: 6,
-                offset: 8,
-                total: 11,
-                checksum: 12,
-                stride: 4,
-                lifetime_ms: 13,
-                bytes,
-            };
-            let data = both_ways(from, Packet::Data { connection, number: 14, fragment });
-            assert_eq!(data, DATA_HEADER_BYTES + bytes.len());
-            both_ways(from, Packet::Progress { connection, sequence: 3, end: 4 });
-            both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
-            both_ways(from, Packet::LostKnown { connection, sequence: 3, tag: 1, total: 2 });
-            let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
-            let sign = SignOfLife { time: 1, next: 2, settled: 3, number: 4, arrivals };
-            let ping = both_ways(from, Packet::Ping { connection, sign });
-            both_ways(from, Packet::Pong { connection, sign });
-            let bye = both_ways(from, Packet::Bye { connection, next: 2 });
-            let heard = both_ways(from, Packet::ByeHeard { connection });
-            both_ways(from, Packet::Path { connection, token: 2 });
-            both_ways(from, Packet::PathConfirmed { connection, token: 2 });
-            assert!(heard <= bye && reset <= ping && reset <= data);
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn any_bytes_are_read_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..80), kind in 0_u8..=16) {
-            for role in [Role::Edge, Role::Cloud] {
-                let _ = Packet::read(role, &bytes);
-                let mut known = bytes.clone();
-                if let Some(first) = known.first_mut() {
-                    *first = kind | if role == Role::Edge { FROM_CLOUD } else { 0 };
-                }
-                let _ = Packet::read(role, &known);
-            }
-        }
-    }
-}
+mod tests;

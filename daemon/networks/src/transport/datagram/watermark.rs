@@ -78,10 +78,10 @@ mod tests {
             let mut sent = SentWatermark::default();
             let place = place.index(count as usize) as u64;
             for number in 0..count {
-                if number == place {
-                    if let Some((next, _)) = sent.claim(claimed, u64::MAX, at(number as i64)) {
-                        prop_assert!(next <= number);
-                    }
+                if number == place
+                    && let Some((next, _)) = sent.claim(claimed, u64::MAX, at(number as i64))
+                {
+                    prop_assert!(next <= number);
                 }
                 if let Some((next, _)) = sent.claim(number, number, at(number as i64)) {
                     prop_assert!(next <= number);

@@ -1,0 +1,46 @@
+//! What a port answers to those who have no connection.
+
+use std::collections::VecDeque;
+
+use super::endpoint::Route;
+use super::packet::{Packet, Role};
+
+/// Most answers that wait to be sent. Whoever is not answered asks again.
+const MAX_ANSWERS: usize = 256;
+
+/// Answers that wait to be sent.
+#[derive(Debug)]
+pub(super) struct AnswerQueue {
+    prefix: &'static [u8],
+    answers: VecDeque<(Route, Vec<u8>)>,
+}
+
+impl AnswerQueue {
+    /// Each datagram begins with `prefix`.
+    pub(super) const fn new(prefix: &'static [u8]) -> Self {
+        Self { prefix, answers: VecDeque::new() }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.answers.is_empty()
+    }
+
+    /// Queues an answer; one that finds no room is dropped.
+    pub(super) fn push(&mut self, route: Route, packet: &Packet<'_>) {
+        self.push_padded(route, packet, 0);
+    }
+
+    /// Queues an answer in a datagram of so many bytes, or more.
+    pub(super) fn push_padded(&mut self, route: Route, packet: &Packet<'_>, bytes: usize) {
+        if self.answers.len() < MAX_ANSWERS {
+            let mut answer = self.prefix.to_vec();
+            packet.write(Role::Cloud, &mut answer);
+            answer.resize(answer.len().max(bytes), 0);
+            self.answers.push_back((route, answer));
+        }
+    }
+
+    pub(super) fn pop(&mut self) -> Option<(Route, Vec<u8>)> {
+        self.answers.pop_front()
+    }
+}

@@ -1,0 +1,55 @@
+//! What arrived at a port and waits for the layer above.
+
+use std::collections::VecDeque;
+
+use crate::transport::Arrival;
+use crate::transport::memory::Reservation;
+
+/// Arrivals beyond which what can be missed is dropped. More come when the layer above does not take them.
+const MAX_ARRIVALS: usize = 1_024;
+
+/// Something that arrived, and the memory that it takes.
+#[derive(Debug)]
+pub(crate) struct Delivery {
+    pub(crate) arrival: Arrival,
+    pub(crate) _reserved: Option<Reservation>,
+}
+
+/// Arrivals in the order in which they came. Messages and the ends of connections are never dropped: the memory of the former is
+/// bounded by their reservations.
+#[derive(Debug, Default)]
+pub(super) struct ArrivalQueue {
+    deliveries: VecDeque<Delivery>,
+}
+
+impl ArrivalQueue {
+    pub(super) fn push(&mut self, arrival: Arrival, reserved: Option<Reservation>) {
+        let is_droppable =
+            matches!(arrival, Arrival::Garbage(..) | Arrival::Incomplete(..) | Arrival::Lost(..));
+        if !is_droppable || self.deliveries.len() < MAX_ARRIVALS {
+            self.deliveries.push_back(Delivery { arrival, _reserved: reserved });
+        }
+    }
+
+    pub(super) fn pop(&mut self) -> Option<Delivery> {
+        self.deliveries.pop_front()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::ConnectionId;
+
+    #[test]
+    fn garbage_finds_no_room_in_the_end_but_ends_of_connections_do() {
+        let mut queue = ArrivalQueue::default();
+        for _ in 0..2 * MAX_ARRIVALS {
+            queue.push(Arrival::Garbage(None, String::new()), None);
+        }
+        queue.push(Arrival::Gone(ConnectionId(1), String::new()), None);
+        let all: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();
+        assert_eq!(all.len(), MAX_ARRIVALS + 1);
+        assert!(all.last().is_some_and(|last| matches!(last.arrival, Arrival::Gone(..))));
+    }
+}

@@ -1,0 +1,177 @@
+//! The connections of a port, found by their numbers and by who opened them.
+
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr};
+
+use super::entry::{Entry, Standing};
+use crate::transport::AddressGroup;
+
+/// Whether one more connection may be opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Room {
+    Free,
+    /// In place of this one, which has no session.
+    Replaces(u64),
+    None,
+}
+
+/// All connections. Each is found by its number, and by the address where it is answered with the nonce of its hello.
+#[derive(Debug, Default)]
+pub(super) struct ConnectionTable {
+    entries: HashMap<u64, Entry>,
+    by_nonce: HashMap<(SocketAddr, u64), u64>,
+    /// Connections that were ever opened.
+    opened: u64,
+}
+
+impl ConnectionTable {
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Connections that were ever opened.
+    pub(super) const fn opened(&self) -> u64 {
+        self.opened
+    }
+
+    pub(super) fn contains(&self, id: u64) -> bool {
+        self.entries.contains_key(&id)
+    }
+
+    pub(super) fn get(&self, id: u64) -> Option<&Entry> {
+        self.entries.get(&id)
+    }
+
+    pub(super) fn get_mut(&mut self, id: u64) -> Option<&mut Entry> {
+        self.entries.get_mut(&id)
+    }
+
+    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = (u64, &mut Entry)> {
+        self.entries.iter_mut().map(|(id, entry)| (*id, entry))
+    }
+
+    /// The connection that is answered at an address and was opened with a nonce.
+    pub(super) fn find(&self, to: SocketAddr, nonce: u64) -> Option<u64> {
+        self.by_nonce.get(&(to, nonce)).copied()
+    }
+
+    pub(super) fn insert(&mut self, id: u64, entry: Entry) {
+        self.opened += 1;
+        self.by_nonce.insert((entry.reply_address(), entry.nonce), id);
+        self.entries.insert(id, entry);
+    }
+
+    pub(super) fn remove(&mut self, id: u64) {
+        if let Some(entry) = self.entries.remove(&id) {
+            self.by_nonce.remove(&(entry.reply_address(), entry.nonce));
+        }
+    }
+
+    /// The other end of a connection has another address, from which it reaches this one of this machine.
+    pub(super) fn relocate(&mut self, id: u64, source: SocketAddr, local: Option<IpAddr>) {
+        if let Some(entry) = self.entries.get_mut(&id) {
+            self.by_nonce.remove(&(entry.reply_address(), entry.nonce));
+            (entry.source, entry.local) = (source, local);
+            self.by_nonce.insert((entry.reply_address(), entry.nonce), id);
+        }
+    }
+
+    /// Whether one more connection of a group of addresses may be opened, of `max` in all. One without a session makes room: the
+    /// oldest of the same group, or else of the group that has most of them.
+    pub(super) fn room(&self, group: AddressGroup, max: usize) -> Room {
+        let max = max.max(1);
+        let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
+        for entry in self.entries.values() {
+            let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
+            *all += 1;
+            *unadmitted += usize::from(matches!(entry.standing, Standing::Unadmitted { .. }));
+        }
+        let of_group = groups.get(&group).copied().unwrap_or_default();
+        let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
+        let half = (max / 2).max(1);
+        let crowded = if (!group.is_loopback() && of_group.0 >= half) || of_group.1 >= (max / 4).max(1) {
+            group
+        } else if self.entries.len() >= max || unadmitted >= half {
+            let most = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
+            most.map_or(group, |(group, _)| *group)
+        } else {
+            return Room::Free;
+        };
+        let oldest = self
+            .entries
+            .iter()
+            .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
+            .filter_map(|(id, entry)| match entry.standing {
+                Standing::Unadmitted { since } => Some((since, *id)),
+                _ => None,
+            })
+            .min();
+        oldest.map_or(Room::None, |(_, id)| Room::Replaces(id))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{MonoTime, Span};
+
+    use super::super::connection::Connection;
+    use super::super::packet::{Role, Terms};
+    use super::super::packet_writer::PacketWriter;
+    use super::super::tests::limits;
+    use super::*;
+    use crate::transport::memory::MemoryBudget;
+
+    fn address(host: u8, port: u16) -> SocketAddr {
+        SocketAddr::from(([198, 51, 100, host], port))
+    }
+
+    fn entry(source: SocketAddr, nonce: u64, standing: Standing) -> Entry {
+        let limits = limits();
+        let connection = Connection::new(
+            PacketWriter::new(Role::Cloud, nonce, b""),
+            Terms { window: 1 << 20, datagram: 1_200 },
+            limits.connection,
+            (limits.reassembly, MemoryBudget::new(1)),
+            MonoTime::default(),
+        );
+        Entry::new(connection, (source, 0), None, nonce, 1_200, standing)
+    }
+
+    fn unadmitted(seconds: i64) -> Standing {
+        Standing::Unadmitted { since: MonoTime::default() + Span::from_seconds(seconds) }
+    }
+
+    #[test]
+    fn connection_is_found_where_it_moved_to_until_it_is_removed() {
+        let mut table = ConnectionTable::default();
+        table.insert(7, entry(address(1, 9), 3, Standing::Admitted));
+        assert_eq!(table.find(address(1, 9), 3), Some(7));
+        table.relocate(7, address(2, 8), None);
+        assert_eq!((table.find(address(1, 9), 3), table.find(address(2, 8), 3)), (None, Some(7)));
+        table.remove(7);
+        assert_eq!((table.find(address(2, 8), 3), table.len(), table.opened()), (None, 0, 1));
+    }
+
+    #[test]
+    fn oldest_connection_without_session_makes_room() {
+        let mut table = ConnectionTable::default();
+        let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
+        table.insert(1, entry(address(1, 1), 1, Standing::Admitted));
+        assert_eq!(table.room(one, 8), Room::Free);
+        table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
+        table.insert(3, entry(address(1, 3), 3, unadmitted(4)));
+        assert_eq!(table.room(one, 8), Room::Replaces(3), "a quarter is of this address");
+        assert_eq!(table.room(other, 8), Room::Free);
+        assert_eq!(table.room(other, 3), Room::Replaces(3), "all are taken");
+        assert_eq!(table.room(one, 1_000), Room::Free);
+    }
+
+    #[test]
+    fn connections_with_sessions_make_no_room() {
+        let mut table = ConnectionTable::default();
+        for n in 1..=4 {
+            table.insert(n, entry(address(n as u8, 1), n, Standing::Admitted));
+        }
+        assert_eq!(table.room(AddressGroup::of(address(9, 1)), 4), Room::None);
+    }
+}

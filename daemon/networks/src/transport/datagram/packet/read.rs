@@ -1,0 +1,150 @@
+//! Reading packets from bytes that anybody may have sent.
+
+use super::{
+    ArrivalTotals, FROM_CLOUD, Fragment, HELLO_BYTES, InvalidPacket, Packet, ResetReason, Role, SignOfLife,
+    Terms,
+};
+
+/// Takes integers from the front of a slice.
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], InvalidPacket> {
+        let (taken, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::Length)?;
+        self.0 = rest;
+        Ok(*taken)
+    }
+
+    fn u8(&mut self) -> Result<u8, InvalidPacket> {
+        self.take().map(u8::from_be_bytes)
+    }
+
+    fn u16(&mut self) -> Result<u16, InvalidPacket> {
+        self.take().map(u16::from_be_bytes)
+    }
+
+    fn u32(&mut self) -> Result<u32, InvalidPacket> {
+        self.take().map(u32::from_be_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, InvalidPacket> {
+        self.take().map(u64::from_be_bytes)
+    }
+
+    fn terms(&mut self) -> Result<Terms, InvalidPacket> {
+        Ok(Terms { window: self.u32()?, datagram: self.u16()? })
+    }
+
+    fn sign_of_life(&mut self) -> Result<SignOfLife, InvalidPacket> {
+        let (time, next, settled, number) = (self.u64()?, self.u64()?, self.u64()?, self.u32()?);
+        let (lost, duplicated, reordered) = (self.u64()?, self.u64()?, self.u64()?);
+        let arrivals = ArrivalTotals { lost, duplicated, reordered };
+        Ok(SignOfLife { time, next, settled, number, arrivals })
+    }
+
+    fn rest(&mut self) -> &'a [u8] {
+        std::mem::take(&mut self.0)
+    }
+
+    /// Padding, which is sent as zeros and not looked at.
+    fn padding(&mut self) {
+        self.0 = &[];
+    }
+}
+
+impl<'a> Packet<'a> {
+    /// Reads a body that anybody may have sent to an end of a connection.
+    ///
+    /// # Errors
+    /// When it is not exactly one packet that the other end sends.
+    pub(crate) fn read(at: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
+        let mut reader = Reader(body);
+        let kind = reader.u8()?;
+        if (kind & FROM_CLOUD != 0) != (at == Role::Edge) {
+            return Err(InvalidPacket::Direction);
+        }
+        let packet = fields(kind & !FROM_CLOUD, at, &mut reader, body.len())?;
+        if reader.0.is_empty() { Ok(packet) } else { Err(InvalidPacket::Length) }
+    }
+}
+
+/// The fields of a packet of a kind.
+fn fields<'a>(
+    kind: u8,
+    at: Role,
+    reader: &mut Reader<'a>,
+    length: usize,
+) -> Result<Packet<'a>, InvalidPacket> {
+    match (kind, at) {
+        (1, Role::Cloud) => {
+            let packet =
+                Packet::Hello { version: reader.u8()?, nonce: reader.u64()?, reply_port: reader.u16()? };
+            reader.padding();
+            // A shorter one would be answered with more than was sent.
+            if length < HELLO_BYTES { Err(InvalidPacket::Length) } else { Ok(packet) }
+        }
+        (2, Role::Edge) => Ok(Packet::Cookie { nonce: reader.u64()?, cookie: reader.take()? }),
+        (3, Role::Cloud) => {
+            let (nonce, cookie) = (reader.u64()?, reader.take()?);
+            let packet = Packet::Open { nonce, cookie, reply_port: reader.u16()?, terms: reader.terms()? };
+            reader.padding();
+            Ok(packet)
+        }
+        (4, Role::Edge) => {
+            let (nonce, connection) = (reader.u64()?, reader.u64()?);
+            let packet = Packet::Opened { nonce, connection, terms: reader.terms()? };
+            reader.padding();
+            Ok(packet)
+        }
+        (5, _) => {
+            let (connection, number) = (reader.u64()?, reader.u32()?);
+            Ok(Packet::Data { connection, number, fragment: fragment(reader)? })
+        }
+        (6, _) => {
+            Ok(Packet::Progress { connection: reader.u64()?, sequence: reader.u64()?, end: reader.u32()? })
+        }
+        (7, _) => {
+            let (connection, sequence) = (reader.u64()?, reader.u64()?);
+            Ok(Packet::Lost { connection, sequence, received: reader.u32()?, total: reader.u32()? })
+        }
+        (8, _) => {
+            let (connection, sequence) = (reader.u64()?, reader.u64()?);
+            Ok(Packet::LostKnown { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
+        }
+        (9 | 10, _) => {
+            let (connection, sign) = (reader.u64()?, reader.sign_of_life()?);
+            Ok(if kind == 9 { Packet::Ping { connection, sign } } else { Packet::Pong { connection, sign } })
+        }
+        (11, _) => Ok(Packet::Bye { connection: reader.u64()?, next: reader.u64()? }),
+        (12, _) => Ok(Packet::ByeHeard { connection: reader.u64()? }),
+        (13, _) => Ok(Packet::Path { connection: reader.u64()?, token: reader.u64()? }),
+        (14, _) => Ok(Packet::PathConfirmed { connection: reader.u64()?, token: reader.u64()? }),
+        (15, Role::Edge) => {
+            let id = reader.u64()?;
+            let reason = match reader.u8()? {
+                1 => ResetReason::Unknown,
+                2 => ResetReason::Full,
+                3 => ResetReason::LongLost,
+                _ => return Err(InvalidPacket::Kind),
+            };
+            Ok(Packet::Reset { id, reason })
+        }
+        _ => Err(InvalidPacket::Kind),
+    }
+}
+
+fn fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> {
+    let (sequence, tag) = (reader.u64()?, reader.u64()?);
+    let (offset, total, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
+    let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);
+    let bytes = reader.rest();
+    let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
+    // A number at the end of all numbers leaves no room for the next.
+    if !is_aligned || offset >= total || sequence == u64::MAX {
+        return Err(InvalidPacket::Fragment);
+    }
+    if bytes.len() as u64 != u64::from((total - offset).min(u32::from(stride))) {
+        return Err(InvalidPacket::Fragment);
+    }
+    Ok(Fragment { sequence, tag, offset, total, checksum, stride, lifetime_ms, bytes })
+}

@@ -1,0 +1,67 @@
+//! Packets written and read back, and any bytes.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn both_ways(from: Role, packet: Packet<'_>) -> usize {
+    let to = if from == Role::Edge { Role::Cloud } else { Role::Edge };
+    let mut wire = Vec::new();
+    packet.write(from, &mut wire);
+    assert_eq!(Packet::read(to, &wire), Ok(packet));
+    assert_eq!(Packet::read(from, &wire), Err(InvalidPacket::Direction));
+    wire.len()
+}
+
+#[test]
+fn packets_read_back_as_written() {
+    let (nonce, connection, cookie) = (7, u64::MAX, [9; 16]);
+    let terms = Terms { window: 1 << 20, datagram: 1_200 };
+    let hello = both_ways(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });
+    let answer = both_ways(Role::Cloud, Packet::Cookie { nonce, cookie });
+    assert!(answer <= hello, "no response is larger than its request");
+    both_ways(Role::Edge, Packet::Open { nonce, cookie, reply_port: 0, terms });
+    both_ways(Role::Cloud, Packet::Opened { nonce, connection, terms });
+    let reset = both_ways(Role::Cloud, Packet::Reset { id: connection, reason: ResetReason::Full });
+    for from in [Role::Edge, Role::Cloud] {
+        let bytes = &[1, 2, 3][..];
+        let fragment = Fragment {
+            sequence: 5,
+            tag: 6,
+            offset: 8,
+            total: 11,
+            checksum: 12,
+            stride: 4,
+            lifetime_ms: 13,
+            bytes,
+        };
+        let data = both_ways(from, Packet::Data { connection, number: 14, fragment });
+        assert_eq!(data, DATA_HEADER_BYTES + bytes.len());
+        both_ways(from, Packet::Progress { connection, sequence: 3, end: 4 });
+        both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
+        both_ways(from, Packet::LostKnown { connection, sequence: 3, tag: 1, total: 2 });
+        let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
+        let sign = SignOfLife { time: 1, next: 2, settled: 3, number: 4, arrivals };
+        let ping = both_ways(from, Packet::Ping { connection, sign });
+        both_ways(from, Packet::Pong { connection, sign });
+        let bye = both_ways(from, Packet::Bye { connection, next: 2 });
+        let heard = both_ways(from, Packet::ByeHeard { connection });
+        both_ways(from, Packet::Path { connection, token: 2 });
+        both_ways(from, Packet::PathConfirmed { connection, token: 2 });
+        assert!(heard <= bye && reset <= ping && reset <= data);
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_read_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..80), kind in 0_u8..=16) {
+        for role in [Role::Edge, Role::Cloud] {
+            let _ = Packet::read(role, &bytes);
+            let mut known = bytes.clone();
+            if let Some(first) = known.first_mut() {
+                *first = kind | if role == Role::Edge { FROM_CLOUD } else { 0 };
+            }
+            let _ = Packet::read(role, &known);
+        }
+    }
+}
