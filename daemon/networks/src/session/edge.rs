@@ -1,28 +1,24 @@
 //! The edge's driver: a session over a transport.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
 
 use peernet_clock::{RelatedClocks, SharedClock};
 use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
-use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::client::{Client, CloseReason};
-use super::exchange::{Arrived, Departed, Exchange, RequestError, Sizes, absorb, result};
+use super::client::CloseReason;
+use super::exchange::{Arrived, Exchange, RequestError, Sizes, absorb, result};
 use super::open::{OpenError, OpenedSession, handshake};
 use super::receiving::Receiving;
-use crate::message::{
-    Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionAccepted,
-    SessionHello, SessionId, TreeFrameError, encode_tree, put_upload,
-};
+use super::remarks::Remarks;
+use super::requests_in_flight::{Answer, RequestsInFlight};
+use super::state::{Pending, SessionState, SessionTerms};
+use crate::message::{PeerClock, SessionAccepted, SessionHello, SessionId};
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
-use crate::transport::{EdgeSender, SendFailure, SendOptions};
 use crate::{Address, SessionSettings};
-
-/// Most remarks of one connection that are kept.
-const MAX_REMARKS: usize = 64;
 
 /// Stands for a timeout that the clock cannot hold.
 const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
@@ -52,39 +48,6 @@ impl Drop for Inner {
     }
 }
 
-/// What requests and the receiving task have in common.
-#[derive(Debug)]
-pub(crate) struct SessionState {
-    pub(crate) session: SessionId,
-    machine: Mutex<Client<oneshot::Sender<Answer>>>,
-    pub(crate) sender: Box<dyn EdgeSender>,
-    pub(crate) clock: SharedClock,
-    pub(crate) counters: Counters,
-    /// The version of the protocol that the cloud chose.
-    version: u16,
-    /// Places in flight; closed when the session is over.
-    pub(crate) places: Semaphore,
-    /// The tighter limit of both ends.
-    max_message_bytes: u64,
-    pub(crate) over: watch::Sender<Option<CloseReason>>,
-    pub(crate) peer_clock: watch::Sender<PeerClock>,
-    /// What the cloud told last of its end of the connection.
-    pub(crate) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
-    /// What the transport remarked, oldest first; [`MAX_REMARKS`] at most.
-    pub(crate) remarks: watch::Sender<Vec<String>>,
-    /// How many iterations the run was to have, once it is over.
-    pub(crate) ordered: OnceLock<u64>,
-}
-
-/// What a request waits for.
-#[derive(Debug)]
-pub(crate) enum Answer {
-    Reply(Box<Arrived>),
-    /// The request or its answer was lost on the way, and how much of it arrived.
-    Lost(String),
-    Over(CloseReason),
-}
-
 impl Session {
     /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
@@ -110,18 +73,18 @@ impl Session {
     ) -> Self {
         let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
-            session: accepted.session,
-            machine: Mutex::new(Client::new(accepted.session)),
+            terms: SessionTerms {
+                session: accepted.session,
+                version: accepted.protocol,
+                max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
+            },
+            requests: RequestsInFlight::new(accepted.session, places as usize),
             sender: dialled.sender,
             clock,
             counters,
-            version: accepted.protocol,
-            places: Semaphore::new(places as usize),
-            max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
-            over: watch::Sender::new(None),
             peer_clock: watch::Sender::new(accepted.accepted.host_clock.clone()),
             peer_statistics: watch::Sender::default(),
-            remarks: watch::Sender::new(remarks),
+            remarks: Remarks::new(remarks),
             ordered: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
@@ -137,12 +100,12 @@ impl Session {
 
     /// Its id, which nobody but its two ends knows as long as nobody reads the connection.
     pub fn id(&self) -> SessionId {
-        self.inner.shared.session
+        self.inner.shared.terms.session
     }
 
     /// Which clocks the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
     pub fn clocks(&self) -> RelatedClocks {
-        if self.inner.shared.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
+        self.inner.shared.terms.clocks()
     }
 
     /// What the cloud tells of its clocks: at first what it said when it accepted the session.
@@ -158,9 +121,7 @@ impl Session {
     /// What else makes the connection worse than it could be, each with its object and what to do, as it is noticed. The texts
     /// stay; new ones come behind them.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
-        let mut remarks = self.inner.shared.remarks.subscribe();
-        remarks.mark_changed();
-        remarks
+        self.inner.shared.remarks.subscribe()
     }
 
     /// What the cloud tells of its end of the connection: `None` until it does.
@@ -195,7 +156,7 @@ impl Session {
         };
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
-        let _place = match shared.place(&mut exchange.log, deadline).await {
+        let _place = match shared.requests.place(&mut exchange.log, deadline).await {
             Ok(place) => place,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
@@ -224,7 +185,7 @@ impl Session {
         let sizes = Sizes::of(&arrived.frames);
         let log = &mut exchange.log;
         exchange.arrived = Some(arrived.at);
-        let raw = shared.has_raw_stamps();
+        let raw = shared.terms.has_raw_stamps();
         let absorbed = absorb(log, self.inner.accepted.host, raw, &sent.departed, &arrived);
         sent.sizes.record(log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(log, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
@@ -243,11 +204,7 @@ impl Session {
 
     /// Waits until the session is over, and tells why.
     pub async fn closed(&self) -> CloseReason {
-        let mut over = self.inner.shared.over.subscribe();
-        match over.wait_for(Option::is_some).await {
-            Ok(reason) => reason.clone().unwrap_or(CloseReason::Local),
-            Err(_) => CloseReason::Local,
-        }
+        self.inner.shared.requests.ended().await
     }
 
     /// Says goodbye and closes the connection; requests under way are lost. Closing twice does no harm.
@@ -284,146 +241,5 @@ impl StatisticsReader {
     /// before 0.3.
     pub fn peer(&self) -> Option<ConnectionStatistics> {
         *self.0.upgrade()?.peer_statistics.borrow()
-    }
-}
-
-/// Why a sample cannot be sent.
-#[derive(Debug, thiserror::Error)]
-enum UnsendableSample {
-    #[error(transparent)]
-    Header(#[from] HeaderError),
-    #[error(transparent)]
-    Tree(#[from] TreeFrameError),
-    #[error("{bytes} bytes are more than max_message_bytes allows, {most}")]
-    TooLarge { bytes: u64, most: u64 },
-}
-
-/// A request under way. Giving it up is dropping it.
-struct Pending<'a> {
-    shared: &'a SessionState,
-    request: u64,
-    departed: Departed,
-    sizes: Sizes,
-    answer: oneshot::Receiver<Answer>,
-}
-
-impl Drop for Pending<'_> {
-    fn drop(&mut self) {
-        self.shared.machine().give_up(self.request);
-    }
-}
-
-impl SessionState {
-    pub(crate) fn machine(&self) -> MutexGuard<'_, Client<oneshot::Sender<Answer>>> {
-        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    const fn has_raw_stamps(&self) -> bool {
-        self.version >= RAW_STAMPS_SINCE
-    }
-
-    fn statistics(&self) -> ConnectionStatistics {
-        self.counters.statistics(&self.sender.statistics())
-    }
-
-    fn over(&self) -> RequestError {
-        let reason = self.over.borrow().clone().unwrap_or(CloseReason::Local);
-        RequestError::Lost(reason.to_string())
-    }
-
-    /// The transport remarked something. What finds no room is in the log alone.
-    pub(crate) fn remark(&self, text: String) {
-        self.remarks.send_if_modified(|remarks| {
-            let has_room = remarks.len() < MAX_REMARKS;
-            if has_room {
-                remarks.push(text);
-            } else {
-                tracing::warn!("{text}");
-            }
-            has_room
-        });
-    }
-
-    /// A place in flight; recorded as `send-queue` only if there was none free.
-    async fn place(
-        &self,
-        log: &mut Recorder,
-        deadline: tokio::time::Instant,
-    ) -> Result<SemaphorePermit<'_>, RequestError> {
-        if let Ok(place) = self.places.try_acquire() {
-            return Ok(place);
-        }
-        let waiting = log.start(stage::SEND_QUEUE);
-        let place = tokio::time::timeout_at(deadline, self.places.acquire()).await;
-        log.stop(waiting);
-        place.map_err(|_| RequestError::Timeout)?.map_err(|_| self.over())
-    }
-
-    /// Encodes and hands to the network, from the task that asks for it.
-    fn send(
-        &self,
-        log: &mut Recorder,
-        sample: &Sample,
-        deadline: tokio::time::Instant,
-    ) -> Result<Pending<'_>, RequestError> {
-        let failed =
-            |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
-        let encoding = log.start(stage::ENCODE);
-        let prepared = self.prepare(log, sample);
-        let (tree, sample_header) = match prepared {
-            Ok(prepared) => prepared,
-            Err(error) => {
-                log.stop(encoding);
-                return Err(failed(error));
-            }
-        };
-        let (waiter, answer) = oneshot::channel();
-        let request =
-            self.machine().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
-
-        // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
-        let epoch = self.clock.epoch();
-        let stamp = self.clock.stamp();
-        log.stop_at(encoding, stamp.mono);
-        let (told_epoch, sent_raw) =
-            if self.has_raw_stamps() { (epoch, Some(stamp.raw)) } else { (self.clock.wall_epoch(), None) };
-        let start = log.offset(stamp.mono);
-        let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
-        let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
-        // From here on the request is given up by dropping it.
-        let mut pending = Pending { shared: self, request, departed, sizes: Sizes::default(), answer };
-        let header =
-            Header::Request(Request { session: self.session, request, departure, sample: sample_header });
-        let header = header.encode().map_err(|error| failed(error.into()))?;
-        let mut frames = Vec::with_capacity(2 + sample.parts.len());
-        frames.extend([header, tree]);
-        frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
-        pending.sizes = Sizes::of(&frames);
-        let options = SendOptions { deadline: Some(deadline), tag: Some(request) };
-        match self.sender.send(frames, options) {
-            Ok(()) => {
-                self.counters.sent(pending.sizes.total());
-                Ok(pending)
-            }
-            Err(SendFailure::Full) => Err(RequestError::Overloaded(SendFailure::Full.to_string())),
-            Err(SendFailure::Gone(reason)) => {
-                self.counters.lost(1);
-                Err(RequestError::Lost(reason))
-            }
-        }
-    }
-
-    fn prepare(
-        &self,
-        log: &Recorder,
-        sample: &Sample,
-    ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
-        let header = SampleHeader::of(sample)?;
-        let tree = encode_tree(log.tree())?;
-        let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
-        if bytes > self.max_message_bytes {
-            return Err(UnsendableSample::TooLarge { bytes, most: self.max_message_bytes });
-        }
-        Ok((tree, header))
     }
 }

@@ -13,7 +13,10 @@ mod exchange;
 mod incoming;
 mod open;
 mod receiving;
+mod remarks;
+mod requests_in_flight;
 mod server;
+mod state;
 
 pub use announcer::Announcer;
 pub use bind_error::BindError;

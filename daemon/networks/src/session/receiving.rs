@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::Stamp;
-use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, Heard};
-use super::edge::{Answer, SessionState};
 use super::exchange::{Arrived, Sizes};
+use super::requests_in_flight::{Answer, tell};
+use super::state::SessionState;
 use crate::message::{Goodbye, Header};
 use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
 
@@ -20,7 +20,7 @@ impl SessionState {
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
         let heard = match header {
-            Ok(header) => self.machine().hear(header),
+            Ok(header) => self.requests.hear(header),
             Err(problem) => {
                 tracing::debug!(problem, "dropped a message from the cloud");
                 self.counters.malformed();
@@ -54,7 +54,7 @@ impl SessionState {
                 None
             }
             Heard::Over(reason, waiters) => {
-                self.tell(&reason, waiters);
+                tell(&reason, waiters, &self.counters);
                 Some(reason)
             }
         }
@@ -62,45 +62,26 @@ impl SessionState {
 
     /// A request or its answer did not arrive as a whole.
     fn lose(&self, loss: MessageLoss, what: &str) {
-        let waiter = loss.tag.and_then(|request| self.machine().lose(request));
+        let waiter = loss.tag.and_then(|request| self.requests.lose(request));
         if let Some(waiter) = waiter {
             self.counters.lost(1);
             // One that was given up this very moment needs no answer.
             let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
         }
     }
-
-    fn tell(&self, reason: &CloseReason, waiters: Vec<oneshot::Sender<Answer>>) {
-        self.counters.lost(waiters.len() as u64);
-        for waiter in waiters {
-            // One that was given up this very moment needs no answer.
-            let _ = waiter.send(Answer::Over(reason.clone()));
-        }
-    }
-
-    fn end(&self, reason: &CloseReason) {
-        let waiters = self.machine().end(reason.clone());
-        self.tell(reason, waiters);
-        self.over.send_if_modified(|over| {
-            let first = over.is_none();
-            over.get_or_insert_with(|| reason.clone());
-            first
-        });
-        self.places.close();
-    }
 }
 
 /// The task that takes messages from the network. However it ends, the session ends with it.
-pub(crate) struct Receiving {
-    pub(crate) shared: Arc<SessionState>,
+pub(super) struct Receiving {
+    pub(super) shared: Arc<SessionState>,
     /// Cancelled by those who want the session closed.
-    pub(crate) stop: CancellationToken,
+    pub(super) stop: CancellationToken,
     /// Cancelled here when it is.
-    pub(crate) stopped: CancellationToken,
+    pub(super) stopped: CancellationToken,
 }
 
 impl Receiving {
-    pub(crate) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
+    pub(super) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
         let reason = {
             let mut stop = std::pin::pin!(self.stop.cancelled());
             loop {
@@ -124,7 +105,7 @@ impl Receiving {
                             tracing::debug!(problem, "dropped what came from where the cloud is");
                             self.shared.counters.malformed();
                         }
-                        Ok(EdgeArrival::Remark(text)) => self.shared.remark(text),
+                        Ok(EdgeArrival::Remark(text)) => self.shared.remarks.add(text),
                         Err(Disconnected(reason)) => break CloseReason::Broken(reason),
                     },
                 }
@@ -133,13 +114,13 @@ impl Receiving {
         if reason == CloseReason::Local {
             self.say_goodbye();
         }
-        self.shared.end(&reason);
+        self.shared.requests.end(&reason, &self.shared.counters);
         receiver.close(linger).await;
     }
 
     fn say_goodbye(&self) {
         let goodbye = Goodbye {
-            session: self.shared.session,
+            session: self.shared.terms.session,
             reason: "the edge closed the session".into(),
             ordered: self.shared.ordered.get().copied(),
         };
@@ -160,7 +141,8 @@ impl Receiving {
 
 impl Drop for Receiving {
     fn drop(&mut self) {
-        self.shared.end(&CloseReason::Broken("the receiving task ended early".into()));
+        let reason = CloseReason::Broken("the receiving task ended early".into());
+        self.shared.requests.end(&reason, &self.shared.counters);
         self.stopped.cancel();
     }
 }

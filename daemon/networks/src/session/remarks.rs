@@ -1,0 +1,57 @@
+//! What a transport remarks of a connection.
+
+use tokio::sync::watch;
+
+/// Most remarks of one connection that are kept.
+const MAX_REMARKS: usize = 64;
+
+/// Remarks of one connection, oldest first. None is taken away; what finds no room is in the log alone.
+#[derive(Debug)]
+pub(super) struct Remarks {
+    texts: watch::Sender<Vec<String>>,
+}
+
+impl Remarks {
+    /// Begins with what was remarked until now.
+    pub(super) fn new(texts: Vec<String>) -> Self {
+        Self { texts: watch::Sender::new(texts) }
+    }
+
+    /// Adds a remark.
+    pub(super) fn add(&self, text: String) {
+        self.texts.send_if_modified(|texts| {
+            let has_room = texts.len() < MAX_REMARKS;
+            if has_room {
+                texts.push(text);
+            } else {
+                tracing::warn!("{text}");
+            }
+            has_room
+        });
+    }
+
+    /// Returns a reader for which the present texts are new.
+    pub(super) fn subscribe(&self) -> watch::Receiver<Vec<String>> {
+        let mut texts = self.texts.subscribe();
+        texts.mark_changed();
+        texts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_remarks_stay_when_there_are_too_many() {
+        let remarks = Remarks::new(vec!["0".to_owned()]);
+        for n in 1..2 * MAX_REMARKS {
+            remarks.add(n.to_string());
+        }
+        let mut reader = remarks.subscribe();
+        assert!(reader.has_changed().expect("open"));
+        let texts = reader.borrow_and_update();
+        assert_eq!(texts.len(), MAX_REMARKS);
+        assert!(texts.iter().enumerate().all(|(n, text)| *text == n.to_string()));
+    }
+}

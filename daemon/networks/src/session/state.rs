@@ -1,0 +1,164 @@
+//! What the requests of a session and its receiving task have in common.
+
+use std::sync::OnceLock;
+
+use peernet_clock::{RelatedClocks, SharedClock};
+use peernet_logger::{Recorder, stage};
+use peernet_sample::Sample;
+use tokio::sync::{oneshot, watch};
+
+use super::exchange::{Departed, RequestError, Sizes};
+use super::remarks::Remarks;
+use super::requests_in_flight::{Answer, RequestsInFlight};
+use crate::message::{
+    Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
+    TreeFrameError, encode_tree, put_upload,
+};
+use crate::statistics::{ConnectionStatistics, Counters};
+use crate::transport::{EdgeSender, SendFailure, SendOptions};
+
+/// What both ends of a session agreed on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SessionTerms {
+    pub(super) session: SessionId,
+    /// The version of the protocol that the cloud chose.
+    pub(super) version: u16,
+    /// The tighter limit of both ends.
+    pub(super) max_message_bytes: u64,
+}
+
+impl SessionTerms {
+    /// Which clocks the stamps of exchanges are of: the cloud's is the free-running one where the version has it.
+    pub(super) const fn clocks(self) -> RelatedClocks {
+        if self.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
+    }
+
+    /// Whether the version has stamps of the cloud's free-running clock.
+    pub(super) const fn has_raw_stamps(self) -> bool {
+        self.version >= RAW_STAMPS_SINCE
+    }
+}
+
+/// An open session.
+#[derive(Debug)]
+pub(super) struct SessionState {
+    pub(super) terms: SessionTerms,
+    pub(super) requests: RequestsInFlight,
+    pub(super) sender: Box<dyn EdgeSender>,
+    pub(super) clock: SharedClock,
+    pub(super) counters: Counters,
+    pub(super) peer_clock: watch::Sender<PeerClock>,
+    /// What the cloud told last of its end of the connection.
+    pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
+    pub(super) remarks: Remarks,
+    /// How many iterations the run was to have, once it is over.
+    pub(super) ordered: OnceLock<u64>,
+}
+
+/// Why a sample cannot be sent.
+#[derive(Debug, thiserror::Error)]
+enum UnsendableSample {
+    #[error(transparent)]
+    Header(#[from] HeaderError),
+    #[error(transparent)]
+    Tree(#[from] TreeFrameError),
+    #[error("{bytes} bytes are more than max_message_bytes allows, {most}")]
+    TooLarge { bytes: u64, most: u64 },
+}
+
+/// A request under way. Giving it up is dropping it.
+pub(super) struct Pending<'a> {
+    requests: &'a RequestsInFlight,
+    request: u64,
+    pub(super) departed: Departed,
+    pub(super) sizes: Sizes,
+    pub(super) answer: oneshot::Receiver<Answer>,
+}
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        self.requests.give_up(self.request);
+    }
+}
+
+impl SessionState {
+    /// Returns what was sent and received so far.
+    pub(super) fn statistics(&self) -> ConnectionStatistics {
+        self.counters.statistics(&self.sender.statistics())
+    }
+
+    /// Encodes and hands to the network, from the task that asks for it.
+    pub(super) fn send(
+        &self,
+        log: &mut Recorder,
+        sample: &Sample,
+        deadline: tokio::time::Instant,
+    ) -> Result<Pending<'_>, RequestError> {
+        let failed =
+            |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
+        let encoding = log.start(stage::ENCODE);
+        let prepared = self.prepare(log, sample);
+        let (tree, sample_header) = match prepared {
+            Ok(prepared) => prepared,
+            Err(error) => {
+                log.stop(encoding);
+                return Err(failed(error));
+            }
+        };
+        let (request, answer) = self.requests.begin()?;
+
+        // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
+        let epoch = self.clock.epoch();
+        let stamp = self.clock.stamp();
+        log.stop_at(encoding, stamp.mono);
+        let (told_epoch, sent_raw) = if self.terms.has_raw_stamps() {
+            (epoch, Some(stamp.raw))
+        } else {
+            (self.clock.wall_epoch(), None)
+        };
+        let start = log.offset(stamp.mono);
+        let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
+        let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
+        // From here on the request is given up by dropping it.
+        let mut pending =
+            Pending { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
+        let header = Header::Request(Request {
+            session: self.terms.session,
+            request,
+            departure,
+            sample: sample_header,
+        });
+        let header = header.encode().map_err(|error| failed(error.into()))?;
+        let mut frames = Vec::with_capacity(2 + sample.parts.len());
+        frames.extend([header, tree]);
+        frames.extend(sample.parts.iter().map(|part| part.bytes.clone()));
+        pending.sizes = Sizes::of(&frames);
+        let options = SendOptions { deadline: Some(deadline), tag: Some(request) };
+        match self.sender.send(frames, options) {
+            Ok(()) => {
+                self.counters.sent(pending.sizes.total());
+                Ok(pending)
+            }
+            Err(SendFailure::Full) => Err(RequestError::Overloaded(SendFailure::Full.to_string())),
+            Err(SendFailure::Gone(reason)) => {
+                self.counters.lost(1);
+                Err(RequestError::Lost(reason))
+            }
+        }
+    }
+
+    fn prepare(
+        &self,
+        log: &Recorder,
+        sample: &Sample,
+    ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
+        let header = SampleHeader::of(sample)?;
+        let tree = encode_tree(log.tree())?;
+        let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
+        let most = self.terms.max_message_bytes;
+        if bytes > most {
+            return Err(UnsendableSample::TooLarge { bytes, most });
+        }
+        Ok((tree, header))
+    }
+}
