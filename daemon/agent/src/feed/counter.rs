@@ -5,8 +5,15 @@
 //! reports the difference as a gap.
 //!
 //! The file is in `/dev/shm` and not beside the spool, because a write to a disk waits for that disk now and then, and
-//! measuring must not. Nor is it mapped: a write that fails is an error then, and not the end of the process. After a restart
+//! measuring must not. It names the spool that it belongs to, and the process that counts in it holds it locked: a copy of the spool
+//! leaves it alone, and one whose spool is gone can be told. Nor is it mapped: a write that fails is an error then, and not the end of the process. After a restart
 //! of the machine the file is gone, and nothing is claimed.
+
+mod owner;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use self::owner::CountOwner;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -21,12 +28,16 @@ use peernet_stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNS
 use rustix::fs::{OFlags, statfs};
 use uuid::Uuid;
 
+use self::owner::OWNER_BYTES;
+
 /// Where files are that lie in memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// `f_type` of such a file system (statfs(2)).
 const TMPFS_MAGIC: i64 = 0x0102_1994;
 /// How the file begins.
-const MAGIC: &[u8; 8] = b"PNcount2";
+const MAGIC: &[u8; 8] = b"PNcount3";
+/// How a file of an earlier version begins, which names no spool.
+const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 /// Bytes of the head, and of the record of each run behind it. None crosses the border of a page.
 const RECORD: usize = 128;
 const HEAD_ALL: u64 = 8;
@@ -38,7 +49,9 @@ const NAME: usize = NUMBERS + 16;
 /// number of the batch, and what was counted up to it.
 const SENT: usize = RECORD * (1 + MOST_COUNTED_RUNS);
 const SENT_BYTES: usize = 40;
-const FILE_BYTES: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
+/// Behind these: the spool that the count belongs to.
+const OWNER: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
+const FILE_BYTES: usize = OWNER + OWNER_BYTES;
 
 /// Counts events as they are handed in; clones are the same. Without a file it counts nothing.
 #[derive(Clone, Debug, Default)]
@@ -57,11 +70,11 @@ struct Counting {
 }
 
 impl EventCounter {
-    /// Makes a file in shared memory.
+    /// Makes a file in shared memory for a spool.
     ///
     /// # Errors
-    /// When there is none.
-    pub(crate) fn create() -> io::Result<Self> {
+    /// When there is no shared memory.
+    pub(crate) fn create(owner: &CountOwner) -> io::Result<Self> {
         let folder = Path::new(SHARED_MEMORY);
         if statfs(folder)?.f_type != TMPFS_MAGIC {
             return Err(io::Error::other(format!("{SHARED_MEMORY} is not in memory")));
@@ -71,6 +84,8 @@ impl EventCounter {
         // All of it now: memory that is full later is no trouble of ours.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
+        let owner = owner.encoded();
+        bytes[OWNER..OWNER + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
         let free = (1..=MOST_COUNTED_RUNS).rev().collect();
         let counting =
@@ -196,33 +211,59 @@ impl Counting {
     }
 }
 
+/// An empty file that this process holds locked, before anything is in it: a whole file that nobody has locked is one of a process that
+/// has ended.
 fn create_file(name: &str) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
-    File::options().read(true).write(true).create_new(true).mode(0o600).open(path)
+    let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
+    file.lock()?;
+    Ok(file)
 }
 
-/// What an earlier process counted in the file of this name; `None` when there is none of ours.
-pub(crate) fn read(name: &str) -> Option<CountedEvents> {
-    let ours = |file: &File| {
-        let metadata = file.metadata().ok()?;
-        (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(())
-    };
+/// A file of this name in shared memory, if it is one of this user.
+fn open_own(name: &str) -> Option<File> {
     // A FIFO that somebody put there would keep its reader waiting.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
-    ours(&file)?;
-    let mut bytes = vec![0; FILE_BYTES];
+    let metadata = file.metadata().ok()?;
+    (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(file)
+}
+
+/// The spool that a file of counts belongs to; `None` for any other file, and for one of an earlier version.
+fn owner(file: &File) -> Option<CountOwner> {
+    let (mut magic, mut owner) = ([0; MAGIC.len()], [0; OWNER_BYTES]);
+    file.read_exact_at(&mut magic, 0).ok()?;
+    if magic != *MAGIC {
+        return None;
+    }
+    file.read_exact_at(&mut owner, OWNER as u64).ok()?;
+    CountOwner::decoded(&owner)
+}
+
+/// Says whether the file of this name counts for another spool than this one.
+pub(crate) fn is_of_another(name: &str, own: &CountOwner) -> bool {
+    open_own(name).and_then(|file| owner(&file)).is_some_and(|owner| !owner.is_same_file(own))
+}
+
+/// What an earlier process counted for this spool in the file of this name; `None` when there is none of ours.
+pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
+    let file = open_own(name)?;
+    let mut bytes = vec![0; OWNER];
     file.read_exact_at(&mut bytes, 0).ok()?;
+    let is_ours = match owner(&file) {
+        Some(owner) => owner.is_same_file(own),
+        None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
+    };
+    if !is_ours {
+        return None;
+    }
     let (runs, sent) = bytes.split_at(SENT);
     let (head, records) = runs.split_at(RECORD);
     let number = |bytes: &[u8], at: usize| {
         bytes[at..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes)).unwrap_or_default()
     };
     let time = |bytes: &[u8], at: usize| WallTime::from_unix_nanos(number(bytes, at).cast_signed());
-    if !head.starts_with(MAGIC) {
-        return None;
-    }
     let sent = sent.chunks_exact(SENT_BYTES).map(|sent| SentUnspooled {
         process: number(sent, 0),
         number: number(sent, 8),
@@ -256,78 +297,5 @@ pub(crate) fn remove(name: &str) {
             tracing::debug!(%error, "the count of events of an earlier process stays in {SHARED_MEMORY}");
         }
         _ => {}
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn at(nanos: i64) -> WallTime {
-        WallTime::from_unix_nanos(nanos)
-    }
-
-    #[test]
-    fn another_process_reads_what_was_counted() {
-        let (counter, line) = (EventCounter::create().expect("shared memory"), "line".parse::<Slug>().ok());
-        let name = counter.name().expect("a file");
-        let (first, second) = (RunId::random(), RunId::random());
-        for n in 1..=5 {
-            counter.count(line.as_ref(), Some(first), at(n));
-        }
-        counter.count(None, None, at(6));
-        counter.count(line.as_ref(), Some(second), at(7));
-        let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
-        let slots = MOST_SENT_UNSPOOLED as u64;
-        (1..=slots + 1).for_each(|number| counter.sent_unspooled(sent(number)));
-        let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
-        let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
-        let mut counted = read(&name).expect("readable");
-        counted.runs.sort_by_key(|run| run.last);
-        let runs = vec![run(first, 5, 5), run(second, 1, 7)];
-        assert_eq!(counted, CountedEvents { all: 7, last: at(7), sent, runs });
-
-        assert!(!counter.release(second, 0), "it has an event that the spool does not have");
-        assert!(counter.release(first, 5) && counter.release(second, 1));
-        let counted = read(&name).expect("readable");
-        assert_eq!((counted.all, counted.runs.len()), (7, 0));
-        counter.remove();
-        assert_eq!(read(&name), None);
-    }
-
-    #[test]
-    fn deleted_file_is_made_again() {
-        let counter = EventCounter::create().expect("shared memory");
-        let (name, run) = (counter.name().expect("a file"), RunId::random());
-        counter.count(None, Some(run), at(1));
-        remove(&name);
-        counter.keep();
-        counter.count(None, Some(run), at(2));
-        let counted = read(&name).expect("is there");
-        assert_eq!((counted.all, counted.runs[0].events), (2, 2));
-        counter.remove();
-    }
-
-    #[test]
-    fn other_files_of_the_name_are_not_read() {
-        let name = format!("peernet-{}.count", Uuid::new_v4());
-        let path = Path::new(SHARED_MEMORY).join(&name);
-        let made = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
-        assert!(made.success() && read(&name).is_none());
-        fs::remove_file(path).expect("is there");
-    }
-
-    #[test]
-    fn runs_beyond_the_places_count_among_all() {
-        let counter = EventCounter::create().expect("shared memory");
-        let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
-        runs.iter().for_each(|run| counter.count(None, Some(*run), at(1)));
-        let counted = read(&counter.name().expect("a file")).expect("readable");
-        assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 1, MOST_COUNTED_RUNS));
-        assert!(counter.release(runs[0], 1));
-        counter.count(None, Some(RunId::random()), at(2));
-        let counted = read(&counter.name().expect("a file")).expect("readable");
-        assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 2, MOST_COUNTED_RUNS));
-        counter.remove();
     }
 }

@@ -19,6 +19,7 @@ use super::reserve::Reserve;
 use super::statements::MOST_PROCESSES;
 use super::{PutAside, SpoolError, tail};
 use crate::feed::EventCounter;
+use crate::feed::counter::CountOwner;
 use crate::lock::FileLock;
 
 pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
@@ -176,9 +177,14 @@ async fn prepare(
     let state = row.state(held, reached);
     let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
     state.unreported = tail::unreported(connection).await.map_err(cannot_open)?;
-    state.unresolved = tail::unresolved(connection).await.map_err(cannot_open)?;
+    let own = CountOwner::at(path).map_err(|source| SpoolError::Io {
+        action: "look at",
+        path: path.to_owned(),
+        source,
+    })?;
+    state.unresolved = tail::unresolved(connection, &own).await.map_err(cannot_open)?;
     let counter = match counts {
-        true => tail::begin(connection, &mut state).await.map_err(cannot_open)?,
+        true => tail::begin(connection, &mut state, &own).await.map_err(cannot_open)?,
         false => EventCounter::default(),
     };
     Ok((state, counter))

@@ -5,7 +5,7 @@ use peernet_logger::RunId;
 use peernet_stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
-use crate::feed::counter::{self, EventCounter};
+use crate::feed::counter::{self, CountOwner, EventCounter};
 
 /// What the file says of the process before.
 #[derive(FromRow)]
@@ -76,15 +76,18 @@ pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<
 }
 
 /// The end of an earlier process that the aggregator has to judge; none where what it counted is gone, after a restart of the
-/// machine.
-pub(super) async fn unresolved(connection: &mut SqliteConnection) -> Result<Option<Unresolved>, sqlx::Error> {
+/// machine, or belongs to the spool of which `own` is a copy.
+pub(super) async fn unresolved(
+    connection: &mut SqliteConnection,
+    own: &CountOwner,
+) -> Result<Option<Unresolved>, sqlx::Error> {
     let row: Option<UnresolvedRow> =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns, told, events FROM unresolved")
             .fetch_optional(connection)
             .await?;
     Ok(row.and_then(|row| {
         Some(Unresolved {
-            counted: counter::read(&row.counter)?,
+            counted: counter::read(&row.counter, own)?,
             settled: Settled {
                 events: decoded(&row.counted).unwrap_or_default(),
                 taken: row.taken.cast_unsigned(),
@@ -104,23 +107,32 @@ pub(super) async fn unresolved_counter(
 }
 
 /// Finds out what the process before lost, writes it down, and begins to count anew: one transaction, so that each loss is
-/// told once whoever is killed when. Without shared memory nothing is counted.
+/// told once whoever is killed when. Without shared memory nothing is counted. The copy of a spool leaves alone what was counted for the
+/// other, which tells of it.
 pub(super) async fn begin(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
+    own: &CountOwner,
 ) -> Result<EventCounter, sqlx::Error> {
-    let before: Before =
+    let mut before: Before =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns FROM stream WHERE id = 1")
             .fetch_one(&mut *connection)
             .await?;
+    if before.counter.take_if(|name| counter::is_of_another(name, own)).is_some() {
+        tracing::warn!(
+            "the spool is the copy of another one, to which the count of handed-in events belongs: what the agent that wrote the \
+             spool lost is reported by the other one"
+        );
+    }
     let mut lost = Some(0);
-    if let Some(counted) = before.counter.as_deref().and_then(counter::read) {
+    let counted = before.counter.as_deref().and_then(|name| counter::read(name, own));
+    if let Some(counted) = counted {
         let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
         lost = state.lose_tail(counted, Settled { events, taken, last });
     }
-    let counter = EventCounter::create().unwrap_or_else(|error| {
+    let counter = EventCounter::create(own).unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
         EventCounter::default()
     });

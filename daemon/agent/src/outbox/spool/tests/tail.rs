@@ -102,3 +102,23 @@ async fn lost_counter_proves_nothing() {
     let (_, state) = place.sound().await;
     assert_eq!((state.totals, state.unreported), (Totals::default(), Vec::new()));
 }
+
+#[tokio::test]
+async fn copy_of_a_spool_leaves_the_count_to_the_first() {
+    let (place, copy, run) = (Place::new(), Place::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
+    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+        .await
+        .expect("appends");
+    for name in ["spool.sqlite", "spool.sqlite-wal"] {
+        std::fs::copy(place.folder.path().join(name), copy.folder.path().join(name)).expect("copied");
+    }
+    hand_in(&counter, run, 10);
+
+    let (_, of_copy) = copy.sound().await;
+    assert_eq!((of_copy.unreported, of_copy.totals.dropped), (Vec::new(), 0));
+    drop((file, counter));
+
+    let (_, state) = place.sound().await;
+    assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the first reports what it lost");
+}

@@ -1,0 +1,101 @@
+//! The spool that a count of events belongs to.
+
+use std::ffi::OsStr;
+use std::fs::{self, Metadata};
+use std::io;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+/// Bytes of an owner as it is written.
+pub(super) const OWNER_BYTES: usize = 4096;
+/// Bytes of the numbers and of the length of the path before the path.
+const NUMBERS: usize = 4 * 8 + 2;
+/// Names the mount namespace, in which paths have their meaning.
+const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
+
+/// A spool file. The copy of a spool is another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct CountOwner {
+    device: u64,
+    inode: u64,
+    /// Nanoseconds since 1970 at which the file was made; 0 where its file system does not say. An inode's number is given to another file
+    /// once the first is deleted.
+    made: u64,
+    /// 0 when it is not known.
+    mount_namespace: u64,
+    /// Empty when it is too long to be written.
+    path: PathBuf,
+}
+
+impl CountOwner {
+    /// The file at a path.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+        let (path, metadata) = (fs::canonicalize(path)?, fs::metadata(path)?);
+        let path = if path.as_os_str().len() > OWNER_BYTES - NUMBERS { PathBuf::new() } else { path };
+        let mount_namespace = mount_namespace().unwrap_or_default();
+        Ok(Self {
+            device: metadata.dev(),
+            inode: metadata.ino(),
+            made: made(&metadata),
+            mount_namespace,
+            path,
+        })
+    }
+
+    /// Says whether both are the same file, by whatever path.
+    pub(crate) fn is_same_file(&self, other: &Self) -> bool {
+        (self.device, self.inode, self.made) == (other.device, other.inode, other.made)
+    }
+
+    pub(super) fn encoded(&self) -> Vec<u8> {
+        let numbers =
+            [self.device, self.inode, self.made, self.mount_namespace].map(u64::to_be_bytes).concat();
+        let path = self.path.as_os_str().as_bytes();
+        let length = u16::try_from(path.len()).unwrap_or_default().to_be_bytes();
+        [&numbers[..], &length, path].concat()
+    }
+
+    pub(super) fn decoded(bytes: &[u8]) -> Option<Self> {
+        let (numbers, rest) = bytes.split_at_checked(NUMBERS - 2)?;
+        let number =
+            |place: usize| numbers[place * 8..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes));
+        let (length, path) = rest.split_first_chunk()?;
+        let path = path.get(..u16::from_be_bytes(*length).into())?;
+        Some(Self {
+            device: number(0)?,
+            inode: number(1)?,
+            made: number(2)?,
+            mount_namespace: number(3)?,
+            path: Path::new(OsStr::from_bytes(path)).to_owned(),
+        })
+    }
+}
+
+fn made(metadata: &Metadata) -> u64 {
+    let since = metadata.created().ok().and_then(|made| made.duration_since(UNIX_EPOCH).ok());
+    since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or_default()
+}
+
+fn mount_namespace() -> Option<u64> {
+    fs::metadata(MOUNT_NAMESPACE).ok().map(|namespace| namespace.ino())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn owner_is_read_as_it_was_written() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("spool.sqlite");
+        fs::write(&path, "spool").expect("written");
+        let owner = CountOwner::at(&path).expect("is there");
+        assert_eq!(CountOwner::decoded(&owner.encoded()).as_ref(), Some(&owner));
+        assert_eq!(CountOwner::decoded(&[0; 12]), None);
+    }
+}

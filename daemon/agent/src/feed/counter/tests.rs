@@ -1,0 +1,86 @@
+//! Counting with real files in shared memory.
+
+use tempfile::TempDir;
+
+use super::*;
+
+fn at(nanos: i64) -> WallTime {
+    WallTime::from_unix_nanos(nanos)
+}
+
+/// A file that stands for a spool, in a folder of its own.
+fn spool() -> (TempDir, CountOwner) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("spool.sqlite");
+    fs::write(&path, "").expect("written");
+    let owner = CountOwner::at(&path).expect("is there");
+    (folder, owner)
+}
+
+#[test]
+fn another_process_reads_what_was_counted() {
+    let (_folder, owner) = spool();
+    let (counter, line) = (EventCounter::create(&owner).expect("shared memory"), "line".parse::<Slug>().ok());
+    let name = counter.name().expect("a file");
+    let (first, second) = (RunId::random(), RunId::random());
+    for n in 1..=5 {
+        counter.count(line.as_ref(), Some(first), at(n));
+    }
+    counter.count(None, None, at(6));
+    counter.count(line.as_ref(), Some(second), at(7));
+    let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
+    let slots = MOST_SENT_UNSPOOLED as u64;
+    (1..=slots + 1).for_each(|number| counter.sent_unspooled(sent(number)));
+    let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
+    let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
+    let mut counted = read(&name, &owner).expect("readable");
+    counted.runs.sort_by_key(|run| run.last);
+    let runs = vec![run(first, 5, 5), run(second, 1, 7)];
+    assert_eq!(counted, CountedEvents { all: 7, last: at(7), sent, runs });
+
+    assert!(!counter.release(second, 0), "it has an event that the spool does not have");
+    assert!(counter.release(first, 5) && counter.release(second, 1));
+    let counted = read(&name, &owner).expect("readable");
+    assert_eq!((counted.all, counted.runs.len()), (7, 0));
+    counter.remove();
+    assert_eq!(read(&name, &owner), None);
+}
+
+#[test]
+fn deleted_file_is_made_again() {
+    let (_folder, owner) = spool();
+    let counter = EventCounter::create(&owner).expect("shared memory");
+    let (name, run) = (counter.name().expect("a file"), RunId::random());
+    counter.count(None, Some(run), at(1));
+    remove(&name);
+    counter.keep();
+    counter.count(None, Some(run), at(2));
+    let counted = read(&name, &owner).expect("is there");
+    assert_eq!((counted.all, counted.runs[0].events), (2, 2));
+    counter.remove();
+}
+
+#[test]
+fn other_files_of_the_name_are_not_read() {
+    let (_folder, owner) = spool();
+    let name = format!("peernet-{}.count", Uuid::new_v4());
+    let path = Path::new(SHARED_MEMORY).join(&name);
+    let made = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
+    assert!(made.success() && read(&name, &owner).is_none());
+    fs::remove_file(path).expect("is there");
+}
+
+#[test]
+fn runs_beyond_the_places_count_among_all() {
+    let (_folder, owner) = spool();
+    let counter = EventCounter::create(&owner).expect("shared memory");
+    let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
+    runs.iter().for_each(|run| counter.count(None, Some(*run), at(1)));
+    let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
+    assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 1, MOST_COUNTED_RUNS));
+    assert!(counter.release(runs[0], 1));
+    counter.count(None, Some(RunId::random()), at(2));
+    let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
+    assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 2, MOST_COUNTED_RUNS));
+    counter.remove();
+}
