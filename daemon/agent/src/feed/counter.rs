@@ -9,10 +9,12 @@
 //! leaves it alone, and one whose spool is gone can be told. Nor is it mapped: a write that fails is an error then, and not the end of the process. After a restart
 //! of the machine the file is gone, and nothing is claimed.
 
+mod abandoned;
 mod owner;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use self::abandoned::remove_abandoned;
 pub(crate) use self::owner::CountOwner;
 
 use std::collections::BTreeMap;

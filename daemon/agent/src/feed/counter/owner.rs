@@ -52,6 +52,24 @@ impl CountOwner {
         (self.device, self.inode, self.made) == (other.device, other.inode, other.made)
     }
 
+    /// Says whether the file is certainly no longer at its path. A path says nothing in another mount namespace, nor where another file
+    /// system is in the place of the file's, which may be mounted again.
+    pub(super) fn is_gone(&self) -> bool {
+        if !self.path.is_absolute() || mount_namespace().is_none_or(|own| own != self.mount_namespace) {
+            return false;
+        }
+        match fs::metadata(&self.path) {
+            Ok(found) => found.dev() == self.device && (found.ino(), made(&found)) != (self.inode, self.made),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
+            Err(_) => false,
+        }
+    }
+
+    fn nearest_folder_is_of_its_device(&self) -> bool {
+        let mut folders = self.path.ancestors().skip(1);
+        folders.find_map(|folder| fs::metadata(folder).ok()).is_some_and(|found| found.dev() == self.device)
+    }
+
     pub(super) fn encoded(&self) -> Vec<u8> {
         let numbers =
             [self.device, self.inode, self.made, self.mount_namespace].map(u64::to_be_bytes).concat();
@@ -97,5 +115,20 @@ mod tests {
         let owner = CountOwner::at(&path).expect("is there");
         assert_eq!(CountOwner::decoded(&owner.encoded()).as_ref(), Some(&owner));
         assert_eq!(CountOwner::decoded(&[0; 12]), None);
+    }
+
+    #[test]
+    fn only_a_file_that_is_certainly_away_is_gone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("spool.sqlite");
+        fs::write(&path, "spool").expect("written");
+        let owner = CountOwner::at(&path).expect("is there");
+        assert!(!owner.is_gone());
+        let elsewhere = CountOwner { mount_namespace: owner.mount_namespace + 1, ..owner.clone() };
+        let unmounted = CountOwner { device: owner.device + 1, ..owner.clone() };
+        drop(folder);
+        assert!(owner.is_gone());
+        assert!(!elsewhere.is_gone(), "the path means something else in another mount namespace");
+        assert!(!unmounted.is_gone(), "its file system is not mounted");
     }
 }

@@ -84,3 +84,56 @@ fn runs_beyond_the_places_count_among_all() {
     assert_eq!((counted.all, counted.runs.len()), (MOST_COUNTED_RUNS as u64 + 2, MOST_COUNTED_RUNS));
     counter.remove();
 }
+
+#[test]
+fn file_is_abandoned_once_its_process_and_spool_are_gone() {
+    let (_own_folder, own) = spool();
+    let (folder, owner) = spool();
+    let counter = EventCounter::create(&owner).expect("shared memory");
+    let name = counter.name().expect("a file");
+    let is_there = || Path::new(SHARED_MEMORY).join(&name).exists();
+    drop(folder);
+    remove_abandoned(&own, &[]);
+    assert!(is_there(), "a process counts in it");
+    drop(counter);
+    remove_abandoned(&own, &[]);
+    assert!(!is_there());
+}
+
+#[test]
+fn file_of_a_spool_that_is_there_stays() {
+    let (_own_folder, own) = spool();
+    let (_folder, owner) = spool();
+    let counter = EventCounter::create(&owner).expect("shared memory");
+    let name = counter.name().expect("a file");
+    drop(counter);
+    remove_abandoned(&own, &[]);
+    assert!(read(&name, &owner).is_some(), "the next start of its agent needs it");
+    remove_abandoned(&owner, &[&name]);
+    assert!(read(&name, &owner).is_some(), "it is needed");
+    remove_abandoned(&owner, &[]);
+    assert!(read(&name, &owner).is_none(), "its own spool does not need it");
+}
+
+#[test]
+fn files_of_others_are_never_removed() {
+    let (folder, owner) = spool();
+    let (_own_folder, own) = spool();
+    let counter = EventCounter::create(&owner).expect("shared memory");
+    let name = counter.name().expect("a file");
+    drop(counter);
+    let path = Path::new(SHARED_MEMORY).join(&name);
+    // The file of an earlier version names no spool.
+    File::options()
+        .write(true)
+        .open(&path)
+        .and_then(|file| file.write_all_at(b"PNcount2", 0))
+        .expect("written");
+    let other = Path::new(SHARED_MEMORY).join(format!("{name}.kept"));
+    fs::copy(&path, &other).expect("copied");
+    drop(folder);
+    remove_abandoned(&own, &[]);
+    assert!(path.exists() && other.exists());
+    assert!(read(&name, &own).is_some(), "it is read for the spool that names it");
+    fs::remove_file(path).and_then(|()| fs::remove_file(other)).expect("removed");
+}

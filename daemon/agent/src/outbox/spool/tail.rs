@@ -164,6 +164,9 @@ pub(super) async fn begin(
         }
         (Some(_), None) => {}
     }
+    let (unresolved, current) = (unresolved_counter(connection).await?, counter.name());
+    let needed: Vec<&str> = [&unresolved, &current].into_iter().filter_map(Option::as_deref).collect();
+    counter::remove_abandoned(own, &needed);
     Ok(counter)
 }
 

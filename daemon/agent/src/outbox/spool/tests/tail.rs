@@ -122,3 +122,13 @@ async fn copy_of_a_spool_leaves_the_count_to_the_first() {
     let (_, state) = place.sound().await;
     assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the first reports what it lost");
 }
+
+#[tokio::test]
+async fn counts_of_deleted_spools_are_removed_by_the_next_start() {
+    let (gone, place) = (Place::new(), Place::new());
+    let OpenSpool { file, counter, .. } = gone.open().await.expect("opens");
+    let count = Path::new("/dev/shm").join(counter.name().expect("counts"));
+    drop((file, counter, gone));
+    place.sound().await;
+    assert!(!count.exists());
+}
