@@ -95,6 +95,11 @@ impl Knowledge {
         self.networks.leave(network);
     }
 
+    /// Everything of the sessions that are over by now is counted.
+    pub(super) fn settle_sessions(&mut self) {
+        self.networks.settle();
+    }
+
     /// An exchange of data over a network finished: judges the delays of its two ways.
     pub(super) fn judge(
         &mut self,
@@ -329,6 +334,7 @@ impl Knowledge {
             news.samples.extend_from_slice(&samples);
             self.window.keep(samples);
         }
+        self.networks.close_second();
         self.second = Second::new(now.unix_seconds());
     }
 

@@ -234,6 +234,11 @@ impl Link {
         self.sessions.borrow().is_empty()
     }
 
+    /// Everything of the sessions that are over by now is counted.
+    pub(super) fn settle_sessions(&self) {
+        lock(&self.knowledge).settle_sessions();
+    }
+
     /// As it is shown: a link for each network in use.
     pub(super) fn live(&self) -> Vec<LinkLive> {
         // Cloned, because reading statistics takes longer than sessions may wait to join.

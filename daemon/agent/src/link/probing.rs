@@ -52,6 +52,8 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
                 if changed.is_err() || !still {
                     break;
                 }
+                // No probe belongs to those that are over.
+                link.settle_sessions();
             }
             Ok(()) = own.changed() => {
                 let clock = own.borrow_and_update().clone();
@@ -75,6 +77,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
     for _ in 0..answers.under_way() {
         link.probed(&ProbeResult::Lost, authenticated);
     }
+    link.settle_sessions();
 }
 
 /// What the cloud tells next; nothing any more when the session is over.

@@ -247,10 +247,36 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
+    knowledge.settle_sessions();
     assert_eq!(networks(knowledge.turn(now(2001))), [network(), other.clone()]);
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
     knowledge.leave(&other);
     assert_eq!(networks(knowledge.finish(now(2200))), [other]);
+}
+
+#[test]
+fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
+    let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
+    knowledge.join(&other);
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(900));
+    let mut news = vec![knowledge.turn(now(1_001))];
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_100));
+    knowledge.leave(&network());
+    // The second ends before the task of the link counts the probes that nobody answered.
+    news.push(knowledge.turn(now(2_001)));
+    let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_002));
+    let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_003));
+    knowledge.settle_sessions();
+    news.push(knowledge.turn(now(3_001)));
+    let _ = knowledge.probed(&ProbeResult::Sent, true, now(3_100));
+    news.push(knowledge.turn(now(4_001)));
+
+    let probes = |of: &NetworkName| {
+        let samples = news.iter().flat_map(|news| &news.samples).filter(|sample| sample.network == *of);
+        samples.fold((0, 0), |(sent, lost), sample| (sent + sample.probes.sent, lost + sample.probes.lost))
+    };
+    assert_eq!(probes(&network()), (2, 2));
+    assert_eq!(probes(&other), (3, 2));
 }
 
 #[test]
