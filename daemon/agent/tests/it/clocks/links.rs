@@ -5,7 +5,7 @@ use peernet_logger::Slug;
 use peernet_stream::Probing;
 
 use super::{CLOUD, line};
-use crate::harness::{TestAgent, config};
+use crate::harness::{Aggregator, TestAgent, config};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
@@ -49,5 +49,36 @@ async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
     assert_eq!((offset.estimate, offset.source), (Span::ZERO, DelaySource::SameClock));
     assert_eq!(offset.verdict, Verdict::Ok);
     edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
+    let aggregator = Aggregator::start().await;
+    let listen = "[serve]\nlisten = ['tcp://127.0.0.1:0', 'udp://127.0.0.1:0']\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
+    let cloud = TestAgent::start_with("cloud", None, config(listen), "cloud").await;
+    let [tcp, udp] = cloud.running.serves() else { panic!("two addresses: {:?}", cloud.running.serves()) };
+    let pipeline = |name: &str, address: &dyn std::fmt::Display, iterations: u32| {
+        format!(
+            "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 2000 }}\n\
+             placement = {{ kind = 'remote', peer = '{address}', model = 'echo' }}\n\
+             load = {{ mode = 'rate', hz = 50.0 }}\nlimit = {{ iterations = {iterations} }}\n"
+        )
+    };
+    // Probes fast enough that some are under way when a session ends.
+    let probes = "[probes]\nrate_hz = 100.0\n";
+    let tables = format!("{probes}{}{}", pipeline("first", tcp, 60), pipeline("second", udp, 140));
+    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+    aggregator.until(|seen| seen.ended().len() == 2).await;
+    edge.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
+    for network in ["zmq-tcp", "zmq-udp"] {
+        let (mut sent, mut ended) = (0, 0);
+        for sample in seen.clocks().iter().filter(|sample| sample.network.to_string() == network) {
+            sent += sample.probes.sent;
+            ended += sample.probes.answered + sample.probes.lost;
+        }
+        assert!(sent > 50 && sent == ended, "{network}: {sent} sent, {ended} answered or lost");
+    }
     cloud.stop().await.expect("stops well");
 }
