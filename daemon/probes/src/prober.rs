@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, Received, Token};
-use crate::stamp::sender::{Return, Sending, SendingConfig};
+use crate::stamp::sender::{LATE, Return, Sending, SendingConfig};
 use crate::{Key, Stamps};
 
 /// Room for a reply beside its padding.
@@ -62,6 +62,8 @@ pub enum ProbeResult {
     Refined(Witnessed),
     /// No answer within the timeout.
     Lost,
+    /// The answer to a probe that was lost arrived after all.
+    Late,
     /// A packet arrived that is no valid answer, or a probe could not be sent: why.
     Refused(&'static str),
 }
@@ -256,6 +258,7 @@ impl Prober {
                 let stepped = ProbeResult::Stepped(returned.epoch);
                 news.push(heard.answered.map_or(stepped, ProbeResult::Answered));
             }
+            Err(LATE) => news.push(ProbeResult::Late),
             Err(why) => news.push(ProbeResult::Refused(why)),
         }
     }

@@ -9,6 +9,9 @@ use peernet_stream::Probing;
 /// So many probes lost in a row, and the link counts as one whose probes are not answered.
 const SILENCE: u32 = 3;
 
+/// Why probes count as unanswered whose answers come too late.
+const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, which count as lost";
+
 /// Decides from what became of the probes to one reflector whether they are shown as answered.
 #[derive(Debug)]
 pub(super) struct Answers {
@@ -26,6 +29,8 @@ pub(super) struct Answers {
     refused: Option<&'static str>,
     /// So many were refused since one was taken.
     refusals: u32,
+    /// So many answers were late since one was in time.
+    late: u32,
     /// Whoever sends garbage does not fill the log.
     log: LogThrottle,
 }
@@ -34,7 +39,7 @@ impl Answers {
     /// Of a reflector that was asked nothing.
     pub(super) fn new(peer: Slug, keyed: bool) -> Self {
         let log = LogThrottle::default();
-        Self { peer, keyed, under_way: 0, lost: 0, before: None, refused: None, refusals: 0, log }
+        Self { peer, keyed, under_way: 0, lost: 0, before: None, refused: None, refusals: 0, late: 0, log }
     }
 
     /// Number of probes that were sent and neither answered nor lost.
@@ -58,7 +63,7 @@ impl Answers {
             }
             ProbeResult::Answered(_) | ProbeResult::Stepped(_) => {
                 self.under_way = self.under_way.saturating_sub(1);
-                (self.lost, self.refused, self.refusals) = (0, None, 0);
+                (self.lost, self.refused, self.refusals, self.late) = (0, None, 0, 0);
                 if let Some(on) = self.before.take() {
                     *shown = on;
                 }
@@ -76,12 +81,22 @@ impl Answers {
                     *shown = self.unanswered(address.clone());
                 }
             }
+            ProbeResult::Late => {
+                self.late = self.late.saturating_add(1);
+                if let Probing::Unanswered { address, .. } = &*shown {
+                    *shown = self.unanswered(address.clone());
+                }
+            }
             ProbeResult::Refined(_) => {}
         }
     }
 
     fn unanswered(&self, address: String) -> Probing {
         let reason = why_unanswered(self.keyed, self.refused);
+        if self.refused.is_none() && self.late > 0 {
+            let reason = Some(format!("{LATE_ANSWERS} ({} late)", self.late));
+            return Probing::Unanswered { address, reason };
+        }
         let counted = |reason| match self.refusals {
             0 => reason,
             refusals => format!("{reason} ({refusals} refused)"),
@@ -114,6 +129,24 @@ fn why_unanswered(key: bool, refused: Option<&str>) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn late_answers_are_the_reason_and_not_refused() {
+        let mut answers = Answers::new("cloud".parse().expect("a name"), true);
+        let address = "udp://10.0.0.3:862".to_owned();
+        let mut shown = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
+        let now = MonoTime::from_nanos(0);
+        for _ in 0..SILENCE {
+            answers.note(&ProbeResult::Sent, now, &mut shown);
+            answers.note(&ProbeResult::Lost, now, &mut shown);
+        }
+        answers.note(&ProbeResult::Late, now, &mut shown);
+        let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
+        assert!(reason.contains("(1 late)") && !reason.contains("refused"), "{reason}");
+        answers.note(&ProbeResult::Refused(NOT_OURS), now, &mut shown);
+        let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
+        assert!(reason.contains(NOT_OURS), "{reason}");
+    }
 
     #[test]
     fn a_key_is_named_where_it_can_be_the_matter() {

@@ -183,6 +183,8 @@ impl Knowledge {
                 self.learn(witnessed, now, &mut news);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
+            // It counts as lost.
+            ProbeResult::Late => {}
         }
         news
     }

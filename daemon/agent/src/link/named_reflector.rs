@@ -105,6 +105,8 @@ impl ReflectorAnswers {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
+            // It counts as lost.
+            ProbeResult::Late => {}
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.relation.edge_stepped(*epoch);

@@ -59,6 +59,8 @@ pub struct Sending {
     nonce: Option<Range<usize>>,
     timeout: Span,
     pending: VecDeque<Pending>,
+    /// Requests that were lost lately: their answers are late. At most [`MAX_PENDING`].
+    lost: VecDeque<Departure>,
     /// The kernel's stamps are of another clock than the program's.
     distrusts_kernel: bool,
 }
@@ -165,9 +167,21 @@ impl Sending {
         if padding_bytes > 0 {
             tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
         }
-        let pending = VecDeque::new();
+        let (pending, lost) = (VecDeque::new(), VecDeque::new());
         let distrusts_kernel = false;
-        Self { key, instance, clocks, ssid, next: first, packet, nonce, timeout, pending, distrusts_kernel }
+        Self {
+            key,
+            instance,
+            clocks,
+            ssid,
+            next: first,
+            packet,
+            nonce,
+            timeout,
+            pending,
+            lost,
+            distrusts_kernel,
+        }
     }
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
@@ -202,9 +216,10 @@ impl Sending {
     /// The request was sent; returns how many earlier ones are given up for it.
     pub fn sent(&mut self, departure: Departure) -> usize {
         self.next = departure.sequence.wrapping_add(1);
-        let given_up = if self.pending.len() >= MAX_PENDING { self.pending.pop_front() } else { None };
+        let given_up = self.pending.len().saturating_sub(MAX_PENDING - 1);
+        let lost = self.forget(given_up);
         self.pending.push_back(Pending { departure, left: None, left_early: false, answer: None });
-        usize::from(given_up.is_some_and(|oldest| oldest.answer.is_none()))
+        lost
     }
 
     /// The kernel's stamp of a request's departure, and how far the wall clock was ahead when it was looked at thereafter. Believed
@@ -240,7 +255,17 @@ impl Sending {
     pub fn expire(&mut self, now: MonoTime) -> usize {
         let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
         let old = old.count();
-        self.pending.drain(..old).filter(|pending| pending.answer.is_none()).count()
+        self.forget(old)
+    }
+
+    /// Forgets the oldest; returns how many of them are lost.
+    fn forget(&mut self, oldest: usize) -> usize {
+        let unanswered = self.pending.drain(..oldest).filter(|pending| pending.answer.is_none());
+        let before = self.lost.len();
+        self.lost.extend(unanswered.map(|pending| pending.departure));
+        let lost = self.lost.len() - before;
+        self.lost.drain(..self.lost.len().saturating_sub(MAX_PENDING));
+        lost
     }
 
     /// When the next probe will be lost if it is not answered.
@@ -273,13 +298,14 @@ impl Sending {
             _ => {}
         }
         let there = self.there(&reply, &told, returned.read.wall)?;
-        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
-        if pending.departure.timestamp != reply.asked.timestamp {
-            return Err("to another stamp than was sent");
-        }
-        if pending.departure.nonce.is_some_and(|nonce| told.nonce != Some(nonce)) {
-            return Err(NOT_BOUND);
-        }
+        let Some(pending) = find(&mut self.pending, reply.asked.sequence) else {
+            let late =
+                self.lost.iter().position(|lost| lost.sequence == reply.asked.sequence).ok_or(UNKNOWN)?;
+            is_answer_to(&self.lost[late], &reply, &told)?;
+            self.lost.remove(late);
+            return Err(LATE);
+        };
+        is_answer_to(&pending.departure, &reply, &told)?;
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
@@ -298,7 +324,7 @@ impl Sending {
             self.distrust_kernel();
         }
         let kernel = kernel.filter(|_| !self.distrusts_kernel);
-        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(LATE)?;
+        let pending = find(&mut self.pending, reply.asked.sequence).ok_or(UNKNOWN)?;
         // The program's reads are the outer bounds, which the kernel's stamps may narrow.
         let exchange = Exchange {
             sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
@@ -331,8 +357,10 @@ impl Sending {
     }
 }
 
+/// Of a valid reply to a probe that is lost already: the only reason that says nothing against the reply.
+pub const LATE: &str = "later than the timeout of the probe";
 /// Of a reply that nothing waits for.
-const LATE: &str = "late, or to no probe of ours";
+const UNKNOWN: &str = "to no probe of ours, or to one of long ago";
 /// Of a reply with what another one told.
 const NOT_BOUND: &str = "with what was told to another probe";
 /// Of a reply by another reflector of ours than was expected.
@@ -351,6 +379,17 @@ pub const UNNAMED: &str = "an authentic reply that does not say which process wr
 
 /// Of a reply by a reflector of ours that lacks the stamps of its free-running clock where they are asked for.
 const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
+
+/// Checks that a reply brings back what its request told.
+fn is_answer_to(request: &Departure, reply: &Reply, told: &Told) -> Result<(), &'static str> {
+    if request.timestamp != reply.asked.timestamp {
+        return Err("to another stamp than was sent");
+    }
+    if request.nonce.is_some_and(|nonce| told.nonce != Some(nonce)) {
+        return Err(NOT_BOUND);
+    }
+    Ok(())
+}
 
 /// The probe of that number: they stand in order and without holes.
 fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {

@@ -8,7 +8,7 @@ use peernet_clock::{
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Departure, Heard, Return, Sending, SendingConfig};
+use peernet_probes::stamp::sender::{Departure, Heard, LATE, Return, Sending, SendingConfig};
 use peernet_probes::stamp::tlv::{self, Origin, RawStamps};
 use peernet_probes::stamp::uncertainty;
 
@@ -201,7 +201,13 @@ fn late_ones_are_lost_and_second_ones_count_once() {
     assert_eq!(pair.sender.expire(pair.clock.mono()), 0, "counted once");
     assert_eq!(pair.sender.deadline(), None);
     let reply = pair.reflect(slow);
-    assert_eq!(pair.hear(&reply), Err("late, or to no probe of ours"));
+    let mut forged = reply.clone();
+    let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
+    fields.asked.timestamp += 1;
+    fields.write(Mode::Open, &mut forged);
+    assert_eq!(pair.hear(&forged), Err("to another stamp than was sent"));
+    assert_eq!(pair.hear(&reply), Err(LATE));
+    assert_eq!(pair.hear(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
 }
 
 #[test]
@@ -217,7 +223,7 @@ fn who_did_not_get_the_question_cannot_answer_it() {
         pair.hear(&forged)
     };
     assert_eq!(forge(|reply| reply.asked.ssid = 98), Err("of another session"));
-    assert_eq!(forge(|reply| reply.asked.sequence += 1), Err("late, or to no probe of ours"));
+    assert_eq!(forge(|reply| reply.asked.sequence += 1), Err("to no probe of ours, or to one of long ago"));
     assert_eq!(forge(|reply| reply.asked.timestamp ^= 1), Err("to another stamp than was sent"));
     assert_eq!(forge(|reply| reply.received = 0), Err("without the reflector's stamps"));
     assert!(forge(|reply| reply.asked.ssid = 0).is_ok(), "as reflectors do that know of no identifiers");

@@ -280,6 +280,16 @@ fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
 }
 
 #[test]
+fn late_answer_counts_neither_as_answered_nor_as_refused() {
+    let mut knowledge = knowledge();
+    for result in [ProbeResult::Sent, ProbeResult::Lost, ProbeResult::Late] {
+        let _ = knowledge.probed(&result, true, now(100));
+    }
+    let probes = knowledge.now(&network(), now(200)).probes;
+    assert_eq!((probes.sent, probes.answered, probes.lost, probes.refused), (1, 0, 1, 0));
+}
+
+#[test]
 fn wall_clock_of_cloud_counts_only_where_it_is_related() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
         let is_related = clocks == RelatedClocks::RawToWall;
