@@ -9,7 +9,7 @@ use peernet_logger::Slug;
 use peernet_networks::OpenError;
 use peernet_report::rows::{Outcome, Row, Rows, Units};
 use peernet_results::RowWriter;
-use peernet_statistics::Sketch;
+use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::{Phase, Seen, Watcher};
@@ -40,12 +40,12 @@ struct RunProgress {
     /// Iterations that ended.
     done: u64,
     /// Totals of those that count, seconds.
-    totals: Sketch,
+    totals: Summary,
 }
 
 impl RunProgress {
     fn new(limit: Limit, warm_up: u64) -> Self {
-        Self { limit, warm_up, began: None, done: 0, totals: Sketch::default() }
+        Self { limit, warm_up, began: None, done: 0, totals: Summary::default() }
     }
 
     fn add(&mut self, row: &Row) {
