@@ -141,6 +141,8 @@ impl WebError {
             }
         }
         let detail = match self {
+            // What /readyz says as well.
+            Self::Store(error @ StoreError::Damaged { .. }) => &error.to_string(),
             Self::Store(_) => "the stored data could not be read; what went wrong is in the aggregator's log",
             Self::TookTooLong(_) => "the answer took too long; try again, or ask for less at once",
             _ => "something went wrong while answering; it is in the aggregator's log",

@@ -1,10 +1,13 @@
 //! Errors of the store. Each text says what was tried, on which file, and what to do.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
-use crate::database_error::{DatabaseError, is_partial_damage};
+use crate::database_error::{DatabaseError, is_damage, is_partial_damage};
 use crate::foreign_log::ForeignLog;
+use crate::integrity::{has_table_list, remedy};
 use crate::lock::LockError;
 
 /// The reason why a database cannot be opened.
@@ -19,8 +22,18 @@ pub enum OpenError {
         source: DatabaseError,
     },
     /// Some of what is needed to start is damaged.
-    #[error("cannot open the database {path}: it is damaged: {source}; agents keep their events; run `peernetd doctor --repair --database {path}`", path = path.display())]
+    #[error("cannot open the database {}: it is damaged: {source}; agents keep their events; {}", path.display(), remedy(path, *is_repairable))]
     Damaged {
+        /// The configured file.
+        path: PathBuf,
+        /// SQLite's own words.
+        source: DatabaseError,
+        /// Whether rows can be found in it.
+        is_repairable: bool,
+    },
+    /// The file has no header of a database, or no longer.
+    #[error("cannot open the database {}: {source}; if it was one, its first page is lost: put the newest backup in its place, agents send again what they still have in their spools; or choose another file with `database`", path.display())]
+    Unrecognised {
         /// The configured file.
         path: PathBuf,
         /// SQLite's own words.
@@ -68,9 +81,22 @@ impl OpenError {
 
     /// SQLite could not open or read the database.
     pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
-        let (path, is_partial_damage) = (path.to_owned(), is_partial_damage(&source));
+        let (path, is_partial_damage, is_damage) =
+            (path.to_owned(), is_partial_damage(&source), is_damage(&source));
         let source = DatabaseError::new(source);
-        if is_partial_damage { Self::Damaged { path, source } } else { Self::Open { path, source } }
+        match (is_partial_damage, is_damage) {
+            (true, _) => Self::Damaged { path, source, is_repairable: true },
+            (false, true) => Self::Unrecognised { path, source },
+            (false, false) => Self::Open { path, source },
+        }
+    }
+
+    /// The same, where the database's file tells whether rows can be found in it.
+    pub(crate) fn with_file(mut self, file: &Arc<File>) -> Self {
+        if let Self::Damaged { is_repairable, .. } = &mut self {
+            *is_repairable = has_table_list(Arc::clone(file));
+        }
+        self
     }
 }
 
@@ -84,6 +110,14 @@ pub enum StoreError {
         what: &'static str,
         /// SQLite's own words.
         source: DatabaseError,
+    },
+    /// The database is damaged.
+    #[error("cannot read or write {what}: {refusal}")]
+    Damaged {
+        /// What was asked for.
+        what: &'static str,
+        /// What is damaged, and what to do.
+        refusal: String,
     },
     /// The database refused to take something, or the task that writes is gone.
     #[error(

@@ -124,7 +124,8 @@ impl OpenDatabase {
         integrity.recall().map_err(|error| cannot_open(error.into()))?;
         refuse_foreign_log(path, &lock.file())?;
         // The lock has made it; one that has gone since then must not be made.
-        let mut connection = database::open_existing(path).await?;
+        let mut connection =
+            database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
         let unknown = unknown_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
         let known = known_hosts(&mut connection).await.map_err(cannot_open)?;

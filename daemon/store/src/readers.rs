@@ -92,7 +92,10 @@ impl Readers {
             error => {
                 let source = DatabaseError::new(error);
                 integrity.note(&source);
-                StoreError::Database { what, source }
+                match integrity.refusal().filter(|_| source.is_damage()) {
+                    Some(refusal) => StoreError::Damaged { what, refusal },
+                    None => StoreError::Database { what, source },
+                }
             }
         }
     }

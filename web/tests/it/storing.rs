@@ -4,6 +4,8 @@ use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
 use peernet_aggregator::Readiness;
 use serde_json::{Value, json};
+use sqlx::ConnectOptions;
+use sqlx::sqlite::SqliteConnectOptions;
 
 use crate::bed::{Answer, Bed};
 use crate::factory::Line;
@@ -52,6 +54,32 @@ async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
     until(&bed, true).await;
     assert_eq!(bed.get("/readyz").await.status, StatusCode::OK);
     assert!(!bed.get("/").await.text().contains("Cannot store events"));
+}
+
+#[tokio::test]
+async fn answers_from_a_damaged_database_say_what_readiness_says() {
+    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    let options = SqliteConnectOptions::new().filename(bed.database());
+    let mut connection = options.connect().await.expect("opens");
+    // From then on the file itself is read.
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await.expect("carries over");
+    let file = std::fs::File::options().write(true).open(bed.database()).expect("opens");
+    let bytes = file.metadata().expect("is there").len();
+    let noise = vec![0xa5; usize::try_from(bytes - 4096).expect("small")];
+    std::os::unix::fs::FileExt::write_all_at(&file, &noise, 4096).expect("writes");
+
+    until(&bed, false).await;
+    let Readiness::NotStoring(reason) = bed.aggregator.ready() else { panic!("not ready") };
+    assert!(reason.contains("is damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
+    let answer = bed.get("/api/v1/runs/1/iterations").await;
+    assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{}", answer.text());
+    let detail = answer.json()["detail"].as_str().expect("a detail").to_owned();
+    let told = detail.split_once(": ").map_or("", |(_, told)| told);
+    assert!(
+        told.contains("is damaged") && reason.contains(told),
+        "{detail} is not what readiness says: {reason}"
+    );
+    drop(connection);
 }
 
 #[tokio::test]

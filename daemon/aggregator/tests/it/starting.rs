@@ -33,7 +33,10 @@ async fn an_unwritable_database_is_named() {
         .expect("writes");
     let config = AggregatorConfig { database: file.clone(), listen: listen.clone(), ..bed.config() };
     let error = refusal(&bed, config).await;
-    assert!(matches!(&error, StartError::Database(OpenError::Open { path, .. }) if *path == file), "{error}");
+    assert!(
+        matches!(&error, StartError::Database(OpenError::Unrecognised { path, .. }) if *path == file),
+        "{error}"
+    );
     let below = file.join("peernet.sqlite");
     let config = AggregatorConfig { database: below, listen, ..bed.config() };
     assert_eq!(

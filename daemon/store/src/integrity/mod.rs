@@ -6,10 +6,10 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-use std::fs;
+use std::fs::{self, File};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use tokio::sync::watch;
 
@@ -18,6 +18,8 @@ use crate::database_error::DatabaseError;
 pub(crate) use self::page_check::PageCheck;
 pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
 
+use self::pages::PageFile;
+
 /// What is known of the damage of one database, shared by all who read or write it.
 ///
 /// It is remembered in a file beside the database, `<database>-damaged`, because the page that is damaged may be one that
@@ -25,24 +27,52 @@ pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
 #[derive(Clone, Debug)]
 pub struct Integrity {
     database: Arc<Path>,
-    damage: watch::Sender<Option<String>>,
+    damage: watch::Sender<Option<Damage>>,
+    /// The file while it is open here: a descriptor of its own would let go of what SQLite has locked, once it is closed.
+    file: Arc<Mutex<Weak<File>>>,
+}
+
+/// What is damaged.
+#[derive(Clone, Debug)]
+struct Damage {
+    what: String,
+    /// Rows can be found.
+    is_repairable: bool,
 }
 
 impl Integrity {
     /// Of that database.
     pub fn of(database: &Path) -> Self {
-        Self { database: database.into(), damage: watch::Sender::new(None) }
+        Self { database: database.into(), damage: watch::Sender::new(None), file: Arc::default() }
     }
 
     /// Takes up what is remembered of the file that stands there now.
     pub(crate) fn recall(&self) -> io::Result<()> {
-        self.damage.send_replace(remembered(&self.database)?);
+        let remembered = remembered(&self.database)?;
+        self.damage.send_replace(remembered.map(|what| Damage { what, is_repairable: true }));
         Ok(())
+    }
+
+    /// Takes the file that was opened: it tells what helps against damage.
+    pub(crate) fn look_at(&self, file: &Arc<File>) {
+        *self.file.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(file);
+        let is_repairable = self.is_repairable();
+        self.damage.send_if_modified(|damage| {
+            damage.as_mut().is_some_and(|damage| {
+                std::mem::replace(&mut damage.is_repairable, is_repairable) != is_repairable
+            })
+        });
+    }
+
+    /// Whether rows can be found in the file, as far as that is known.
+    fn is_repairable(&self) -> bool {
+        let file = self.file.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        file.is_none_or(has_table_list)
     }
 
     /// What is damaged, if anything is.
     pub fn damage(&self) -> Option<String> {
-        self.damage.borrow().clone()
+        self.damage.borrow().as_ref().map(|damage| damage.what.clone())
     }
 
     /// Waits until damage is found.
@@ -56,29 +86,27 @@ impl Integrity {
     pub fn refusal(&self) -> Option<String> {
         let damage = self.damage.borrow();
         let database = self.database.display();
-        damage.as_ref().map(|damage| {
-            format!(
-                "the database {database} is damaged: {damage}; stop the aggregator and run \
-                 `peernetd doctor --repair --database {database}`"
-            )
+        damage.as_ref().map(|Damage { what, is_repairable }| {
+            format!("the database {database} is damaged: {what}; {}", remedy(&self.database, *is_repairable))
         })
     }
 
     /// Takes down damage. What was found first stays.
     pub(crate) fn found(&self, what: impl Into<String>) {
         let what = what.into();
+        let is_repairable = self.is_repairable();
         let first = self.damage.send_if_modified(|known| {
             let first = known.is_none();
-            known.get_or_insert_with(|| what.clone());
+            known.get_or_insert_with(|| Damage { what: what.clone(), is_repairable });
             first
         });
         if !first {
             return;
         }
         tracing::error!(
-            "the database {database} is damaged: {what}; nothing more is stored, agents keep their events; stop the \
-             aggregator and run `peernetd doctor --repair --database {database}`",
-            database = self.database.display()
+            "the database {database} is damaged: {what}; nothing more is stored, agents keep their events; {remedy}",
+            database = self.database.display(),
+            remedy = remedy(&self.database, is_repairable)
         );
         if let Err(error) = fs::write(marker(&self.database), format!("{what}\n")) {
             tracing::warn!(
@@ -101,6 +129,23 @@ impl Integrity {
         self.damage.send_replace(None);
         Ok(())
     }
+}
+
+/// What to do about a damaged database. Without its list of tables no row can be found, and a repair has nothing to salvage.
+pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
+    if is_repairable {
+        format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
+    } else {
+        "its list of tables is lost, without which no row can be found: stop the aggregator and put the newest backup in its place, agents \
+         send again what they still have in their spools"
+            .to_owned()
+    }
+}
+
+/// Whether the header of a database and the first page of the list of its tables can be read.
+pub(crate) fn has_table_list(file: Arc<File>) -> bool {
+    let first = PageFile::of(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
+    matches!(first, Ok(Some(page)) if page.kind.is_table())
 }
 
 /// The file that remembers damage: beside the database itself, also when that is named by a link.

@@ -41,6 +41,7 @@ pub(crate) struct IntegrityCheck {
 impl IntegrityCheck {
     /// Begins. Ends the storing when it finds damage; takes back what an earlier process found when there is none.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
+        integrity.look_at(&file);
         let stop = CancellationToken::new();
         let stopped = stop.clone();
         let reads = TaskTracker::new();

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use proptest::prelude::*;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -107,6 +108,28 @@ async fn damage_is_remembered_and_the_first_stays() {
     assert_eq!(later.damage(), None);
     later.recall().expect("reads");
     assert_eq!(later.damage(), None);
+}
+
+#[tokio::test]
+async fn repair_is_recommended_only_where_it_can_help() {
+    let (_folder, path, connection) = file_of_all_pages(100).await;
+    connection.close().await.expect("closes");
+    let file = Arc::new(File::open(&path).expect("opens"));
+    let integrity = Integrity::of(&path);
+    integrity.look_at(&file);
+    integrity.found("page 7 is malformed");
+    assert!(integrity.refusal().is_some_and(|refusal| refusal.contains("doctor --repair")));
+
+    overwrite(&path, 0, &noise(1, 4096));
+    // As it is after a restart, too, when the damage is remembered and the file is opened.
+    integrity.look_at(&file);
+    let other = Integrity::of(&path);
+    other.look_at(&file);
+    other.found("page 1 is malformed");
+    for integrity in [integrity, other] {
+        let refusal = integrity.refusal().expect("it is damaged");
+        assert!(refusal.contains("newest backup") && !refusal.contains("--repair"), "{refusal}");
+    }
 }
 
 proptest! {

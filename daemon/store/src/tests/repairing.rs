@@ -52,6 +52,10 @@ async fn database_is_whole_after_repair_of_any_page() {
         let repaired = repair(&path, NOW, "now", |_| {}).await;
         if *page == 1 {
             assert!(matches!(repaired, Err(RepairError::Unreadable { .. })), "{repaired:?}");
+            let report = examine(&path, Examination { full: false, now: NOW }).await.expect("opens");
+            let advice: Vec<&str> = report.findings.iter().map(|finding| finding.advice.as_str()).collect();
+            assert!(advice.iter().any(|advice| advice.contains("newest backup")), "{advice:?}");
+            assert!(advice.iter().all(|advice| !advice.contains("--repair")), "{advice:?}");
             continue;
         }
         let repaired =

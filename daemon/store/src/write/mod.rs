@@ -162,10 +162,10 @@ impl Writer {
     /// # Errors
     /// When the database refuses, or is damaged.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
-        let result = match integrity.refusal() {
-            Some(refusal) => Err(sqlx::Error::Protocol(refusal)),
-            None => retention::pin(&mut self.connection, run, pinned).await,
-        };
+        if let Some(refusal) = integrity.refusal() {
+            return Err(StoreError::Damaged { what: "whether a run is kept", refusal });
+        }
+        let result = retention::pin(&mut self.connection, run, pinned).await;
         let result = self.rolled_back(result).await.map_err(DatabaseError::new);
         result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pinning)
     }

@@ -3,7 +3,9 @@
 mod contents;
 mod report;
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use peernet_clock::WallTime;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
@@ -17,15 +19,18 @@ use crate::column::count;
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
-use crate::integrity::{PageCheck, remembered};
+use crate::integrity::{PageCheck, has_table_list, remembered};
 
 /// A disk with less room is as good as full.
 const LITTLE_ROOM: u64 = 512 << 20;
 /// A log beside the database that is larger is not being taken over.
 const LARGE_LOG: u64 = 512 << 20;
 /// What to do about a damaged file.
-const RESTORE: &str = "stop the aggregator and run this again with --repair, which salvages what can be read and keeps the \
-                       damaged file; or restore the newest backup. Agents send what they still have in their spools";
+const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages what can be read and keeps the \
+                      damaged file; or restore the newest backup. Agents send what they still have in their spools";
+/// What to do about one in which no row can be found.
+const RESTORE: &str = "stop the aggregator and put the newest backup in its place: without the file's header and its list of tables no \
+                       row can be found. Agents send what they still have in their spools";
 
 /// Why a database cannot be examined at all.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +73,9 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         source: DatabaseError::new(error),
     };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
+    // Before SQLite has it open, too.
+    report.integrity.has_table_list =
+        File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     // Before SQLite has it open: see `PageFile`.
     refuse_foreign_log_of(database)?;
     report.malformed_pages(database);
@@ -99,7 +107,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         }
         Err(error) if is_damage(&error) => {
             report.lengths(database);
-            report.problem(format!("it is damaged, or no database: {error}"), RESTORE);
+            report.problem(format!("it is damaged, or no database: {error}"), report.remedy());
         }
         Err(error) => return Err(cannot_open(error)),
     }
@@ -110,6 +118,11 @@ impl Report {
     /// Whether nothing is wrong.
     pub fn is_healthy(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity != Severity::Problem)
+    }
+
+    /// What to do about damage.
+    const fn remedy(&self) -> &'static str {
+        if self.integrity.has_table_list { REPAIR } else { RESTORE }
     }
 
     fn problem(&mut self, what: String, advice: &str) {
@@ -124,7 +137,7 @@ impl Report {
     fn or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
         answer.unwrap_or_else(|error| {
             if is_damage(&error) {
-                self.problem(format!("it is damaged: cannot read {what}: {error}"), RESTORE);
+                self.problem(format!("it is damaged: cannot read {what}: {error}"), self.remedy());
             } else {
                 self.problem(
                     format!("cannot read {what}: {error}"),
@@ -177,7 +190,7 @@ impl Report {
     fn malformed_pages(&mut self, database: &Path) {
         match PageCheck::of(database) {
             Ok(pages) => self.malformed_pages = pages,
-            Err(error) => self.problem(format!("its pages cannot be read: {error}"), RESTORE),
+            Err(error) => self.problem(format!("its pages cannot be read: {error}"), self.remedy()),
         }
     }
 
@@ -224,12 +237,12 @@ impl Report {
                 1 => format!("it is damaged: {first}"),
                 n => format!("it is damaged in {n} places, the first: {first}"),
             };
-            self.problem(what, RESTORE);
+            self.problem(what, self.remedy());
         }
         if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > before) {
             let what =
                 format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
-            self.problem(what, RESTORE);
+            self.problem(what, self.remedy());
         }
     }
 
@@ -241,7 +254,10 @@ impl Report {
         let (found, whole) = match answer {
             Ok((Some(found), whole)) => (found, whole != Some(false)),
             Err(error) if is_damage(&error) => {
-                self.problem(format!("it is damaged: cannot read which version wrote it: {error}"), RESTORE);
+                self.problem(
+                    format!("it is damaged: cannot read which version wrote it: {error}"),
+                    self.remedy(),
+                );
                 return false;
             }
             _ => {

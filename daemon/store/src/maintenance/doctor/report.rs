@@ -84,6 +84,9 @@ pub struct Integrity {
     pub full: bool,
     /// What it found, at most 100.
     pub problems: Vec<String>,
+    /// Whether rows can be found at all, so that a repair can salvage some.
+    #[serde(skip)]
+    pub(super) has_table_list: bool,
 }
 
 /// How many rows a table has.
