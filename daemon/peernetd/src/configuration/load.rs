@@ -17,6 +17,7 @@ use peernet_web::WebConfig;
 use serde::Deserialize;
 
 use super::Locator;
+use super::mistakes::{self, Mistake, Remainder};
 use crate::lifecycle::LifecycleConfig;
 use crate::log::LogConfig;
 
@@ -25,6 +26,9 @@ const LARGEST_FILE: u64 = 4 << 20;
 
 /// Tables that belong into another one, and what to write.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
+
+/// Tables that no table of an agent refers to.
+const INDEPENDENT: [&str; 3] = ["log", "aggregator", "web"];
 
 /// The whole file.
 #[derive(Debug, Deserialize)]
@@ -89,13 +93,6 @@ impl fmt::Display for Problem {
 /// All problems found; more than one where the file could be read.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
-    let file = parse(path, &text)?;
-    let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
-    let configuration = Configuration::from(file);
-    let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
-    if problems.is_empty() {
-        return Ok(configuration);
-    }
     let locator = Locator::new(&text);
     let problem = |(key, text): (String, String)| Problem {
         file: path.to_owned(),
@@ -103,6 +100,23 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         key,
         text,
     };
+    let file = match mistakes::read::<File>(&text) {
+        Ok(file) => file,
+        Err(first) => {
+            let (found, remainder) = mistakes::all_mistakes::<File>(&text, first);
+            let unread = found.into_iter().map(|mistake| unread(path, mistake, &locator));
+            let checked = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
+            let mut problems: Vec<Problem> = unread.chain(checked).collect();
+            problems.sort_by_key(|problem| problem.line);
+            return Err(problems);
+        }
+    };
+    let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let configuration = Configuration::from(file);
+    let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
+    if problems.is_empty() {
+        return Ok(configuration);
+    }
     Err(problems.into_iter().map(problem).collect())
 }
 
@@ -112,7 +126,8 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// When it cannot be read or understood.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
-    parse(path, &text).map(Configuration::from)
+    let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
+    mistakes::read::<File>(&text).map(Configuration::from).map_err(unread)
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> Problem {
@@ -120,35 +135,36 @@ fn unreadable(path: &Path, error: &io::Error) -> Problem {
     Problem { file: path.to_owned(), line: None, key: String::new(), text }
 }
 
-fn parse(path: &Path, text: &str) -> Result<File, Vec<Problem>> {
-    let locator = Locator::new(text);
-    read(text).map_err(|(key, error)| {
-        // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
-        let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
-        let mut text = told(&error);
-        if text.starts_with("unknown field")
-            && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
-        {
-            text = format!("{hint} ({text})");
-        }
-        vec![Problem { file: path.to_owned(), line, key, text }]
-    })
+/// The problem of a key that could not be read.
+fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
+    let Mistake { key, error } = mistake;
+    // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
+    let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
+    let mut text = told(&error);
+    if text.starts_with("unknown field")
+        && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
+    {
+        text = format!("{hint} ({text})");
+    }
+    Problem { file: path.to_owned(), line, key, text }
 }
 
-/// The file's content, or the key that could not be read and why.
-fn read(text: &str) -> Result<File, (String, toml::de::Error)> {
-    let document = toml::Deserializer::parse(text).map_err(|error| (String::new(), error))?;
-    serde_path_to_error::deserialize(document).map_err(|error| {
-        let key = error.path().to_string();
-        (if key == "." { String::new() } else { key }, error.into_inner())
-    })
+/// What is wrong with the tables that could be read, as far as it does not depend on the others.
+fn check_remainder(remainder: Remainder<File>) -> Vec<(String, String)> {
+    let mut configuration = Configuration::from(remainder.file);
+    // The tables of an agent refer to each other.
+    if !remainder.without.iter().all(|table| INDEPENDENT.contains(&table.as_str())) {
+        configuration.agent = None;
+    }
+    configuration.check()
 }
 
 /// Tables that make no sense together or alone: a key and what is wrong.
-fn roles(file: &File) -> Option<(&'static str, &'static str)> {
+fn roles(file: &File) -> Vec<(&'static str, &'static str)> {
     if file.agent.is_none() && file.aggregator.is_none() {
-        return Some(("", "no role is switched on: add a table [agent], a table [aggregator], or both"));
+        return vec![("", "no role is switched on: add a table [agent], a table [aggregator], or both")];
     }
+    let mut found = Vec::new();
     let for_agent = file.spool.is_some()
         || file.clock.is_some()
         || file.probes.is_some()
@@ -159,21 +175,21 @@ fn roles(file: &File) -> Option<(&'static str, &'static str)> {
         || !file.model.is_empty()
         || !file.pipeline.is_empty();
     if file.agent.is_none() && for_agent {
-        return Some((
+        found.push((
             "",
             "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         ));
     }
     if file.aggregator.is_none() && file.web.is_some() {
-        return Some(("", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
+        found.push(("", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
     }
     if file.spool.is_some() && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none()) {
-        return Some((
+        found.push((
             "spool",
             "there is no spool without an aggregator: name one with [agent] aggregator, or remove [spool]",
         ));
     }
-    None
+    found
 }
 
 impl From<File> for Configuration {
@@ -286,6 +302,32 @@ mod tests {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let text = said(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
         assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");
+    }
+
+    #[test]
+    fn mistakes_of_several_tables_are_told_at_once() {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let text = said(&format!(
+            "[log]\nlevel = 'loud=very'\n[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n\
+             [agent]\nname = 'a'\nstate_dir = {:?}\nqueue_event = 7\nio_threads = 'x'\n\
+             [[pipeline]]\nname = 'one'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\nplacement = {{ kind = 'local' }}\n\
+             [[pipeline]]\nname = 'two'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\nplacement = {{ kind = 'none' }}\n\
+             rate = 3\n[web]\nlisten = '0.0.0.0:80'\n",
+            folder.path()
+        ));
+        let lines: Vec<&str> = text.lines().collect();
+        for (line, expected) in lines.iter().zip([
+            ":2: log.level: ",
+            ":4: lifecycle.shutdown_deadline_s: ",
+            ":8: agent.queue_event: unknown field `queue_event`",
+            ":9: agent.io_threads: invalid type",
+            ":13: pipeline[0].placement: missing field `model`",
+            ":18: pipeline[1].rate: unknown field `rate`",
+            ":20: web.listen: ",
+        ]) {
+            assert!(line.contains(expected), "{expected} in {text}");
+        }
+        assert_eq!(lines.len(), 7, "{text}");
     }
 
     #[test]

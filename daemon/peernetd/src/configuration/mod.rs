@@ -2,6 +2,7 @@
 
 mod load;
 mod locate;
+mod mistakes;
 mod places;
 
 pub(crate) use load::{Configuration, Problem, load};

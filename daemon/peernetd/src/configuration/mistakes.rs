@@ -1,0 +1,293 @@
+//! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and keys that are missing.
+
+use std::collections::BTreeSet;
+use std::fmt;
+
+use serde::Deserialize;
+use serde_path_to_error::{Path, Segment};
+use toml::Spanned;
+use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
+
+/// Most mistakes that are told of one file.
+const MOST_MISTAKES: usize = 100;
+/// How serde names a key that is not there.
+const MISSING: &str = "missing field";
+
+/// A key that could not be read, and why.
+#[derive(Debug)]
+pub(super) struct Mistake {
+    /// The key's path; empty for the whole file.
+    pub(super) key: String,
+    pub(super) error: Error,
+}
+
+/// What is left of a file when the tables with mistakes are taken away.
+pub(super) struct Remainder<T> {
+    pub(super) file: T,
+    /// The names of the tables that were taken away.
+    pub(super) without: BTreeSet<String>,
+}
+
+/// Reads a file.
+///
+/// # Errors
+/// The first key that could not be read.
+pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, Mistake> {
+    let document = Deserializer::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
+    serde_path_to_error::deserialize(document).map_err(|error| {
+        let key = error.path().to_string();
+        Mistake { key: if key == "." { String::new() } else { key }, error: error.into_inner() }
+    })
+}
+
+/// Returns the mistakes of a file in which [`read`] found `first`, each table and each element of an array of tables read by itself, and
+/// what is left without them.
+pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
+    text: &'a str,
+    first: Mistake,
+) -> (Vec<Mistake>, Option<Remainder<T>>) {
+    let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
+    let mut mistakes = Vec::new();
+    let mut without = BTreeSet::new();
+    for part in parts(root.get_ref()) {
+        let before = mistakes.len();
+        part.find::<T>(&mut mistakes);
+        if mistakes.len() > before {
+            without.insert(part.name);
+        }
+    }
+    if mistakes.is_empty() {
+        return (vec![first], None);
+    }
+    let mut rest = root;
+    without.iter().for_each(|name| drop(rest.get_mut().remove(name.as_str())));
+    let remainder = T::deserialize(Deserializer::from(rest)).ok().map(|file| Remainder { file, without });
+    (mistakes, remainder)
+}
+
+/// One table of a file, or one element of an array of tables.
+struct Part<'a> {
+    name: String,
+    /// Its place in the array.
+    index: Option<usize>,
+    /// A document with this part alone.
+    document: Spanned<DeTable<'a>>,
+}
+
+fn parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
+    let mut parts = Vec::new();
+    for (name, value) in root {
+        let mut part = |index, value: Spanned<DeValue<'a>>| {
+            let table = DeTable::from_iter([(name.clone(), value)]);
+            let document = Spanned::new(name.span(), table);
+            parts.push(Part { name: name.get_ref().to_string(), index, document });
+        };
+        match value.get_ref() {
+            DeValue::Array(elements) if elements.iter().all(|element| element.get_ref().is_table()) => {
+                for (index, element) in elements.iter().enumerate() {
+                    let mut alone = DeArray::new();
+                    alone.push(element.clone());
+                    part(Some(index), Spanned::new(value.span(), DeValue::Array(alone)));
+                }
+            }
+            _ => part(None, value.clone()),
+        }
+    }
+    parts
+}
+
+impl<'a> Part<'a> {
+    /// Reads it again and again, each time without the key that could not be read, until nothing is wrong with the rest.
+    fn find<T: Deserialize<'a>>(&self, mistakes: &mut Vec<Mistake>) {
+        let mut document = self.document.clone();
+        let mut removed = Vec::new();
+        while mistakes.len() < MOST_MISTAKES {
+            let read = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
+            let Err(error) = read else { return };
+            let steps = steps(error.path());
+            let missing = missing_key(error.inner().message());
+            // That a required key is missing is no mistake of the user when it was taken away here: its table goes as well.
+            if missing.is_some_and(|name| removed.contains(&below(&steps, name))) {
+                if remove(document.get_mut(), &steps, &mut removed) {
+                    continue;
+                }
+                return;
+            }
+            let is_removed = missing.is_none() && remove(document.get_mut(), &steps, &mut removed);
+            mistakes.push(Mistake { key: self.key(&steps), error: error.into_inner() });
+            if !is_removed {
+                return;
+            }
+        }
+    }
+
+    /// The path of a key in the whole file.
+    fn key(&self, steps: &[Step]) -> String {
+        let mut key = String::new();
+        for (place, step) in steps.iter().enumerate() {
+            match (step, self.index) {
+                (Step::Element(_), Some(index)) if place == 1 => key += &format!("[{index}]"),
+                (Step::Element(index), _) => key += &format!("[{index}]"),
+                (Step::Key(name), _) if key.is_empty() => key += name,
+                (Step::Key(name), _) => key += &format!(".{name}"),
+            }
+        }
+        key
+    }
+}
+
+/// One step on the way to a key.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Step {
+    Key(String),
+    Element(usize),
+}
+
+fn steps(path: &Path) -> Vec<Step> {
+    path.iter()
+        .map_while(|segment| match segment {
+            Segment::Map { key } => Some(Step::Key(key.clone())),
+            Segment::Seq { index } => Some(Step::Element(*index)),
+            Segment::Enum { .. } | Segment::Unknown => None,
+        })
+        .collect()
+}
+
+/// The path of a key of the table at `steps`.
+fn below(steps: &[Step], name: &str) -> Vec<Step> {
+    steps.iter().cloned().chain([Step::Key(name.to_owned())]).collect()
+}
+
+/// The name of the key that is not there, if this is what an error says.
+fn missing_key(text: &str) -> Option<&str> {
+    text.strip_prefix(MISSING)?.trim().strip_prefix('`')?.split('`').next()
+}
+
+/// Removes the key at the end of a path; of an element of an array the key of the array, because the others would change their places.
+/// Returns whether there was one.
+fn remove(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>) -> bool {
+    let Some(last) = steps.iter().rposition(|step| matches!(step, Step::Key(_))) else { return false };
+    let (Some((Step::Key(name), way)), path) = (steps[..=last].split_last(), &steps[..=last]) else {
+        return false;
+    };
+    let Some(table) = inner_table(table, way) else { return false };
+    removed.push(path.to_vec());
+    table.remove(name.as_str()).is_some()
+}
+
+fn inner_table<'t, 'i>(table: &'t mut DeTable<'i>, steps: &[Step]) -> Option<&'t mut DeTable<'i>> {
+    let Some((first, rest)) = steps.split_first() else { return Some(table) };
+    let Step::Key(name) = first else { return None };
+    let (_, value) = table.iter_mut().find(|(key, _)| key.get_ref() == name)?;
+    let mut value = value.get_mut();
+    let mut rest = rest;
+    while let Some((Step::Element(index), further)) = rest.split_first() {
+        let DeValue::Array(elements) = value else { return None };
+        value = elements.get_mut(*index)?.get_mut();
+        rest = further;
+    }
+    match value {
+        DeValue::Table(inner) => inner_table(inner, rest),
+        _ => None,
+    }
+}
+
+impl fmt::Display for Mistake {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.key, self.error.message())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    struct File {
+        #[serde(default)]
+        first: First,
+        #[serde(default)]
+        second: BTreeMap<String, u8>,
+        #[serde(default)]
+        element: Vec<Element>,
+    }
+
+    #[derive(Debug, Default, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    struct First {
+        number: u8,
+        list: Vec<u8>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    struct Element {
+        name: String,
+        kind: Kind,
+        number: Option<u8>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    enum Kind {
+        One { size: u8 },
+    }
+
+    fn found(text: &str) -> (Vec<String>, Option<Remainder<File>>) {
+        let first = read::<File>(text).expect_err("something is wrong with it");
+        let (mistakes, rest) = all_mistakes(text, first);
+        (mistakes.iter().map(ToString::to_string).collect(), rest)
+    }
+
+    #[test]
+    fn every_mistake_of_every_table_is_found_once() {
+        let (told, rest) = found(
+            "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
+             [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
+             [[element]]\nkind = { kind = 'one', size = 1, sise = 1 }\nnumber = -1\n\
+             [[element]]\nname = 1\nkind = { kind = 'two' }\n",
+        );
+        for (expected, text) in [
+            ("third: ", "unknown field `third`"),
+            ("first.numbr: ", "unknown field `numbr`"),
+            ("first.number: ", "invalid type"),
+            ("first.list[1]: ", "invalid type"),
+            ("element[1].kind: ", "unknown field `sise`"),
+            ("element[1].number: ", "invalid value"),
+            ("element[1]: ", "missing field `name`"),
+            ("element[2].name: ", "invalid type"),
+            ("element[2].kind", "unknown variant `two`"),
+        ] {
+            let is_there = |mistake: &&String| mistake.starts_with(expected) && mistake.contains(text);
+            assert_eq!(told.iter().filter(is_there).count(), 1, "{expected}{text} in {told:#?}");
+        }
+        assert_eq!(told.len(), 9, "{told:#?}");
+        let rest = rest.expect("the rest can be read");
+        assert_eq!(rest.without, ["element", "first", "third"].map(str::to_owned).into());
+        assert_eq!(rest.file.second.len(), 1);
+    }
+
+    #[test]
+    fn single_mistake_is_told_as_it_is_found_first() {
+        for text in [
+            "[first]\nnumbr = 1\n",
+            "[first]\nnumber = 256\n",
+            "[[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n[[element]]\nname = 'a'\n",
+            "first = 3\n",
+            "[first\n",
+        ] {
+            let first = read::<File>(text).expect_err("something is wrong with it");
+            let (expected, span) = (first.to_string(), first.error.span());
+            let (mistakes, _) = all_mistakes::<File>(text, first);
+            let [mistake] = &mistakes[..] else { panic!("one mistake in {text}: {mistakes:#?}") };
+            assert_eq!((mistake.to_string(), mistake.error.span()), (expected, span), "{text}");
+        }
+    }
+}
