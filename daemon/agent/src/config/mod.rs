@@ -64,8 +64,8 @@ pub struct AgentConfig {
 }
 
 impl AgentConfig {
-    /// Without the values of `env`, which may be secret, for `run.json`. The arguments of programs are still there, which may
-    /// be secret as well: it is for the user alone.
+    /// Without the values of `env`, which may be secret, for `run.json`. The arguments of programs, which may be secret as well, are still
+    /// there and are written within [`with_arguments`](peernet_external::exec::with_arguments) alone.
     pub fn publishable(&self) -> Self {
         let mut told = self.clone();
         told.models.iter_mut().for_each(ModelConfig::hide_secrets);

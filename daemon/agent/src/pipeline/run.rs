@@ -1,7 +1,6 @@
 //! One run: its description, its numbers, its events.
 
 use peernet_clock::{MonoTime, Stamp, WallTime};
-use peernet_external::exec::without_arguments;
 use peernet_logger::{RunId, Slug, Tree};
 use peernet_stream::{
     Condition, EndReason, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
@@ -137,6 +136,6 @@ fn day(at: WallTime) -> i64 {
 
 /// The pipeline's table, as it could stand in a configuration file, without what may be secret.
 fn configuration(config: &PipelineConfig) -> String {
-    let written = without_arguments(|| toml::to_string(&config.publishable()));
-    written.unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
+    toml::to_string(&config.publishable())
+        .unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use crate::VERSION;
 use peernet_agent::AgentConfig;
 use peernet_external::environment;
+use peernet_external::exec::with_arguments;
 use peernet_inference::MODEL_HASH;
 use peernet_report::accuracy::Accuracy;
 use peernet_report::record::{
@@ -127,7 +128,8 @@ fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
     seeds
 }
 
+/// The arguments of programs are in it: the file is not readable by others.
 fn json(what: &impl serde::Serialize) -> Value {
-    serde_json::to_value(what)
+    with_arguments(|| serde_json::to_value(what))
         .unwrap_or_else(|error| Value::String(format!("cannot be written down: {error}")))
 }

@@ -10,6 +10,7 @@ use crate::exit::Exit;
 use anyhow::Context;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
+use peernet_external::exec::with_arguments;
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::Deserialize;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
@@ -154,7 +155,7 @@ struct Child {
 
 impl Child {
     async fn start(index: usize, order: &Order, to: mpsc::Sender<(usize, Told)>) -> anyhow::Result<Self> {
-        let order = serde_json::to_vec(order).context("cannot write the order down")?;
+        let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order down")?;
         let mut process = Command::new(PROGRAM)
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())

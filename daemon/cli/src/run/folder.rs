@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::small_file;
 use anyhow::anyhow;
+use peernet_external::exec::with_arguments;
 use peernet_report::figures;
 
 use super::difference::differences;
@@ -94,7 +95,7 @@ impl Folder {
         let path = self.path.join(RECORD);
         let write = || {
             let mut file = tempfile::Builder::new().prefix(DRAFT).tempfile_in(&self.path)?;
-            serde_json::to_writer_pretty(&mut file, record)?;
+            with_arguments(|| serde_json::to_writer_pretty(&mut file, record))?;
             writeln!(file)?;
             file.as_file().sync_all()?;
             file.persist(&path).map_err(|error| error.error)?;
@@ -202,7 +203,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     if record.plan == *plan {
         return Ok(());
     }
-    let json = |plan: &Plan| serde_json::to_value(plan).unwrap_or_default();
+    let json = |plan: &Plan| with_arguments(|| serde_json::to_value(plan)).unwrap_or_default();
     let text = format!(
         "the experiment has changed since it was begun:\n  {}\ngo on with the old file and options, begin anew with --restart, which removes the runs, or name another folder with --result-loc",
         differences(&json(&record.plan), &json(plan)).join("\n  ")

@@ -1,6 +1,7 @@
 //! Which runs there are, in which order, and what each is.
 
 use peernet_agent::config::PipelineConfig;
+use peernet_external::exec::with_arguments;
 use peernet_logger::Slug;
 use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
@@ -164,7 +165,7 @@ fn derived(parts: &[u64]) -> u64 {
 
 /// The same with this seed; as it was where it takes none.
 fn with_seed<T: Clone + Serialize + serde::de::DeserializeOwned>(config: &T, seed: u64) -> T {
-    let seeded = serde_json::to_value(config).ok().and_then(|mut value| {
+    let seeded = with_arguments(|| serde_json::to_value(config)).ok().and_then(|mut value| {
         value.as_object_mut()?.insert("seed".to_owned(), Value::from(seed));
         serde_json::from_value(value).ok()
     });

@@ -68,21 +68,22 @@ impl CommandLine {
 
 thread_local! {
     // Serde hands no context to nested values. Only they see which keys hold commands: those of a kind are its own.
-    static HIDES_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
+    static SHOWS_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Calls `write`, in which each command is serialized as its program and the number of its arguments, whatever its key is.
-pub fn without_arguments<T>(write: impl FnOnce() -> T) -> T {
+/// Calls `write`, in which each command is serialized with its arguments, which may be secret: for files and programs of the user alone.
+/// Elsewhere a command is serialized as its program and the number of its arguments, whatever its key is.
+pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
     /// Also when `write` panics.
     struct Restore(bool);
 
     impl Drop for Restore {
         fn drop(&mut self) {
-            HIDES_ARGUMENTS.set(self.0);
+            SHOWS_ARGUMENTS.set(self.0);
         }
     }
 
-    let _restore = Restore(HIDES_ARGUMENTS.replace(true));
+    let _restore = Restore(SHOWS_ARGUMENTS.replace(true));
     write()
 }
 
@@ -102,7 +103,7 @@ impl<'a> From<&'a CommandLine> for PublicCommand<'a> {
 impl Serialize for CommandLine {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            command if HIDES_ARGUMENTS.get() => PublicCommand::from(command).serialize(serializer),
+            command if !SHOWS_ARGUMENTS.get() => PublicCommand::from(command).serialize(serializer),
             Self::Shell(line) => line.serialize(serializer),
             Self::Words(words) => words.serialize(serializer),
         }
@@ -208,7 +209,7 @@ mod tests {
         let launch = words(&["./light", "--token", "hunter2"]);
         let pipeline = Pipeline { sensor: Kind::Service { launch: launch.clone(), then: vec![shell] } };
         let write = || toml::to_string(&pipeline).expect("TOML");
-        let hidden = without_arguments(write);
+        let hidden = write();
         assert!(!hidden.contains("hunter"), "{hidden}");
         let table: Table = hidden.parse().expect("TOML");
         let told = |program: &str, arguments: i64| {
@@ -220,8 +221,9 @@ mod tests {
         assert_eq!(table["sensor"]["launch"], told("./light", 2));
         assert_eq!(table["sensor"]["then"][0], told("sh", 1));
 
-        let whole: Table = write().parse().expect("TOML");
-        assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch), "only within the call");
+        let whole: Table = with_arguments(write).parse().expect("TOML");
+        assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch));
+        assert_eq!(write(), hidden, "only within the call");
     }
 
     #[test]

@@ -25,8 +25,7 @@ const READ_BY_OTHERS: u32 = 0o004;
 
 /// A command: a line for the shell, or a program with its arguments.
 ///
-/// It is written as it is read, and within [`without_arguments`](super::without_arguments) as its program and the number of its
-/// arguments.
+/// It is written as its program and the number of its arguments, and within [`with_arguments`](super::with_arguments) as it is read.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum CommandLine {

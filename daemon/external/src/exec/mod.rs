@@ -26,7 +26,7 @@ mod shell;
 mod timeline;
 mod words;
 
-pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, without_arguments};
+pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, with_arguments};
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, ExchangeError, FramingError};
 pub use program::{Exchange, Program};

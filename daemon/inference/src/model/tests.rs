@@ -1,3 +1,5 @@
+use peernet_external::exec::with_arguments;
+
 use super::*;
 
 fn read(text: &str) -> Result<ModelConfig, toml::de::Error> {
@@ -94,10 +96,10 @@ fn table_is_written_with_the_keys_of_its_kind_in_their_order() {
         ),
     ] {
         let config = read(text).expect("reads");
-        let json = serde_json::to_string(&config).expect("can be written");
+        let json = with_arguments(|| serde_json::to_string(&config)).expect("can be written");
         assert_eq!(json, written);
         assert_eq!(serde_json::from_str::<ModelConfig>(&json).expect("reads back"), config);
-        let toml = toml::to_string(&config).expect("can be written");
+        let toml = with_arguments(|| toml::to_string(&config)).expect("can be written");
         assert_eq!(read(&toml).expect("reads back"), config);
     }
 }
