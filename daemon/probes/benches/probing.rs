@@ -121,7 +121,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                     }
                     ProbeResult::Refined(_) => probed.refined += 1,
                     ProbeResult::Lost => probed.lost += 1,
-                    ProbeResult::Sent => {}
+                    ProbeResult::Sent | ProbeResult::Late => {}
                     ProbeResult::Stepped(_) => panic!("the clock was set"),
                     ProbeResult::Refused(why) => panic!("refused: {why}"),
                 }

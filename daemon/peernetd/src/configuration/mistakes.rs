@@ -218,7 +218,6 @@ mod tests {
 
     #[derive(Debug, Default, Deserialize)]
     #[serde(deny_unknown_fields, default)]
-    #[expect(dead_code, reason = "only what cannot be read is looked at")]
     struct First {
         number: u8,
         list: Vec<u8>,
