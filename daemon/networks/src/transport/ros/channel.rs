@@ -34,7 +34,7 @@ pub(super) struct Channel {
     /// Topic of the companions.
     info: Box<dyn SessionPublisher>,
     payload_topic: PayloadTopic,
-    /// Signals that there is a remark to hand up.
+    /// Signals that a remark waits to be handed up.
     has_remark: Notify,
     /// The node at the other end, once it is known, and the connection from it.
     peer: OnceLock<RemoteNode>,
@@ -191,7 +191,7 @@ impl Channel {
         self.has_remark.notify_one();
     }
 
-    /// Waits until there is a remark to hand up.
+    /// Waits until a remark is to be handed up.
     pub(super) async fn wait_for_remark(&self) {
         self.has_remark.notified().await;
     }

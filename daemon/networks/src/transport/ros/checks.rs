@@ -1,4 +1,4 @@
-//! What ROS 2 needs of the build and of this host.
+//! Checks that the build and this host have what ROS 2 needs.
 
 use std::error::Error;
 

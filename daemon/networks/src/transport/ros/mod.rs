@@ -22,6 +22,7 @@ mod payload;
 mod payload_topic;
 mod ros1;
 mod ros2;
+mod second_publishers;
 mod serving;
 mod version;
 
@@ -34,7 +35,7 @@ use std::io;
 use super::AddressForm;
 use crate::Address;
 
-/// How addresses are written: where the master is, and the name of the cloud.
+/// Form of addresses: the place of the master, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm =
     AddressForm::Named { port: 11311, name: "peernet", in_domain: "ros2", find: version::find };
 

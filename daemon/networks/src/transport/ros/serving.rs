@@ -1,6 +1,6 @@
 //! The task of one end of a virtual connection: receives from its topics and keeps its time.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,24 +13,24 @@ use super::channel::Channel;
 use super::connection::Event;
 use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
 use super::limits::ReceiveLimits;
-use super::names::without_connection;
 use super::payload;
+use super::second_publishers::SecondPublishers;
 
-/// Where the events of a connection go.
+/// Receiver of the events of a connection.
 pub(super) trait Sink: Send {
-    /// What is handed up.
+    /// Form in which events are handed up.
     type Delivery: Send;
 
-    /// Makes an event into what is handed up, if it is.
+    /// Takes an event. Returns it in the form in which it is handed up, if it is.
     fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
-    /// Waits for something that only this side knows of.
+    /// Waits for a directive of this side.
     fn wait(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
 }
 
-/// What a side wants of its connection's task.
+/// Directive of a side to the task of its connection.
 pub(super) enum Directive {
-    /// Receive payloads, and longer companions.
+    /// Receive payloads.
     Admit(Box<dyn SessionSubscriber>),
     /// Other limits for companions.
     Limit(ReceiveLimits),
@@ -38,7 +38,7 @@ pub(super) enum Directive {
     End(String),
 }
 
-/// A task's parts.
+/// The task of one end of a connection.
 pub(super) struct Serving<S: Sink> {
     pub(super) channel: Arc<Channel>,
     pub(super) info: Box<dyn SessionSubscriber>,
@@ -70,13 +70,13 @@ impl<S: Sink> Serving<S> {
 
     async fn drive(mut self, goodbye: &str) {
         let mut waiting = VecDeque::new();
-        let mut foreign = SecondPublishers::default();
+        let mut others = SecondPublishers::default();
         let mut connected = BTreeSet::new();
         let mut is_closing = false;
         let mut left = None;
         loop {
             self.send_due();
-            self.remark_waiting(&mut foreign);
+            self.remark_named_publishers(&mut others);
             self.collect(&mut waiting);
             while !waiting.is_empty()
                 && let Ok(permit) = self.deliveries.try_reserve()
@@ -103,10 +103,10 @@ impl<S: Sink> Serving<S> {
             {
                 // What it published before it left is there, with its reason perhaps.
                 while let Some(message) = self.info.try_recv() {
-                    self.take(Step::Info(Ok(message)), &mut foreign);
+                    self.take(Step::Info(Ok(message)), &mut others);
                 }
                 while let Some(message) = self.payload.as_mut().and_then(|payload| payload.try_recv()) {
-                    self.take(Step::Payload(Ok(message)), &mut foreign);
+                    self.take(Step::Payload(Ok(message)), &mut others);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
                 if !self.has_connected_topic() || Instant::now() >= *until {
@@ -159,21 +159,21 @@ impl<S: Sink> Serving<S> {
                 () = changed => Step::Publishers,
                 () = sleep_until(next.unwrap_or_else(Instant::now)), if next.is_some() => Step::Other,
             };
-            self.take(step, &mut foreign);
+            self.take(step, &mut others);
         }
     }
 
-    fn take(&mut self, step: Step, foreign: &mut SecondPublishers) {
+    fn take(&mut self, step: Step, others: &mut SecondPublishers) {
         match step {
             Step::Info(Ok(message)) => {
-                if self.is_of_peer(&message, self.info.topic(), foreign) {
+                if self.is_of_peer(&message, self.info.topic(), others) {
                     self.hear_info(message);
                 }
             }
             Step::Payload(Ok(message)) => {
                 let topic =
                     self.payload.as_ref().map_or_else(|| self.info.topic(), |payload| payload.topic());
-                if self.is_of_peer(&message, topic, foreign) {
+                if self.is_of_peer(&message, topic, others) {
                     self.hear_payload(message);
                 }
             }
@@ -187,7 +187,7 @@ impl<S: Sink> Serving<S> {
             Step::Publishers => {
                 for subscriber in [Some(&self.info), self.payload.as_ref()].into_iter().flatten() {
                     for node in subscriber.other_publishers() {
-                        self.remark_second_publisher(&node, subscriber.topic(), foreign);
+                        self.remark_second_publisher(&node, subscriber.topic(), others);
                     }
                 }
             }
@@ -195,18 +195,18 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    /// Whether the other end waits for an answer to its goodbye.
+    /// Returns whether the other end waits for an answer to its goodbye.
     fn answers_goodbye(&self) -> bool {
         self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
     }
 
-    /// Whether the last messages of a peer that leaves may still be on their way.
+    /// Returns whether the last messages of a peer that leaves may still be on their way.
     fn has_connected_topic(&self) -> bool {
         let topics = [Some(&self.info), self.payload.as_ref()];
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
-    /// A topic on which messages of the peer arrived until now.
+    /// Returns a topic on which messages of the peer arrived until now.
     fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
         // Where payloads are confirmed, their topic may also be that of an earlier connection, which ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
@@ -223,49 +223,28 @@ impl<S: Sink> Serving<S> {
         })
     }
 
-    /// Whether a message is of the node at the other end. Others are named once.
-    fn is_of_peer(&self, message: &Received, topic: &str, foreign: &mut SecondPublishers) -> bool {
+    /// Returns whether a message is of the node at the other end. Others are named once.
+    fn is_of_peer(&self, message: &Received, topic: &str, others: &mut SecondPublishers) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
             return true;
         }
-        self.remark_second_publisher(node, topic, foreign);
+        self.remark_second_publisher(node, topic, others);
         false
     }
 
-    fn remark_second_publisher(&self, node: &Arc<str>, topic: &str, foreign: &mut SecondPublishers) {
+    fn remark_second_publisher(&self, second: &Arc<str>, topic: &str, others: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        let has_room = foreign.told.len() + foreign.unnamed.len() < MAX_FOREIGN;
-        if foreign.told.contains(node) || !has_room && !foreign.unnamed.contains_key(node) {
-            return;
-        }
-        let names = self.channel.node.names(node);
-        // Its name may be known a little later than its topics.
-        let since = foreign.unnamed.get(node).map_or_else(Instant::now, |(_, since)| *since);
-        if names.is_empty() && since.elapsed() < NAME_TIMEOUT {
-            foreign.unnamed.entry(Arc::clone(node)).or_insert_with(|| (topic.to_owned(), since));
-            return;
-        }
-        foreign.unnamed.remove(node);
-        // An earlier connection of the same pipeline ends by itself.
-        let own = self.channel.node.names(&peer.node);
-        let own: BTreeSet<&str> = own.iter().filter_map(|name| without_connection(name)).collect();
-        let is_earlier = names.iter().any(|name| without_connection(name).is_some_and(|of| own.contains(of)));
-        if !is_earlier && foreign.told.insert(Arc::clone(node)) {
-            let (second, first) = (self.channel.node.describe(node), self.channel.node.describe(&peer.node));
-            let text = format!(
-                "topic {topic} has two publishers: the messages of {second} are dropped, because the session is that of {first}; \
-                 stop the former, or give the pipeline another name"
-            );
-            self.channel.lock().remark(text);
+        if let Some(remark) = others.note(second, topic, &peer.node, &*self.channel.node) {
+            self.channel.lock().remark(remark);
         }
     }
 
-    /// Names those whose names have become known, or are not awaited any longer.
-    fn remark_waiting(&self, foreign: &mut SecondPublishers) {
-        for (node, (topic, _)) in foreign.unnamed.clone() {
-            self.remark_second_publisher(&node, &topic, foreign);
+    fn remark_named_publishers(&self, others: &mut SecondPublishers) {
+        let Some(peer) = self.channel.peer() else { return };
+        for remark in others.note_names(&peer.node, &*self.channel.node) {
+            self.channel.lock().remark(remark);
         }
     }
 
@@ -313,20 +292,6 @@ impl<S: Sink> Serving<S> {
 /// Time in which the last messages of a peer may arrive once it has left one of both topics, which have no common order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Time in which the name of a node becomes known once its topics are.
-const NAME_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// Nodes beside the peer that publish on a topic of the connection.
-#[derive(Debug, Default)]
-struct SecondPublishers {
-    told: BTreeSet<Arc<str>>,
-    /// Those without a known name, each with its topic and since when.
-    unnamed: BTreeMap<Arc<str>, (String, Instant)>,
-}
-
-/// Most second publishers that are named.
-const MAX_FOREIGN: usize = 16;
-
 async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<Received, NodeFailure> {
     match subscriber {
         Some(subscriber) => subscriber.recv().await,
@@ -351,7 +316,7 @@ fn changed<'a>(
     }
 }
 
-/// Whether the peer's messages arrive.
+/// Returns whether the peer's messages arrive.
 fn is_connected(subscriber: &dyn SessionSubscriber, channel: &Channel) -> bool {
     channel.peer().is_some_and(|peer| subscriber.is_connected(&peer.node))
 }
