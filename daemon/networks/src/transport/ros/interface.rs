@@ -1,6 +1,9 @@
 //! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Its users do not depend on the
 //! version.
 
+#[cfg(test)]
+pub(super) mod test_node;
+
 use std::fmt::Debug;
 use std::net::SocketAddr;
 use std::sync::Arc;

@@ -24,13 +24,13 @@ pub(super) struct SecondPublishers {
 }
 
 impl SecondPublishers {
-    /// Notes a node that publishes a topic of the connection to `peer`. Returns the remark on it, once.
+    /// Notes a node that publishes a topic of the connection between `node` and `peer`. Returns the remark on it, once.
     pub(super) fn note(
         &mut self,
         second: &Arc<str>,
         topic: &str,
-        peer: &str,
-        node: &dyn SessionNode,
+        (peer, node): (&str, &dyn SessionNode),
+        now: Instant,
     ) -> Option<String> {
         let has_room = self.remarked.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
         if self.remarked.contains(second) || !has_room && !self.unnamed.contains_key(second) {
@@ -38,8 +38,8 @@ impl SecondPublishers {
         }
         let names = node.names(second);
         // Its name may be known a little later than its topics.
-        let since = self.unnamed.get(second).map_or_else(Instant::now, |(_, since)| *since);
-        if names.is_empty() && since.elapsed() < NAME_TIMEOUT {
+        let since = self.unnamed.get(second).map_or(now, |(_, since)| *since);
+        if names.is_empty() && now - since < NAME_TIMEOUT {
             self.unnamed.entry(Arc::clone(second)).or_insert_with(|| (topic.to_owned(), since));
             return None;
         }
@@ -59,8 +59,56 @@ impl SecondPublishers {
     }
 
     /// Returns the remarks on nodes whose names have become known, or are not awaited any longer.
-    pub(super) fn note_names(&mut self, peer: &str, node: &dyn SessionNode) -> Vec<String> {
+    pub(super) fn note_names(&mut self, (peer, node): (&str, &dyn SessionNode), now: Instant) -> Vec<String> {
         let unnamed = self.unnamed.clone();
-        unnamed.iter().filter_map(|(second, (topic, _))| self.note(second, topic, peer, node)).collect()
+        let remark = |(second, (topic, _)): (&Arc<str>, &(String, Instant))| {
+            self.note(second, topic, (peer, node), now)
+        };
+        unnamed.iter().filter_map(remark).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::ros::interface::test_node::TestNode;
+
+    const TOPIC: &str = "/line/request_info";
+
+    #[test]
+    fn node_is_remarked_once_when_its_name_is_known_or_late() {
+        let (mut node, mut others, begin) =
+            (TestNode::default(), SecondPublishers::default(), Instant::now());
+        for id in ["named", "unnamed"] {
+            assert_eq!(others.note(&id.into(), TOPIC, ("peer", &node), begin), None);
+        }
+        node.set_name("named", "/viewer");
+        let remarks = others.note_names(("peer", &node), begin);
+        assert!(matches!(&remarks[..], [remark] if remark.contains("messages of named")), "{remarks:?}");
+        let remarks = others.note_names(("peer", &node), begin + NAME_TIMEOUT);
+        assert!(matches!(&remarks[..], [remark] if remark.contains("messages of unnamed")), "{remarks:?}");
+        for id in ["named", "unnamed"] {
+            assert_eq!(others.note(&id.into(), TOPIC, ("peer", &node), begin + NAME_TIMEOUT), None);
+        }
+    }
+
+    #[test]
+    fn earlier_connection_of_pipeline_is_not_remarked() {
+        let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
+        node.set_name("peer", "/peernet_jetson_line_1a2b3c4d");
+        node.set_name("earlier", "/peernet_jetson_line_00000000");
+        node.set_name("other", "/peernet_orin_line_00000000");
+        let mut note = |id: &str| others.note(&id.into(), TOPIC, ("peer", &node), Instant::now());
+        assert_eq!(note("earlier"), None);
+        assert!(note("other").is_some());
+    }
+
+    #[test]
+    fn number_of_remarks_is_bounded() {
+        let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
+        let ids: Vec<String> = (0..=MAX_SECOND_PUBLISHERS).map(|number| format!("n{number}")).collect();
+        ids.iter().for_each(|id| node.set_name(id, "/viewer"));
+        let note = |id: &String| others.note(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
+        assert_eq!(ids.iter().filter_map(note).count(), MAX_SECOND_PUBLISHERS);
     }
 }

@@ -236,14 +236,14 @@ impl<S: Sink> Serving<S> {
 
     fn remark_second_publisher(&self, second: &Arc<str>, topic: &str, others: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        if let Some(remark) = others.note(second, topic, &peer.node, &*self.channel.node) {
+        if let Some(remark) = others.note(second, topic, (&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
         }
     }
 
     fn remark_named_publishers(&self, others: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        for remark in others.note_names(&peer.node, &*self.channel.node) {
+        for remark in others.note_names((&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
         }
     }

@@ -75,3 +75,39 @@ impl Refusals {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+
+    use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
+
+    use super::*;
+    use crate::transport::ros::interface::test_node::TestNode;
+
+    #[test]
+    fn repeated_refusal_is_handed_up_once_a_minute() {
+        let identity = ClockIdentity::new("boot", "system");
+        let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), identity));
+        let (sender, mut deliveries) = mpsc::channel(10);
+        let shared =
+            (Arc::new(TestNode::default()) as Arc<dyn SessionNode>, Arc::clone(&clock) as SharedClock);
+        let refusals = Refusals::new(shared, Box::new(TestNode::default()), sender);
+        let hello =
+            SessionHello { host: "robot".into(), pipeline: "/line".into(), ..SessionHello::default() };
+        let address = SocketAddr::from(([192, 0, 2, 1], 1));
+        let edge = RemoteNode { node: "/edge".into(), local: address, remote: address };
+        let mut handed_up = |refuse: &dyn Fn(&Refusals)| {
+            refuse(&refusals);
+            let Ok((Arrival::Refused(_, text), _)) = deliveries.try_recv() else { return false };
+            assert_eq!(text, "refused a connection to /edge on 192.0.2.1 for pipeline /line: too many");
+            true
+        };
+        let repeated = |refusals: &Refusals| refusals.refuse(&hello, &edge, "too\nmany");
+        let failed = |refusals: &Refusals| refusals.refuse_failed(&hello, &edge, "too\nmany");
+        assert_eq!([handed_up(&repeated), handed_up(&repeated)], [true, false]);
+        assert_eq!([handed_up(&failed), handed_up(&failed)], [true, true]);
+        clock.advance(Span::from_seconds(60));
+        assert!(handed_up(&repeated));
+    }
+}

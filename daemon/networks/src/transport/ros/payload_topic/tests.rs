@@ -1,117 +1,14 @@
 //! A payload topic at a node of which the test sees what is published.
 
-use std::sync::Arc;
-
 use futures::FutureExt;
-use futures::future::BoxFuture;
-use peernet_ros::messages::{EncodedMessage, WireForm};
-use peernet_ros::ros1::{SubscriberOptions, TopicType};
 use peernet_sample::MediaType;
 
 use super::*;
-use crate::transport::ros::interface::{EdgeTopics, SessionSubscriber};
-
-/// Longest payload that the sockets of the node hold. Bytes.
-const RECEIVE_BUFFER_BYTES: usize = 10;
-
-/// A node that counts what its publishers publish.
-#[derive(Clone, Debug, Default)]
-struct CountingNode(Arc<Mutex<usize>>);
-
-impl CountingNode {
-    fn published(&self) -> usize {
-        *self.0.lock().expect("no test panics with it")
-    }
-}
-
-impl SessionPublisher for CountingNode {
-    fn topic(&self) -> &str {
-        "/line/request"
-    }
-
-    fn publish(&self, _message: EncodedMessage) -> Result<(), NodeFailure> {
-        Err(NodeFailure("payloads are for one node".to_owned()))
-    }
-
-    fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
-        *self.0.lock().expect("no test panics with it") += messages.len();
-        Ok(Delivery::Taken)
-    }
-
-    fn refusal(&self, node: &str) -> Option<String> {
-        Some(format!("the QoS of {node} does not fit"))
-    }
-}
-
-impl SessionNode for CountingNode {
-    fn form(&self) -> WireForm {
-        WireForm::Cdr
-    }
-
-    fn name(&self) -> &str {
-        "/edge"
-    }
-
-    fn describe(&self, node: &str) -> String {
-        node.to_owned()
-    }
-
-    fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
-        Ok(name.to_owned())
-    }
-
-    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
-        std::future::ready(Ok(topics.cloud.as_str().into())).boxed()
-    }
-
-    fn check_cloud_name<'a>(&'a self, _cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
-        std::future::ready(Ok(())).boxed()
-    }
-
-    fn receive_buffer_bytes(&self) -> Option<usize> {
-        Some(RECEIVE_BUFFER_BYTES)
-    }
-
-    fn max_companion_bytes(&self) -> usize {
-        usize::MAX
-    }
-
-    fn payload_patience(&self) -> Option<Duration> {
-        None
-    }
-
-    fn caveat(&self) -> Option<&str> {
-        None
-    }
-
-    fn publish<'a>(
-        &'a self,
-        _topic: &'a str,
-        _of: (TopicUse, TopicType),
-        _queue: QueueLimits,
-    ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
-        std::future::ready(Ok(Box::new(self.clone()) as Box<dyn SessionPublisher>)).boxed()
-    }
-
-    fn subscribe<'a>(
-        &'a self,
-        topic: &'a str,
-        _of: (TopicUse, TopicType),
-        _options: SubscriberOptions,
-    ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
-        std::future::ready(Err(NodeFailure(format!("{topic} is only published")))).boxed()
-    }
-
-    fn end(&self, _patience: Duration) -> BoxFuture<'_, ()> {
-        std::future::ready(()).boxed()
-    }
-
-    fn close(&self) {}
-}
+use crate::transport::ros::interface::test_node::{RECEIVE_BUFFER_BYTES, TestNode};
 
 struct Sending {
     topic: PayloadTopic,
-    node: CountingNode,
+    node: TestNode,
     peer: PeerState,
     remarks: Vec<String>,
 }
@@ -120,7 +17,7 @@ impl Sending {
     fn new() -> Self {
         Self {
             topic: PayloadTopic::new("/line/request".into(), QueueLimits::default()),
-            node: CountingNode::default(),
+            node: TestNode::default(),
             peer: PeerState::default(),
             remarks: Vec::new(),
         }

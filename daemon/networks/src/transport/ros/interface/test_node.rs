@@ -1,0 +1,125 @@
+//! A node for tests of the parts of a connection.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use peernet_ros::messages::{EncodedMessage, WireForm};
+use peernet_ros::ros1::{Delivery, QueueLimits, SubscriberOptions, TopicType};
+
+use super::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
+
+/// Longest payload that the sockets of the node hold. Bytes.
+pub(in crate::transport::ros) const RECEIVE_BUFFER_BYTES: usize = 10;
+
+/// A node without topics, which counts the messages that its publishers publish.
+#[derive(Clone, Debug, Default)]
+pub(in crate::transport::ros) struct TestNode {
+    published: Arc<AtomicUsize>,
+    /// Names of other nodes.
+    names: BTreeMap<String, String>,
+}
+
+impl TestNode {
+    /// Returns the number of messages that were published.
+    pub(in crate::transport::ros) fn published(&self) -> usize {
+        self.published.load(Ordering::Relaxed)
+    }
+
+    /// Sets the name of another node.
+    pub(in crate::transport::ros) fn set_name(&mut self, node: &str, name: &str) {
+        self.names.insert(node.to_owned(), name.to_owned());
+    }
+}
+
+impl SessionPublisher for TestNode {
+    fn topic(&self) -> &str {
+        "/line/request"
+    }
+
+    fn publish(&self, _message: EncodedMessage) -> Result<(), NodeFailure> {
+        Err(NodeFailure("payloads are for one node".to_owned()))
+    }
+
+    fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        self.published.fetch_add(messages.len(), Ordering::Relaxed);
+        Ok(Delivery::Taken)
+    }
+
+    fn refusal(&self, node: &str) -> Option<String> {
+        Some(format!("the QoS of {node} does not fit"))
+    }
+}
+
+impl SessionNode for TestNode {
+    fn form(&self) -> WireForm {
+        WireForm::Cdr
+    }
+
+    fn name(&self) -> &str {
+        "/edge"
+    }
+
+    fn names(&self, node: &str) -> Vec<String> {
+        self.names.get(node).cloned().into_iter().collect()
+    }
+
+    fn describe(&self, node: &str) -> String {
+        node.to_owned()
+    }
+
+    fn resolve(&self, name: &str) -> Result<String, NodeFailure> {
+        Ok(name.to_owned())
+    }
+
+    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
+        std::future::ready(Ok(topics.cloud.as_str().into())).boxed()
+    }
+
+    fn check_cloud_name<'a>(&'a self, _cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
+        std::future::ready(Ok(())).boxed()
+    }
+
+    fn receive_buffer_bytes(&self) -> Option<usize> {
+        Some(RECEIVE_BUFFER_BYTES)
+    }
+
+    fn max_companion_bytes(&self) -> usize {
+        usize::MAX
+    }
+
+    fn payload_patience(&self) -> Option<Duration> {
+        None
+    }
+
+    fn caveat(&self) -> Option<&str> {
+        None
+    }
+
+    fn publish<'a>(
+        &'a self,
+        _topic: &'a str,
+        _of: (TopicUse, TopicType),
+        _queue: QueueLimits,
+    ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
+        std::future::ready(Ok(Box::new(self.clone()) as Box<dyn SessionPublisher>)).boxed()
+    }
+
+    fn subscribe<'a>(
+        &'a self,
+        topic: &'a str,
+        _of: (TopicUse, TopicType),
+        _options: SubscriberOptions,
+    ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>> {
+        std::future::ready(Err(NodeFailure(format!("{topic} is only published")))).boxed()
+    }
+
+    fn end(&self, _patience: Duration) -> BoxFuture<'_, ()> {
+        std::future::ready(()).boxed()
+    }
+
+    fn close(&self) {}
+}
