@@ -218,6 +218,29 @@ async fn garbage_is_counted_and_harms_nothing() {
 }
 
 #[tokio::test]
+async fn altered_heartbeat_loses_no_later_request() {
+    let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
+    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let quick = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
+    let edge = tokio::spawn({
+        let address = relay.address.clone();
+        async move { open(&address, hello(), quick).await }
+    });
+    cloud.next_open().await.accept(accepted(cloud.host));
+    let session = within(edge).await.expect("no panic").expect("accepted");
+    for _ in 0..3 {
+        echo(&mut cloud, &session, "before").await;
+        within(relay.alter_heartbeat()).await;
+        for _ in 0..5 {
+            echo(&mut cloud, &session, "after").await;
+        }
+    }
+    assert_eq!(cloud.listener.statistics().malformed_messages, 3);
+    let statistics = session.statistics();
+    assert_eq!((statistics.lost_messages, statistics.malformed_messages), (0, 0));
+}
+
+#[tokio::test]
 async fn small_socket_buffers_lose_messages_but_no_count() {
     let small = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
     let cloud = Cloud::start_at("udp://127.0.0.1:0", small.clone()).await;

@@ -1,4 +1,4 @@
-//! A relay in front of a cloud's UDP port that drops, doubles and delays datagrams by a seed.
+//! A relay in front of a cloud's UDP port that drops, doubles, delays and alters datagrams.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -23,6 +23,7 @@ pub(crate) struct UdpRelay {
     pub(crate) address: Address,
     loss: Arc<AtomicU64>,
     dropped: Arc<AtomicU64>,
+    to_alter: Arc<AtomicU64>,
     task: JoinHandle<()>,
 }
 
@@ -45,9 +46,10 @@ impl UdpRelay {
         back.connect(cloud.authority()).await.expect("an address");
         let loss = Arc::new(AtomicU64::new(weather.loss));
         let dropped = Arc::new(AtomicU64::new(0));
-        let counts = (Arc::clone(&loss), Arc::clone(&dropped));
+        let to_alter = Arc::new(AtomicU64::new(0));
+        let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&to_alter));
         let task = tokio::spawn(carry(front, back, weather, counts, seed | 1));
-        Self { address: address.parse().expect("an address"), loss, dropped, task }
+        Self { address: address.parse().expect("an address"), loss, dropped, to_alter, task }
     }
 
     /// From now on nothing passes, as after a pulled cable.
@@ -62,6 +64,15 @@ impl UdpRelay {
         }
     }
 
+    /// Alters the next heartbeat of the edge, as a broken link would: it says that 2^20 messages more were sent. Waits until it has
+    /// passed.
+    pub(crate) async fn alter_heartbeat(&self) {
+        self.to_alter.store(1, Ordering::Relaxed);
+        while self.to_alter.load(Ordering::Relaxed) > 0 {
+            tokio::task::yield_now().await;
+        }
+    }
+
     /// Everything passes again.
     pub(crate) fn mend(&self) {
         self.loss.store(0, Ordering::Relaxed);
@@ -72,7 +83,7 @@ async fn carry(
     front: Arc<UdpSocket>,
     back: Arc<UdpSocket>,
     weather: Weather,
-    (loss, dropped): (Arc<AtomicU64>, Arc<AtomicU64>),
+    (loss, dropped, to_alter): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
     let mut edge: Option<SocketAddr> = None;
@@ -81,6 +92,9 @@ async fn carry(
         let (datagram, to) = tokio::select! {
             Ok((length, from)) = front.recv_from(&mut up) => {
                 edge = Some(from);
+                if to_alter.load(Ordering::Relaxed) > 0 && alter(&mut up[..length]) {
+                    to_alter.store(0, Ordering::Relaxed);
+                }
                 (&up[..length], None)
             }
             Ok(length) = back.recv(&mut down) => {
@@ -121,4 +135,15 @@ async fn carry(
             }
         }
     }
+}
+
+/// Sets bit 20 of the number of the next message in a ping of an edge. Returns whether the datagram is one.
+fn alter(datagram: &mut [u8]) -> bool {
+    // Group, kind, connection, time.
+    const NEXT: usize = 8 + 1 + 8 + 8;
+    let is_ping = datagram.get(8) == Some(&9) && datagram.len() > NEXT + 8;
+    if is_ping {
+        datagram[NEXT + 5] |= 1 << 4;
+    }
+    is_ping
 }

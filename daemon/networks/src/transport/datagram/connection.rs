@@ -4,24 +4,29 @@
 //! that it sent are not settled there: the answer tells which never arrived. Without any word for the heartbeat
 //! timeout the connection is gone. It is closed by a goodbye that is repeated until it is heard.
 
+mod control_queue;
+mod heartbeat;
+mod shutdown;
+mod sign_history;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use peernet_clock::{MonoTime, Span};
 
-use super::control_queue::ControlQueue;
+use self::control_queue::ControlQueue;
+use self::heartbeat::Heartbeat;
+use self::shutdown::Shutdown;
+use self::sign_history::SignHistory;
 use super::false_claim::FalseClaim;
 use super::fragment::split_frames;
-use super::heartbeat::Heartbeat;
 use super::measurement::PathMeasurement;
 use super::packet::{Packet, ResetReason, Role, SignOfLife, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::receiving::{Arrived, Receiving};
-use super::send_queue::QueueLimits;
+use super::sending::QueueLimits;
 use super::sending::{Batch, Sending};
-use super::shutdown::Shutdown;
-use super::sign_history::SignHistory;
 use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};

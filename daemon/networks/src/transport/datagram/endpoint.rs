@@ -1,23 +1,31 @@
 //! The cloud's end of all virtual connections of a port, without I/O.
 
+mod answers;
+mod arrival_queue;
+mod connection_table;
+mod entry;
+mod reassembly_budgets;
+mod timers;
+
 use std::collections::VecDeque;
 use std::net::{IpAddr, SocketAddr};
 
 use peernet_clock::{MonoTime, Span};
 
+use self::answers::AnswerQueue;
+use self::arrival_queue::ArrivalQueue;
+pub(crate) use self::arrival_queue::Delivery;
+use self::connection_table::{ConnectionTable, Room};
+use self::entry::{Entry, Standing, reply_address};
+use self::reassembly_budgets::ReassemblyBudgets;
+use self::timers::Timers;
 use super::MIN_DATAGRAM_BYTES;
-use super::answers::AnswerQueue;
-use super::arrival_queue::{ArrivalQueue, Delivery};
 use super::connection::{Connection, ConnectionLimits, Event};
-use super::connection_table::{ConnectionTable, Room};
-use super::entry::{Entry, Standing, reply_address};
 use super::handshake::{CookieKey, first_u64};
 use super::packet::{Packet, ResetReason, Role, Terms, VERSION};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
-use super::reassembly_budgets::ReassemblyBudgets;
 use super::sending::Batch;
-use super::timers::Timers;
 use crate::statistics::TransportStatistics;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 

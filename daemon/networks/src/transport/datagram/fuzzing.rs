@@ -8,7 +8,7 @@ use super::connection::ConnectionLimits;
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
 use super::reassembly::ReassemblyLimits;
-use super::send_queue::QueueLimits;
+use super::sending::QueueLimits;
 use crate::transport::{Arrival, ConnectionId};
 
 const PREFIX: &[u8] = b"\x01x";

@@ -1,11 +1,14 @@
 //! What is measured of the datagrams of a connection: losses of both directions, and the round trip.
 
+mod round_trip;
+mod told_totals;
+
 use peernet_clock::MonoTime;
 
+use self::round_trip::RoundTripEstimator;
+use self::told_totals::ToldTotals;
 use super::counting::{ArrivalCounter, ArrivalTotals};
 use super::false_claim::FalseClaim;
-use super::round_trip::RoundTripEstimator;
-use super::told_totals::ToldTotals;
 use crate::statistics::{DatagramStatistics, TransportStatistics};
 
 /// The measurements of one end.

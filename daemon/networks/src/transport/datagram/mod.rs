@@ -7,39 +7,20 @@
 //! and closes sessions. [`window`] bounds how much is on its way, [`counting`] has the losses of datagrams, [`endpoint`] has all connections of a port, and
 //! [`packet`] describes the wire form.
 
-mod answers;
-pub(crate) mod arrival_queue;
-mod congestion;
 pub(crate) mod connection;
-mod connection_table;
-mod control_queue;
 pub(crate) mod counting;
 pub(crate) mod endpoint;
-mod entry;
 mod false_claim;
 pub(crate) mod fragment;
 pub mod fuzzing;
 pub(crate) mod handshake;
-mod heartbeat;
-mod in_flight;
-mod long_losses;
 mod measurement;
-mod outstanding;
-mod pacing;
 pub(crate) mod packet;
 pub(crate) mod packet_writer;
 mod partial_message;
 pub(crate) mod reassembly;
-mod reassembly_budgets;
 pub(crate) mod receiving;
-pub(crate) mod round_trip;
-pub(crate) mod send_queue;
 pub(crate) mod sending;
-mod shutdown;
-mod sign_history;
-mod timers;
-mod told_totals;
-mod watermark;
 pub(crate) mod window;
 
 #[cfg(test)]

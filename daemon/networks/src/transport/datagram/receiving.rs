@@ -1,15 +1,17 @@
 //! The receiving half of a virtual connection: what arrives, and what the other end is told of it.
 
+mod watermark;
+
 use std::sync::Arc;
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
+use self::watermark::SentWatermark;
 use super::false_claim::FalseClaim;
-use super::outstanding::read_tag;
 use super::packet::{Fragment, Packet};
 use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, Received};
-use super::watermark::SentWatermark;
+use super::sending::read_tag;
 use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};

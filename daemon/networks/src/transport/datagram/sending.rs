@@ -1,14 +1,20 @@
 //! The sending half of a virtual connection: messages that wait, and what became of those that left.
 
+mod long_losses;
+mod outstanding;
+mod send_queue;
+
 use peernet_clock::MonoTime;
 
+use self::long_losses::LongLossDetector;
+pub(super) use self::outstanding::read_tag;
+use self::outstanding::{OutstandingMessages, written_tag};
+pub(crate) use self::send_queue::QueueLimits;
+use self::send_queue::SendQueue;
 use super::false_claim::FalseClaim;
 use super::fragment::{OutgoingMessage, fragment_count};
-use super::long_losses::LongLossDetector;
-use super::outstanding::{OutstandingMessages, read_tag, written_tag};
 use super::packet::{Fragment, Terms};
 use super::packet_writer::PacketWriter;
-use super::send_queue::{QueueLimits, SendQueue};
 use super::window::SendWindow;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 

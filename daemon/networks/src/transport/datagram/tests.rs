@@ -13,7 +13,7 @@ use super::handshake::{Dialled, Dialling};
 use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
-use super::send_queue::QueueLimits;
+use super::sending::QueueLimits;
 use crate::transport::memory::MemoryBudget;
 use crate::transport::{Arrival, ConnectionId};
 

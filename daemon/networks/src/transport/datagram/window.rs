@@ -5,11 +5,15 @@
 //! slowest link on the way. After a loss it grows with time and not with what arrives, as CUBIC's does (RFC 9438): every
 //! loss costs a whole message, so the size that was too much is tried again after seconds and not within the next message.
 
+mod congestion;
+mod in_flight;
+mod pacing;
+
 use peernet_clock::MonoTime;
 
-use super::congestion::CongestionWindow;
-use super::in_flight::BytesInFlight;
-use super::pacing::Pacer;
+use self::congestion::CongestionWindow;
+use self::in_flight::BytesInFlight;
+use self::pacing::Pacer;
 use super::packet::Terms;
 
 /// Bytes that an end receives before it says how far it has come.
@@ -82,7 +86,7 @@ impl SendWindow {
 mod tests {
     use peernet_clock::Span;
 
-    use super::super::congestion::{FIRST_WINDOW, MIN_WINDOW};
+    use super::congestion::{FIRST_WINDOW, MIN_WINDOW};
     use super::*;
 
     const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };

@@ -17,7 +17,7 @@ use super::socket::UdpPort;
 use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
-use crate::transport::datagram::arrival_queue::Delivery;
+use crate::transport::datagram::endpoint::Delivery;
 use crate::transport::datagram::endpoint::{Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{

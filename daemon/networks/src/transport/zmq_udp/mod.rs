@@ -21,7 +21,7 @@ use super::datagram::MIN_DATAGRAM_BYTES;
 use super::datagram::connection::ConnectionLimits;
 use super::datagram::packet::Terms;
 use super::datagram::reassembly::ReassemblyLimits;
-use super::datagram::send_queue::QueueLimits;
+use super::datagram::sending::QueueLimits;
 use super::{AddressForm, HostChecks};
 use crate::SessionSettings;
 use crate::message::MAX_FRAMES;

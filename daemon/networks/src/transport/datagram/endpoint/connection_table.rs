@@ -114,11 +114,11 @@ impl ConnectionTable {
 mod tests {
     use peernet_clock::{MonoTime, Span};
 
-    use super::super::connection::Connection;
-    use super::super::packet::{Role, Terms};
-    use super::super::packet_writer::PacketWriter;
-    use super::super::tests::limits;
     use super::*;
+    use crate::transport::datagram::connection::Connection;
+    use crate::transport::datagram::packet::{Role, Terms};
+    use crate::transport::datagram::packet_writer::PacketWriter;
+    use crate::transport::datagram::tests::limits;
     use crate::transport::memory::MemoryBudget;
 
     fn address(host: u8, port: u16) -> SocketAddr {

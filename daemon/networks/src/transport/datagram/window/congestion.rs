@@ -2,8 +2,8 @@
 
 use peernet_clock::MonoTime;
 
+use super::PROGRESS_BYTES;
 use super::in_flight::SILENCE;
-use super::window::PROGRESS_BYTES;
 
 /// The least that may be on its way: more than goes unsaid for.
 pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;

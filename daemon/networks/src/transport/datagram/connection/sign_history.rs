@@ -1,6 +1,6 @@
 //! The signs of life of the other end, one after the other.
 
-use super::packet::SignOfLife;
+use crate::transport::datagram::packet::SignOfLife;
 
 /// Signs of life in succession that contradict what was sent, at which the connection ends. It would not recover: the other
 /// end takes messages that are still to be sent for settled.

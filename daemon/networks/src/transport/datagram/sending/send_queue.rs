@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use peernet_clock::MonoTime;
 
-use super::fragment::OutgoingMessage;
+use crate::transport::datagram::fragment::OutgoingMessage;
 
 /// What may wait to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::reassembly::MAX_SPAN;
+use crate::transport::datagram::reassembly::MAX_SPAN;
 use crate::transport::{Frames, MessageLoss};
 
 /// A message that left or waits.
@@ -30,7 +30,7 @@ pub(super) fn written_tag(tag: Option<u64>) -> u64 {
 }
 
 /// The tag that a number on the wire stands for.
-pub(super) fn read_tag(written: u64) -> Option<u64> {
+pub(in crate::transport::datagram) fn read_tag(written: u64) -> Option<u64> {
     written.checked_sub(1)
 }
 

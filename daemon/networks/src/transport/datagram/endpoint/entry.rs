@@ -4,7 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 
 use peernet_clock::{MonoTime, Span};
 
-use super::connection::Connection;
+use crate::transport::datagram::connection::Connection;
 
 /// What a connection may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use super::endpoint::Route;
-use super::packet::{Packet, Role};
+use super::Route;
+use crate::transport::datagram::packet::{Packet, Role};
 
 /// Most answers that wait to be sent. Whoever is not answered asks again.
 const MAX_ANSWERS: usize = 256;

@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
-use super::packet::Packet;
-use super::packet_writer::PacketWriter;
-use super::sending::Batch;
+use crate::transport::datagram::packet::Packet;
+use crate::transport::datagram::packet_writer::PacketWriter;
+use crate::transport::datagram::sending::Batch;
 
 /// Most packets that wait. More than that is waiting when nothing leaves; all of it is repeated or comes again.
 const MAX_PACKETS: usize = 256;

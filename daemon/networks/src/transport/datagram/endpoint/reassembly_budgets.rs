@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::partial_message::PEAK_COST;
-use super::reassembly::ReassemblyLimits;
+use crate::transport::datagram::partial_message::PEAK_COST;
+use crate::transport::datagram::reassembly::ReassemblyLimits;
 use crate::transport::memory::MemoryBudget;
 
 /// Largest message of a connection without a session.

@@ -1,7 +1,7 @@
 //! What the other end tells of this end's datagrams.
 
-use super::counting::ArrivalTotals;
-use super::false_claim::FalseClaim;
+use crate::transport::datagram::counting::ArrivalTotals;
+use crate::transport::datagram::false_claim::FalseClaim;
 
 /// Copies of each datagram that a network may make, on the average.
 const MAX_COPIES: u64 = 16;
