@@ -19,7 +19,7 @@ impl Announcer {
 
     /// Tells all open sessions now, and those that open later in place of the
     /// [`host_clock`](crate::SessionAccepted::host_clock) that they are accepted with: no session misses it, however
-    /// opening and telling fall together. Never waits; an edge whose connection takes no more is not told.
+    /// opening and telling fall together. Never waits; an edge whose connection takes no more is left out.
     pub fn announce(&self, clock: PeerClock) {
         if let Some(shared) = self.shared.upgrade() {
             shared.announce(clock);

@@ -7,8 +7,8 @@ use bytes::Bytes;
 
 use crate::transport::Frames;
 
-/// Counts the bytes of requests from their arrival until nobody holds them any more: not the model, nor the
-/// network, which may still be sending them back.
+/// Counts the bytes of requests from their arrival until the last holder drops them: the model, or the network, which may
+/// still be sending them back.
 #[derive(Debug)]
 pub(super) struct Budget {
     most: u64,

@@ -31,7 +31,7 @@ impl fmt::Display for CloseReason {
     }
 }
 
-/// What an answer to a hello means.
+/// Outcome of a hello.
 #[derive(Debug)]
 pub(crate) enum Opened {
     /// The session exists.
@@ -73,12 +73,12 @@ pub(crate) struct Client<W> {
     over: Option<CloseReason>,
 }
 
-/// What a message from the cloud means.
+/// A message of the cloud, as it concerns the session.
 #[derive(Debug, PartialEq)]
-pub(crate) enum Heard<W> {
+pub(crate) enum CloudMessage<W> {
     /// The answer that this one waits for.
     Answer(W, Reply),
-    /// An answer that nobody waits for any more.
+    /// An answer to a request that was given up.
     Late,
     /// This is known of the cloud's wall clock from now on.
     Clock(PeerClock),
@@ -114,32 +114,36 @@ impl<W> Client<W> {
         self.waiting.remove(&request).is_some()
     }
 
-    /// A message arrived.
-    pub(crate) fn hear(&mut self, header: Header) -> Heard<W> {
+    /// Handles a message of the cloud.
+    pub(crate) fn receive(&mut self, header: Header) -> CloudMessage<W> {
         match header {
             Header::Reply(reply) if reply.session != self.session => {
-                Heard::Malformed("a reply of another session")
+                CloudMessage::Malformed("a reply of another session")
             }
-            Header::Reply(reply) if reply.request >= self.next => Heard::Malformed("a reply to no request"),
+            Header::Reply(reply) if reply.request >= self.next => {
+                CloudMessage::Malformed("a reply to no request")
+            }
             Header::Reply(reply) => match self.waiting.remove(&reply.request) {
-                Some(waiter) => Heard::Answer(waiter, reply),
-                None => Heard::Late,
+                Some(waiter) => CloudMessage::Answer(waiter, reply),
+                None => CloudMessage::Late,
             },
-            Header::Clock(news) if news.session == self.session => Heard::Clock(news.clock),
-            Header::Clock(_) => Heard::Malformed("the clock of another session"),
+            Header::Clock(news) if news.session == self.session => CloudMessage::Clock(news.clock),
+            Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
             Header::Statistics(told) if told.session == self.session => {
-                Heard::Statistics(Box::new(told.statistics))
+                CloudMessage::Statistics(Box::new(told.statistics))
             }
-            Header::Statistics(_) => Heard::Malformed("the statistics of another session"),
+            Header::Statistics(_) => CloudMessage::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
                 self.over_by(CloseReason::UnknownSession)
             }
             Header::Goodbye(goodbye) if goodbye.session == self.session => {
                 self.over_by(CloseReason::Goodbye(goodbye.reason))
             }
-            Header::UnknownSession(_) | Header::Goodbye(_) => Heard::Malformed("the end of another session"),
+            Header::UnknownSession(_) | Header::Goodbye(_) => {
+                CloudMessage::Malformed("the end of another session")
+            }
             Header::Open(_) | Header::Accepted(_) | Header::Refused(_) | Header::Request(_) => {
-                Heard::Malformed("out of place in an open session")
+                CloudMessage::Malformed("out of place in an open session")
             }
         }
     }
@@ -155,9 +159,9 @@ impl<W> Client<W> {
         self.waiting.drain().map(|(_, waiter)| waiter).collect()
     }
 
-    fn over_by(&mut self, reason: CloseReason) -> Heard<W> {
+    fn over_by(&mut self, reason: CloseReason) -> CloudMessage<W> {
         let waiters = self.end(reason.clone());
-        Heard::Over(reason, waiters)
+        CloudMessage::Over(reason, waiters)
     }
 }
 
@@ -186,12 +190,12 @@ mod tests {
         let session = SessionId::random();
         let mut client = Client::new(session);
         let (a, b) = (client.begin('a').expect("open"), client.begin('b').expect("open"));
-        assert!(matches!(client.hear(reply(session, b)), Heard::Answer('b', _)));
-        assert_eq!(client.hear(reply(session, b)), Heard::Late);
+        assert!(matches!(client.receive(reply(session, b)), CloudMessage::Answer('b', _)));
+        assert_eq!(client.receive(reply(session, b)), CloudMessage::Late);
         assert!(client.give_up(a) && !client.give_up(a));
-        assert_eq!(client.hear(reply(session, a)), Heard::Late);
-        assert!(matches!(client.hear(reply(session, b + 1)), Heard::Malformed(_)));
-        assert!(matches!(client.hear(reply(SessionId::random(), a)), Heard::Malformed(_)));
+        assert_eq!(client.receive(reply(session, a)), CloudMessage::Late);
+        assert!(matches!(client.receive(reply(session, b + 1)), CloudMessage::Malformed(_)));
+        assert!(matches!(client.receive(reply(SessionId::random(), a)), CloudMessage::Malformed(_)));
     }
 
     #[test]
@@ -199,12 +203,12 @@ mod tests {
         let session = SessionId::random();
         let mut client = Client::new(session);
         client.begin('a').expect("open");
-        let over = client.hear(Header::UnknownSession(UnknownSession { session, request: 0 }));
-        assert_eq!(over, Heard::Over(CloseReason::UnknownSession, vec!['a']));
+        let over = client.receive(Header::UnknownSession(UnknownSession { session, request: 0 }));
+        assert_eq!(over, CloudMessage::Over(CloseReason::UnknownSession, vec!['a']));
         assert_eq!(client.end(CloseReason::Broken("later".into())), Vec::<char>::new());
         assert_eq!(client.begin('b'), Err(CloseReason::UnknownSession));
         let other = Goodbye { session: SessionId::random(), reason: String::new(), ordered: None };
-        assert!(matches!(client.hear(Header::Goodbye(other)), Heard::Malformed(_)));
+        assert!(matches!(client.receive(Header::Goodbye(other)), CloudMessage::Malformed(_)));
     }
 
     #[derive(Clone, Debug)]
@@ -256,18 +260,18 @@ mod tests {
                             prop_assert!(ended.insert(waiter));
                         }
                     }
-                    Step::Hear(header) => match client.hear(header) {
-                        Heard::Answer(waiter, reply) => {
+                    Step::Hear(header) => match client.receive(header) {
+                        CloudMessage::Answer(waiter, reply) => {
                             prop_assert_eq!(waiter, reply.request);
                             prop_assert!(ended.insert(waiter));
                         }
-                        Heard::Over(_, waiters) => {
+                        CloudMessage::Over(_, waiters) => {
                             over = true;
                             for waiter in waiters {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        Heard::Clock(_) | Heard::Statistics(_) | Heard::Late | Heard::Malformed(_) => {}
+                        CloudMessage::Clock(_) | CloudMessage::Statistics(_) | CloudMessage::Late | CloudMessage::Malformed(_) => {}
                     },
                     Step::End => {
                         over = true;

@@ -75,7 +75,7 @@ impl Listener {
         Ok(listeners)
     }
 
-    /// Listens at one of so many addresses.
+    /// Listens at one of `ports` addresses.
     async fn bind_one_of(
         ports: NonZeroUsize,
         address: &Address,
@@ -97,12 +97,12 @@ impl Listener {
         Ok(Self { shared, receiver, address, caveat, settings, closed })
     }
 
-    /// Where it listens, with the real port.
+    /// Returns the address that it listens at, with the real port.
     pub const fn address(&self) -> &Address {
         &self.address
     }
 
-    /// What makes all of its connections worse than they could be, and what to do about it, in words.
+    /// Returns the reason why all of its connections are worse than they could be, and what to do about it, in words.
     pub fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
@@ -117,7 +117,7 @@ impl Listener {
         Announcer::new(Arc::downgrade(&self.shared))
     }
 
-    /// What arrives next; `None` when the socket is closed. Dropping the future loses nothing.
+    /// Waits for the next arrival; `None` when the socket is closed. Dropping the future loses nothing.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
             if let Some(session) = self.closed.pop_front() {

@@ -52,7 +52,7 @@ impl Session {
     /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
     /// # Errors
-    /// When nobody answers, not in time, or with a refusal.
+    /// When no answer comes in time, or a refusal.
     pub async fn open(
         address: &Address,
         hello: SessionHello,
@@ -93,38 +93,38 @@ impl Session {
         Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
     }
 
-    /// What the cloud said when it accepted the session.
+    /// Returns the cloud's acceptance of the session.
     pub fn accepted(&self) -> &SessionAccepted {
         &self.inner.accepted
     }
 
-    /// Its id, which nobody but its two ends knows as long as nobody reads the connection.
+    /// Returns its id, which only its two ends know unless a third party reads the connection.
     pub fn id(&self) -> SessionId {
         self.inner.shared.terms.session
     }
 
-    /// Which clocks the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
+    /// Returns the clocks that the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
     pub fn clocks(&self) -> RelatedClocks {
         self.inner.shared.terms.clocks()
     }
 
-    /// What the cloud tells of its clocks: at first what it said when it accepted the session.
+    /// Returns a reader of the state of the cloud's clocks; the first one came with the acceptance.
     pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
         self.inner.shared.peer_clock.subscribe()
     }
 
-    /// What makes the connection worse than it could be, and what to do about it, in words.
+    /// Returns the reason why the connection is worse than it could be, and what to do about it, in words.
     pub fn caveat(&self) -> Option<&str> {
         self.inner.shared.sender.caveat()
     }
 
-    /// What else makes the connection worse than it could be, each with its object and what to do, as it is noticed. The texts
-    /// stay; new ones come behind them.
+    /// Returns a reader of further reasons, as they are noticed, each with its object and what to do. The texts stay; new ones
+    /// come behind them.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
         self.inner.shared.remarks.subscribe()
     }
 
-    /// What the cloud tells of its end of the connection: `None` until it does.
+    /// Returns a reader of the statistics of the cloud's end of the connection: `None` before its first report.
     pub fn peer_statistics(&self) -> watch::Receiver<Option<ConnectionStatistics>> {
         self.inner.shared.peer_statistics.subscribe()
     }
@@ -213,8 +213,8 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) and tells that the run is over which was to have `ordered` iterations, so that nobody waits
-    /// there for those that never came.
+    /// [Closes](Self::close) and says that the run is over which was to have `ordered` iterations, so that the cloud
+    /// does not wait for those that never came.
     pub async fn close_after(&self, ordered: u64) {
         self.inner.shared.ordered.get_or_init(|| ordered);
         self.close().await;
@@ -237,8 +237,8 @@ impl StatisticsReader {
         Some(self.0.upgrade()?.statistics())
     }
 
-    /// Returns what the cloud told last of its end of the connection; `None` when it has told nothing, as clouds of releases
-    /// before 0.3.
+    /// Returns the last report of the cloud on its end of the connection; `None` when there is none, as from clouds of
+    /// releases before 0.3.
     pub fn peer(&self) -> Option<ConnectionStatistics> {
         *self.0.upgrade()?.peer_statistics.borrow()
     }

@@ -10,7 +10,7 @@ use peernet_sample::Sample;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_growth};
 use crate::transport::Frames;
 
-/// What became of a request. The log always comes back.
+/// A request and its outcome. The log always comes back.
 #[derive(Debug)]
 pub struct Exchange {
     /// The iteration's tree, with what the exchange and the cloud added.

@@ -1,4 +1,4 @@
-//! What a listener hands out.
+//! Events of a listener, and the answers to them.
 
 use std::net::SocketAddr;
 use std::sync::Weak;
@@ -23,21 +23,21 @@ pub enum Incoming {
         session: SessionId,
         /// Whether the edge said goodbye; else its connection is gone.
         said_goodbye: bool,
-        /// How many iterations the edge's run was to have, where the session ended with that run.
+        /// Number of iterations that the edge's run was to have, where the session ended with that run.
         ordered: Option<u64>,
     },
     /// A connection is worse than it could be.
     Remark {
         /// A session of that connection; `None` when it has none now.
         session: Option<SessionId>,
-        /// What is wrong, on what object, and what to do.
+        /// Problem, its object, and what to do.
         text: String,
     },
     /// An edge got no connection, before it could ask for a session.
     Refused {
         /// The host that it says it is.
         host: Option<HostId>,
-        /// Who was refused, and why.
+        /// Refused edge, and the reason.
         text: String,
     },
 }
@@ -45,11 +45,11 @@ pub enum Incoming {
 /// An edge's wish for a session. Dropping it unanswered refuses it.
 #[derive(Debug)]
 pub struct OpenRequest {
-    /// Who asks, and for what.
+    /// Edge that asks, and what it asks for.
     pub hello: SessionHello,
     /// The session's id, if it is accepted.
     pub session: SessionId,
-    /// Where its connection comes from, if that is known.
+    /// Address that its connection comes from, if that is known.
     pub address: Option<SocketAddr>,
     shared: Option<Weak<PortState>>,
 }
@@ -91,7 +91,7 @@ impl Drop for OpenRequest {
 pub struct IncomingRequest {
     /// The session it belongs to.
     pub session: SessionId,
-    /// What to compute on.
+    /// Sample to compute on.
     pub sample: Sample,
     /// The iteration's tree, continued on this host; `upload` ended at `received`.
     pub log: Recorder,
@@ -112,15 +112,15 @@ pub enum Failure {
     Overloaded(String),
 }
 
-/// Which request an answer belongs to.
+/// The request that an answer belongs to.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ticket {
+pub(crate) struct RequestKey {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
     pub(crate) arrival: ArrivalStamp,
 }
 
-/// When a request had arrived, as far as its reply tells.
+/// Arrival of a request, as its reply states it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArrivalStamp {
     pub(crate) raw: RawTime,
@@ -133,20 +133,20 @@ pub(crate) struct ArrivalStamp {
 /// Takes the answer to one request, on any thread. Dropping it unanswered tells the edge that the request failed.
 #[derive(Debug)]
 pub struct Responder {
-    ticket: Ticket,
+    key: RequestKey,
     shared: Option<Weak<PortState>>,
 }
 
 impl Responder {
-    pub(crate) const fn new(ticket: Ticket, shared: Weak<PortState>) -> Self {
-        Self { ticket, shared: Some(shared) }
+    pub(crate) const fn new(key: RequestKey, shared: Weak<PortState>) -> Self {
+        Self { key, shared: Some(shared) }
     }
 
     /// Sends the answer with what this host added to the tree. Never waits; an answer that cannot be handed to
     /// the network is dropped and counted.
     pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
-            shared.answer(self.ticket, Some(log), result);
+            shared.answer(self.key, Some(log), result);
         }
     }
 }
@@ -155,7 +155,7 @@ impl Drop for Responder {
     fn drop(&mut self) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
             let failure = Failure::Failed("the cloud dropped the request unanswered".into());
-            shared.answer(self.ticket, None, Err(failure));
+            shared.answer(self.key, None, Err(failure));
         }
     }
 }

@@ -14,12 +14,12 @@ use crate::{Address, SessionSettings};
 /// Why a session could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OpenError {
-    /// Nobody answers at the address.
+    /// Nothing answers at the address.
     #[error("cannot reach a cloud at {address}: {reason}; is it running, and is the address right?")]
     Unreachable {
-        /// Where the session was to be opened.
+        /// Address of the cloud.
         address: Address,
-        /// What went wrong.
+        /// Cause.
         reason: String,
     },
     /// Something took the connection and did not answer in time.
@@ -28,9 +28,9 @@ pub enum OpenError {
         Self::LOADING
     )]
     TimedOut {
-        /// Where the session was to be opened.
+        /// Address of the cloud.
         address: Address,
-        /// How long it was waited for. Milliseconds.
+        /// Time that was waited. Milliseconds.
         waited_ms: u64,
     },
     /// The cloud is there and gave no answer.
@@ -39,15 +39,15 @@ pub enum OpenError {
         Self::LOADING
     )]
     Unanswered {
-        /// Where the session was to be opened.
+        /// Address of the cloud.
         address: Address,
-        /// How long it was waited for, or why the connection ended.
+        /// Time that was waited, or why the connection ended.
         reason: String,
     },
     /// The cloud does not serve what was asked for.
     #[error("the cloud at {address} refused the session: {reason}")]
     Refused {
-        /// Where the session was to be opened.
+        /// Address of the cloud.
         address: Address,
         /// The cloud's words.
         reason: String,
@@ -55,9 +55,9 @@ pub enum OpenError {
     /// The cloud speaks no version of the protocol that this program speaks.
     #[error("{}", incompatible(.address, .mismatch))]
     Incompatible {
-        /// Where the session was to be opened.
+        /// Address of the cloud.
         address: Address,
-        /// What both speak.
+        /// Versions of both.
         mismatch: VersionMismatch,
     },
 }
@@ -67,7 +67,7 @@ fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
 }
 
 impl OpenError {
-    /// What [`Self::TimedOut`] ends with: of use only where a configuration can be changed and the model is one that
+    /// End of the text of [`Self::TimedOut`]: of use only where a configuration can be changed and the model is one that
     /// takes long to load.
     pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
@@ -76,7 +76,7 @@ impl OpenError {
 pub(crate) struct OpenedSession {
     pub(crate) dialled: Dialled,
     pub(crate) accepted: Accepted,
-    /// What the transport remarked until now.
+    /// Remarks of the transport until now.
     pub(crate) remarks: Vec<String>,
 }
 

@@ -6,21 +6,21 @@ use std::time::Duration;
 use peernet_clock::Stamp;
 use tokio_util::sync::CancellationToken;
 
-use super::client::{CloseReason, Heard};
+use super::client::{CloseReason, CloudMessage};
 use super::exchange::{Arrived, Sizes};
-use super::requests_in_flight::{Answer, tell};
+use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header};
 use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
 
 impl SessionState {
     /// A message arrived at `arrived`. Returns why the session is over, if it now is.
-    fn heard(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
+    fn receive(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
         self.counters.received(Sizes::of(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
         let heard = match header {
-            Ok(header) => self.requests.hear(header),
+            Ok(header) => self.requests.receive(header),
             Err(problem) => {
                 tracing::debug!(problem, "dropped a message from the cloud");
                 self.counters.malformed();
@@ -28,7 +28,7 @@ impl SessionState {
             }
         };
         match heard {
-            Heard::Answer(waiter, reply) => {
+            CloudMessage::Answer(waiter, reply) => {
                 let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
                 // A request that was given up this very moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
@@ -36,25 +36,25 @@ impl SessionState {
                 }
                 None
             }
-            Heard::Statistics(statistics) => {
+            CloudMessage::Statistics(statistics) => {
                 self.peer_statistics.send_replace(Some(*statistics));
                 None
             }
-            Heard::Clock(clock) => {
+            CloudMessage::Clock(clock) => {
                 self.peer_clock.send_replace(clock);
                 None
             }
-            Heard::Late => {
+            CloudMessage::Late => {
                 self.counters.late();
                 None
             }
-            Heard::Malformed(problem) => {
+            CloudMessage::Malformed(problem) => {
                 tracing::debug!(problem, "dropped a message from the cloud");
                 self.counters.malformed();
                 None
             }
-            Heard::Over(reason, waiters) => {
-                tell(&reason, waiters, &self.counters);
+            CloudMessage::Over(reason, waiters) => {
+                end_all(&reason, waiters, &self.counters);
                 Some(reason)
             }
         }
@@ -91,7 +91,7 @@ impl Receiving {
                     message = receiver.receive() => match message {
                         Ok(EdgeArrival::Message(frames)) => {
                             let arrived = self.shared.clock.stamp();
-                            if let Some(reason) = self.shared.heard(frames, arrived) {
+                            if let Some(reason) = self.shared.receive(frames, arrived) {
                                 break reason;
                             }
                         }

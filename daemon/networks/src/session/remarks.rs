@@ -1,4 +1,4 @@
-//! What a transport remarks of a connection.
+//! Remarks of a transport on a connection.
 
 use tokio::sync::watch;
 
@@ -12,7 +12,7 @@ pub(super) struct Remarks {
 }
 
 impl Remarks {
-    /// Begins with what was remarked until now.
+    /// Begins with the remarks until now.
     pub(super) fn new(texts: Vec<String>) -> Self {
         Self { texts: watch::Sender::new(texts) }
     }

@@ -5,12 +5,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
-use super::client::{Client, CloseReason, Heard};
+use super::client::{Client, CloseReason, CloudMessage};
 use super::exchange::{Arrived, RequestError};
 use crate::message::{Header, SessionId};
 use crate::statistics::Counters;
 
-/// What a request waits for.
+/// Outcome of a request.
 #[derive(Debug)]
 pub(super) enum Answer {
     Reply(Box<Arrived>),
@@ -19,10 +19,10 @@ pub(super) enum Answer {
     Over(CloseReason),
 }
 
-/// Who waits for an answer.
+/// The receiver of an answer.
 pub(super) type Waiter = oneshot::Sender<Answer>;
 
-/// Requests under way. When the session is over, all of them are told, none begins any more, and no place is given out.
+/// Requests under way. When the session is over, all of them end, none begins any more, and no place is given out.
 #[derive(Debug)]
 pub(super) struct RequestsInFlight {
     client: Mutex<Client<Waiter>>,
@@ -76,25 +76,25 @@ impl RequestsInFlight {
         Ok((request, answer))
     }
 
-    /// Nobody waits for the answer to a request any more.
+    /// Stops waiting for the answer to a request.
     pub(super) fn give_up(&self, request: u64) {
         self.client().give_up(request);
     }
 
-    /// A message from the cloud arrived.
-    pub(super) fn hear(&self, header: Header) -> Heard<Waiter> {
-        self.client().hear(header)
+    /// Handles a message from the cloud.
+    pub(super) fn receive(&self, header: Header) -> CloudMessage<Waiter> {
+        self.client().receive(header)
     }
 
-    /// A request or its answer was lost on the way. Returns who waits for it, if anybody does.
+    /// Takes the receiver of an answer that was lost on the way, if there is one.
     pub(super) fn lose(&self, request: u64) -> Option<Waiter> {
         self.client().lose(request)
     }
 
-    /// Ends the session; the first reason stays. Who waits is told, and counted as lost before.
+    /// Ends the session; the first reason stays. Requests under way are counted as lost and end.
     pub(super) fn end(&self, reason: &CloseReason, counters: &Counters) {
         let waiters = self.client().end(reason.clone());
-        tell(reason, waiters, counters);
+        end_all(reason, waiters, counters);
         self.over.send_if_modified(|over| {
             let first = over.is_none();
             over.get_or_insert_with(|| reason.clone());
@@ -113,8 +113,9 @@ impl RequestsInFlight {
     }
 }
 
-/// Tells those who wait in vain that the session is over, and counts their requests as lost before.
-pub(super) fn tell(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Counters) {
+/// Counts requests as lost and ends them because the session is over.
+pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Counters) {
+    // Before they end: who asks for statistics then finds them counted.
     counters.lost(waiters.len() as u64);
     for waiter in waiters {
         // One that was given up this very moment needs no answer.

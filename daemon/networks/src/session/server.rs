@@ -25,14 +25,14 @@ pub(crate) struct Server {
     max_message_bytes: u64,
     sessions: HashMap<SessionId, Entry>,
     connections: HashMap<ConnectionId, Vec<SessionId>>,
-    /// What was last announced of this host's clock.
+    /// The last announcement of this host's clock.
     clock: Option<PeerClock>,
 }
 
 #[derive(Debug)]
 struct Entry {
     peer: Peer,
-    /// Who the edge says it is.
+    /// Identity that the edge claims.
     host: HostId,
     /// The version of the protocol that was chosen.
     version: u16,
@@ -43,9 +43,9 @@ struct Entry {
     counters: Arc<Counters>,
 }
 
-/// What a message from an edge means.
+/// A message of an edge, as it concerns its session.
 #[derive(Debug, PartialEq)]
-pub(crate) enum Heard {
+pub(crate) enum EdgeMessage {
     /// An edge asks for a session, which has this id from now on.
     Open(SessionId, Box<SessionHello>),
     /// A request of an open session; it is in flight until [finished](Server::finish).
@@ -58,9 +58,9 @@ pub(crate) enum Heard {
     Malformed(&'static str),
 }
 
-/// What the sessions of a connection entitle it to.
+/// Rights of a connection by its sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Standing {
+pub(crate) enum Admission {
     /// It has no session and waits for none.
     Unadmitted,
     /// It waits for a session.
@@ -69,7 +69,7 @@ pub(crate) enum Standing {
     Admitted,
 }
 
-/// Where an answer goes.
+/// Destination of an answer.
 #[derive(Clone, Debug)]
 pub(crate) struct Route {
     pub(crate) peer: Peer,
@@ -77,7 +77,7 @@ pub(crate) struct Route {
     pub(crate) max_message_bytes: u64,
     /// The version of the protocol that was chosen.
     pub(crate) version: u16,
-    /// Where the answer is counted.
+    /// Counters of the answer.
     pub(crate) counters: Arc<Counters>,
 }
 
@@ -93,24 +93,24 @@ impl Server {
         }
     }
 
-    /// A message arrived from `peer`.
-    pub(crate) fn hear(&mut self, peer: &Peer, header: Header) -> Heard {
+    /// Handles a message from `peer`.
+    pub(crate) fn receive(&mut self, peer: &Peer, header: Header) -> EdgeMessage {
         match header {
             Header::Open(open) => self.open(peer, *open),
             Header::Request(request) => self.request(peer, request),
             Header::Goodbye(goodbye) => {
                 if self.owned(peer, goodbye.session).is_none() {
-                    return Heard::Malformed("a goodbye to no session");
+                    return EdgeMessage::Malformed("a goodbye to no session");
                 }
                 self.forget(goodbye.session);
-                Heard::Closed(goodbye.session, goodbye.ordered)
+                EdgeMessage::Closed(goodbye.session, goodbye.ordered)
             }
             Header::Accepted(_)
             | Header::Refused(_)
             | Header::Reply(_)
             | Header::Clock(_)
             | Header::Statistics(_)
-            | Header::UnknownSession(_) => Heard::Malformed("only a cloud says that"),
+            | Header::UnknownSession(_) => EdgeMessage::Malformed("only a cloud says that"),
         }
     }
 
@@ -124,20 +124,20 @@ impl Server {
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Refused, reason })
     }
 
-    fn open(&mut self, peer: &Peer, open: Open) -> Heard {
+    fn open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
         let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
             Ok(version) => version,
-            Err(mismatch) => return Heard::Answer(Self::incompatible(&mismatch)),
+            Err(mismatch) => return EdgeMessage::Answer(Self::incompatible(&mismatch)),
         };
         let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
         if of_connection >= SESSIONS_PER_CONNECTION {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
             );
-            return Heard::Answer(Self::refusal(reason));
+            return EdgeMessage::Answer(Self::refusal(reason));
         }
         if let Some(reason) = self.too_many(peer, open.hello.host) {
-            return Heard::Answer(Self::refusal(reason));
+            return EdgeMessage::Answer(Self::refusal(reason));
         }
         let session = SessionId::random();
         let entry = Entry {
@@ -151,10 +151,10 @@ impl Server {
         };
         self.sessions.insert(session, entry);
         self.connections.entry(peer.connection).or_default().push(session);
-        Heard::Open(session, Box::new(open.hello))
+        EdgeMessage::Open(session, Box::new(open.hello))
     }
 
-    /// What speaks against one more session. One host may hold half of the sessions that others leave free, so that
+    /// Returns the reason against one more session. One host may hold half of the sessions that others leave free, so that
     /// there is always one for the next host; one address, behind which there may be several, three quarters.
     fn too_many(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (all, max) = (self.sessions.len(), self.max_sessions);
@@ -187,30 +187,30 @@ impl Server {
         })
     }
 
-    /// What the sessions of a connection entitle it to now.
-    pub(crate) fn standing(&self, connection: ConnectionId) -> Standing {
+    /// Returns the rights of a connection now.
+    pub(crate) fn standing(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
         let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
         match sessions {
-            [] => Standing::Unadmitted,
-            some if some.iter().any(accepted) => Standing::Admitted,
-            _ => Standing::Greeted,
+            [] => Admission::Unadmitted,
+            some if some.iter().any(accepted) => Admission::Admitted,
+            _ => Admission::Greeted,
         }
     }
 
-    fn request(&mut self, peer: &Peer, request: Request) -> Heard {
+    fn request(&mut self, peer: &Peer, request: Request) -> EdgeMessage {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.owned(peer, session) else {
-            return Heard::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
+            return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
         };
         if !entry.accepted {
-            return Heard::Malformed("a request before the session was accepted");
+            return EdgeMessage::Malformed("a request before the session was accepted");
         }
         if entry.in_flight.len() >= max_in_flight {
             let outcome =
                 Outcome::Overloaded(format!("{max_in_flight} requests of this session are in flight"));
-            return Heard::Answer(Header::Reply(Reply {
+            return EdgeMessage::Answer(Header::Reply(Reply {
                 session,
                 request: number,
                 departure: None,
@@ -220,9 +220,9 @@ impl Server {
             }));
         }
         if !entry.in_flight.insert(number) {
-            return Heard::Malformed("a request number that is in flight already");
+            return EdgeMessage::Malformed("a request number that is in flight already");
         }
-        Heard::Request(request)
+        EdgeMessage::Request(request)
     }
 
     /// The session, if it is this connection's: to all others it does not exist.
@@ -232,7 +232,7 @@ impl Server {
 
     /// Accepts a session that was asked for: what to send where. `None` when the edge is gone.
     ///
-    /// What was announced of the clock counts more than what the caller read of it, perhaps before that.
+    /// The announced state of the clock replaces the one that the caller read, perhaps before the announcement.
     pub(crate) fn accept(
         &mut self,
         session: SessionId,
@@ -273,7 +273,7 @@ impl Server {
         news
     }
 
-    /// Returns the open sessions whose edges can be told what was counted, with what counts it.
+    /// Returns the open sessions whose edges take reports of statistics, with their counters.
     pub(crate) fn counted_sessions(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
         let told = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
         let open = self.sessions.iter().filter(|(_, entry)| told(entry));

@@ -1,4 +1,4 @@
-//! What the requests of a session and its receiving task have in common.
+//! State that the requests of a session share with its receiving task.
 
 use std::sync::OnceLock;
 
@@ -17,7 +17,7 @@ use crate::message::{
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{EdgeSender, SendFailure, SendOptions};
 
-/// What both ends of a session agreed on.
+/// Terms that both ends of a session agreed on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SessionTerms {
     pub(super) session: SessionId,
@@ -28,7 +28,7 @@ pub(super) struct SessionTerms {
 }
 
 impl SessionTerms {
-    /// Which clocks the stamps of exchanges are of: the cloud's is the free-running one where the version has it.
+    /// Returns the clocks that the stamps of exchanges are of: the cloud's is the free-running one where the version has it.
     pub(super) const fn clocks(self) -> RelatedClocks {
         if self.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
     }
@@ -48,10 +48,10 @@ pub(super) struct SessionState {
     pub(super) clock: SharedClock,
     pub(super) counters: Counters,
     pub(super) peer_clock: watch::Sender<PeerClock>,
-    /// What the cloud told last of its end of the connection.
+    /// Last report of the cloud on its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// How many iterations the run was to have, once it is over.
+    /// Number of iterations that the run was to have, once it is over.
     pub(super) ordered: OnceLock<u64>,
 }
 

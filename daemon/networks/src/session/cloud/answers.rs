@@ -11,7 +11,7 @@ use tokio::sync::Notify;
 use crate::message::{
     Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_growth,
 };
-use crate::session::incoming::{Failure, Ticket};
+use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
 use crate::transport::Frames;
 
@@ -46,7 +46,7 @@ impl AnswersBeingSent {
 pub(super) fn encode_answer(
     clock: &dyn Clock,
     route: &Route,
-    ticket: Ticket,
+    key: RequestKey,
     log: Option<Recorder>,
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
@@ -59,7 +59,7 @@ pub(super) fn encode_answer(
         let start = zero + (stamp.mono - MonoTime::default());
         Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
     });
-    let Ticket { session, request, arrival } = ticket;
+    let RequestKey { session, request, arrival } = key;
     let arrival_epoch = if raw { arrival.epoch } else { arrival.wall_epoch };
     let arrived_raw = departure.filter(|_| raw).map(|_| arrival.raw);
     let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };

@@ -1,7 +1,7 @@
 //! The sending half of a port.
 
 use crate::session::exchange::Sizes;
-use crate::session::server::Standing;
+use crate::session::server::Admission;
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};
 
@@ -18,11 +18,11 @@ impl PortOutput {
     }
 
     /// Tells the transport what the connection may send from now on.
-    pub(super) fn settle(&self, connection: ConnectionId, standing: Standing) {
+    pub(super) fn settle(&self, connection: ConnectionId, standing: Admission) {
         match standing {
-            Standing::Admitted => self.sender.admit(connection),
-            Standing::Greeted => self.sender.greet(connection),
-            Standing::Unadmitted => self.sender.demote(connection),
+            Admission::Admitted => self.sender.admit(connection),
+            Admission::Greeted => self.sender.greet(connection),
+            Admission::Unadmitted => self.sender.demote(connection),
         }
     }
 

@@ -1,4 +1,4 @@
-//! What a listener and all answers under way have in common.
+//! State that a listener shares with all answers under way.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -11,11 +11,11 @@ use super::output::PortOutput;
 use crate::SessionSettings;
 use crate::message::{CountedAtCloud, Header, PeerClock, SessionAccepted, SessionId};
 use crate::session::budget::Budget;
-use crate::session::incoming::{Failure, Ticket};
+use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::{Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer};
 
-/// What the listener and all answers under way have in common. Answers hold it weakly: when the listener goes,
+/// State that the listener shares with all answers under way. Answers hold it weakly: when the listener goes,
 /// the connections go.
 #[derive(Debug)]
 pub(crate) struct PortState {
@@ -89,11 +89,11 @@ impl PortState {
     }
 
     /// Sends an answer with what `log` grew here; both are absent when no model was asked.
-    pub(crate) fn answer(&self, ticket: Ticket, log: Option<Recorder>, result: Result<Sample, Failure>) {
+    pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
         // Counted before the request is out of flight: closing must find one of the two, or it says goodbye before the answer.
         self.answers.during(|| {
-            let route = self.machine().finish(ticket.session, ticket.request);
-            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, ticket, log, result));
+            let route = self.machine().finish(key.session, key.request);
+            let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
             if !sent {
                 self.output.counters.lost(1);
                 if let Some(route) = &route {
@@ -106,12 +106,12 @@ impl PortState {
     fn send_answer(
         &self,
         route: &Route,
-        ticket: Ticket,
+        key: RequestKey,
         log: Option<Recorder>,
         result: Result<Sample, Failure>,
     ) -> bool {
-        match encode_answer(&*self.clock, route, ticket, log, result) {
-            Ok(frames) => self.output.send(&route.peer, frames, Some(ticket.request), Some(&route.counters)),
+        match encode_answer(&*self.clock, route, key, log, result) {
+            Ok(frames) => self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters)),
             Err(error) => {
                 tracing::warn!(%error, "an answer was dropped");
                 false

@@ -1,4 +1,4 @@
-//! What a message of an edge becomes.
+//! Messages of edges, and their effects.
 
 use std::sync::Arc;
 
@@ -12,9 +12,9 @@ use crate::message::{
 };
 use crate::session::exchange::Sizes;
 use crate::session::incoming::{
-    ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, Responder, Ticket,
+    ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };
-use crate::session::server::{Heard, Server};
+use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
 /// A message arrived: what to hand out, if anything.
@@ -42,28 +42,28 @@ pub(super) fn heard(
         }
     };
     // Bound, so that the lock is free again before the answers below take it.
-    let heard = shared.machine().hear(peer, header);
-    if let Heard::Open(session, _) | Heard::Request(Request { session, .. }) = &heard
+    let heard = shared.machine().receive(peer, header);
+    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &heard
         && let Some(counters) = shared.machine().counters(*session)
     {
         counters.received(bytes);
     }
     match heard {
-        Heard::Open(session, hello) => {
+        EdgeMessage::Open(session, hello) => {
             shared.settle(peer.connection);
             let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
             Some(Incoming::Open(wish))
         }
-        Heard::Request(request) => incoming_request(shared, peer, request, frames, received),
-        Heard::Answer(header) => {
+        EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
+        EdgeMessage::Answer(header) => {
             shared.tell(peer, &header);
             None
         }
-        Heard::Closed(session, ordered) => {
+        EdgeMessage::Closed(session, ordered) => {
             shared.settle(peer.connection);
             Some(Incoming::Closed { session, said_goodbye: true, ordered })
         }
-        Heard::Malformed(problem) => {
+        EdgeMessage::Malformed(problem) => {
             shared.malformed(peer, problem);
             None
         }
@@ -78,11 +78,11 @@ fn incoming_request(
     frames: Frames,
     (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
-    let ticket = Ticket { session: request.session, request: request.request, arrival };
+    let key = RequestKey { session: request.session, request: request.request, arrival };
     let frames = match shared.budget.hold(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {
-            shared.answer(ticket, None, Err(Failure::Overloaded(exceeded.to_string())));
+            shared.answer(key, None, Err(Failure::Overloaded(exceeded.to_string())));
             return None;
         }
     };
@@ -90,14 +90,14 @@ fn incoming_request(
     let sample = request.sample.into_sample(frames.into_iter().skip(2)).map_err(InvalidRequest::from);
     match (log, sample) {
         (Ok(log), Ok(sample)) => {
-            let reply = Responder::new(ticket, Arc::downgrade(shared));
-            let session = ticket.session;
+            let reply = Responder::new(key, Arc::downgrade(shared));
+            let session = key.session;
             Some(Incoming::Request(IncomingRequest { session, sample, log, received, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.malformed(peer, &problem.to_string());
             let failure = Failure::Failed(format!("the request makes no sense: {problem}"));
-            shared.answer(ticket, None, Err(failure));
+            shared.answer(key, None, Err(failure));
             None
         }
     }

@@ -56,8 +56,8 @@ fn server() -> Server {
 }
 
 fn opened(server: &mut Server, connection: u64) -> SessionId {
-    match server.hear(&peer(connection), hello()) {
-        Heard::Open(session, _) => session,
+    match server.receive(&peer(connection), hello()) {
+        EdgeMessage::Open(session, _) => session,
         other => panic!("{other:?}"),
     }
 }
@@ -66,12 +66,18 @@ fn opened(server: &mut Server, connection: u64) -> SessionId {
 fn a_request_is_routed_back_once_to_where_it_came_from() {
     let mut server = server();
     let session = opened(&mut server, 5);
-    assert!(matches!(server.hear(&peer(5), request(session, 0)), Heard::Malformed(_)), "not accepted yet");
+    assert!(
+        matches!(server.receive(&peer(5), request(session, 0)), EdgeMessage::Malformed(_)),
+        "not accepted yet"
+    );
     let (to, header) = server.accept(session, accepted()).expect("the edge is there");
     assert_eq!(to.connection, ConnectionId(5));
     assert!(matches!(header, Header::Accepted(accepted) if accepted.session == session));
-    assert!(matches!(server.hear(&peer(5), request(session, 7)), Heard::Request(_)));
-    assert!(matches!(server.hear(&peer(5), request(session, 7)), Heard::Malformed(_)), "in flight already");
+    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Request(_)));
+    assert!(
+        matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Malformed(_)),
+        "in flight already"
+    );
     let route = server.finish(session, 7).expect("in flight");
     assert_eq!((route.peer.connection, route.max_message_bytes), (ConnectionId(5), 1_000));
     assert!(server.finish(session, 7).is_none());
@@ -84,17 +90,20 @@ fn a_refused_session_is_unknown() {
     let (_, header) = server.refuse(session, "no".into()).expect("the edge is there");
     assert!(matches!(header, Header::Refused(refused) if refused.reason == "no"));
     assert!(server.accept(session, accepted()).is_none() && server.refuse(session, "no".into()).is_none());
-    assert!(matches!(server.hear(&peer(1), request(session, 0)), Heard::Answer(Header::UnknownSession(_))));
+    assert!(matches!(
+        server.receive(&peer(1), request(session, 0)),
+        EdgeMessage::Answer(Header::UnknownSession(_))
+    ));
 }
 
 #[test]
 fn a_goodbye_frees_the_place() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| opened(&mut server, connection)).collect();
-    assert!(matches!(server.hear(&peer(9), hello()), Heard::Answer(Header::Refused(_))));
+    assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
     let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new(), ordered: Some(9) });
-    assert!(matches!(server.hear(&peer(1), bye(sessions[0])), Heard::Malformed(_)), "not its own");
-    assert_eq!(server.hear(&peer(0), bye(sessions[0])), Heard::Closed(sessions[0], Some(9)));
+    assert!(matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)), "not its own");
+    assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessage::Closed(sessions[0], Some(9)));
     opened(&mut server, 9);
 }
 
@@ -104,7 +113,7 @@ fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
     for _ in 0..SESSIONS_PER_CONNECTION {
         opened(&mut server, 1);
     }
-    let Heard::Answer(Header::Refused(refused)) = server.hear(&peer(1), hello()) else {
+    let EdgeMessage::Answer(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
         panic!("one too many")
     };
     assert!(
@@ -122,7 +131,7 @@ fn two_greedy_hosts_leave_sessions_to_a_third() {
         let mut accepts = |connection| {
             let mut open = open.clone();
             open.hello.host = HostId::from_bytes([host; 16]);
-            matches!(server.hear(&peer(connection), Header::Open(open)), Heard::Open(..))
+            matches!(server.receive(&peer(connection), Header::Open(open)), EdgeMessage::Open(..))
         };
         connections.filter(|connection| accepts(*connection)).count()
     };
@@ -138,13 +147,13 @@ fn one_address_with_many_host_names_leaves_sessions_to_others() {
         id[..2].copy_from_slice(&host.to_be_bytes());
         open.hello.host = HostId::from_bytes(id);
         let peer = Peer { connection: ConnectionId(u64::from(host)), address: address.parse().ok() };
-        server.hear(&peer, Header::Open(open))
+        server.receive(&peer, Header::Open(open))
     };
-    let taken = (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), Heard::Open(..))).count();
+    let taken = (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
     assert_eq!(taken, 192);
-    let Heard::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else { panic!("too many") };
+    let EdgeMessage::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else { panic!("too many") };
     assert!(refused.reason.contains("max_sessions, 256"), "{refused:?}");
-    assert!(matches!(open("192.0.2.2:5", 302), Heard::Open(..)));
+    assert!(matches!(open("192.0.2.2:5", 302), EdgeMessage::Open(..)));
 }
 
 #[test]
@@ -227,25 +236,25 @@ proptest! {
         for step in steps {
             match step {
                 Step::Open(connection) => {
-                    if let Heard::Open(session, _) = server.hear(&peer(connection), hello()) {
+                    if let EdgeMessage::Open(session, _) = server.receive(&peer(connection), hello()) {
                         prop_assert!(!sessions.contains(&session));
                         sessions.push(session);
                     }
                 }
                 Step::Hear(connection, session, header) => {
                     let header = about(*header, *session.get(&sessions));
-                    match server.hear(&peer(connection), header) {
-                        Heard::Open(session, _) => sessions.push(session),
-                        Heard::Request(request) => {
+                    match server.receive(&peer(connection), header) {
+                        EdgeMessage::Open(session, _) => sessions.push(session),
+                        EdgeMessage::Request(request) => {
                             prop_assert!(in_flight.insert((request.session, request.request)));
                         }
-                        Heard::Closed(session, _) => in_flight.retain(|(of, _)| *of != session),
-                        Heard::Answer(_) | Heard::Malformed(_) => {}
+                        EdgeMessage::Closed(session, _) => in_flight.retain(|(of, _)| *of != session),
+                        EdgeMessage::Answer(_) | EdgeMessage::Malformed(_) => {}
                     }
                 }
                 Step::Request(connection, session, number) => {
                     let session = *session.get(&sessions);
-                    if let Heard::Request(_) = server.hear(&peer(connection), request(session, number)) {
+                    if let EdgeMessage::Request(_) = server.receive(&peer(connection), request(session, number)) {
                         prop_assert!(in_flight.insert((session, number)));
                     }
                 }

@@ -1,13 +1,13 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
-//! An end asks the other for a sign of life when nothing came for the heartbeat interval, and sooner while messages
+//! An end asks the other for a heartbeat when nothing came for the heartbeat interval, and sooner while messages
 //! that it sent are not settled there: the answer tells which never arrived. Without any word for the heartbeat
 //! timeout the connection is gone. It is closed by a goodbye that is repeated until it is heard.
 
 mod control_queue;
-mod heartbeat;
+mod heartbeat_history;
+mod heartbeat_timer;
 mod shutdown;
-mod sign_history;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use std::sync::Arc;
 use peernet_clock::{MonoTime, Span};
 
 use self::control_queue::ControlQueue;
-use self::heartbeat::Heartbeat;
+use self::heartbeat_history::HeartbeatHistory;
+use self::heartbeat_timer::HeartbeatTimer;
 use self::shutdown::Shutdown;
-use self::sign_history::SignHistory;
 use super::false_claim::FalseClaim;
 use super::fragment::split_frames;
 use super::measurement::PathMeasurement;
-use super::packet::{Packet, ResetReason, Role, SignOfLife, Terms};
+use super::packet::{Heartbeat, Packet, ResetReason, Role, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::receiving::{Arrived, Receiving};
@@ -31,7 +31,7 @@ use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
-/// How often what arrives in parts is looked at.
+/// Interval at which unfinished messages are checked.
 const TICK: Span = Span::from_millis(20);
 
 /// Why a connection ends whose long datagrams are lost.
@@ -52,7 +52,7 @@ pub(crate) struct ConnectionLimits {
     pub(crate) bits_per_second: Option<u64>,
 }
 
-/// What a connection tells the layer above.
+/// An event for the layer above.
 #[derive(Debug)]
 pub(crate) enum Event {
     /// A message, and the memory that it takes until it is handed on.
@@ -61,7 +61,7 @@ pub(crate) enum Event {
     Incomplete(MessageLoss),
     /// A message that was sent did not arrive as a whole.
     Lost(MessageLoss),
-    /// Something that makes no sense.
+    /// A packet that cannot be right.
     Garbage(String),
     /// The connection is over.
     Gone(String),
@@ -76,8 +76,8 @@ pub(crate) struct Connection {
     control: ControlQueue,
     events: VecDeque<Event>,
     shutdown: Shutdown,
-    heartbeat: Heartbeat,
-    signs: SignHistory,
+    timer: HeartbeatTimer,
+    heartbeats: HeartbeatHistory,
     measurement: PathMeasurement,
 }
 
@@ -97,8 +97,8 @@ impl Connection {
             control: ControlQueue::new(writer),
             events: VecDeque::new(),
             shutdown: Shutdown::new(),
-            heartbeat: Heartbeat::new(limits.heartbeat_interval, limits.heartbeat_timeout, now),
-            signs: SignHistory::default(),
+            timer: HeartbeatTimer::new(limits.heartbeat_interval, limits.heartbeat_timeout, now),
+            heartbeats: HeartbeatHistory::default(),
             measurement: PathMeasurement::new(now),
         }
     }
@@ -124,12 +124,12 @@ impl Connection {
         self.sending.send(frames, tag, deadline)
     }
 
-    /// A packet of this connection arrived.
-    pub(crate) fn hear(&mut self, packet: Packet<'_>, now: MonoTime) {
+    /// Handles a packet of this connection.
+    pub(crate) fn receive(&mut self, packet: Packet<'_>, now: MonoTime) {
         if self.shutdown.is_closed() {
             return;
         }
-        self.heartbeat.hear(now);
+        self.timer.receive(now);
         let connection = self.writer.connection();
         match packet {
             Packet::Data { number, fragment, .. } => {
@@ -152,7 +152,7 @@ impl Connection {
                 self.refuse(progress);
             }
             Packet::Lost { sequence, received, .. } => {
-                let lost = self.sending.lost((sequence, received), self.measurement.told_lost(), now);
+                let lost = self.sending.lost((sequence, received), self.measurement.reported_lost(), now);
                 if let Some((tag, total, lost)) = self.refuse(lost) {
                     self.events.extend(lost.map(Event::Lost));
                     self.control.push(Packet::LostKnown { connection, sequence, tag, total });
@@ -162,17 +162,17 @@ impl Connection {
                 let incomplete = self.receiving.known(sequence, tag, total);
                 self.events.extend(incomplete.map(Event::Incomplete));
             }
-            Packet::Ping { sign, .. } => {
-                self.learn(&sign, now);
-                let sign = self.sign_of_life(sign.time, now);
-                self.control.push(Packet::Pong { connection, sign });
+            Packet::Ping { heartbeat, .. } => {
+                self.learn(&heartbeat, now);
+                let heartbeat = self.heartbeat(heartbeat.time, now);
+                self.control.push(Packet::Pong { connection, heartbeat });
             }
-            Packet::Pong { sign, .. } => {
-                self.learn(&sign, now);
-                let asked = Span::from_nanos(i64::try_from(sign.time).unwrap_or(0));
+            Packet::Pong { heartbeat, .. } => {
+                self.learn(&heartbeat, now);
+                let asked = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
                 self.measurement.answer(MonoTime::default() + asked, now);
             }
-            Packet::Bye { next, .. } => self.hear_bye(next, now),
+            Packet::Bye { next, .. } => self.receive_bye(next, now),
             Packet::ByeHeard { .. } => self.shutdown.confirm(),
             Packet::Path { token, .. } => self.control.push(Packet::PathConfirmed { connection, token }),
             Packet::Reset { reason, .. } => self.end(match reason {
@@ -185,9 +185,9 @@ impl Connection {
         }
     }
 
-    /// How far this end has come.
-    fn sign_of_life(&mut self, time: u64, now: MonoTime) -> SignOfLife {
-        SignOfLife {
+    /// Returns this end's heartbeat.
+    fn heartbeat(&mut self, time: u64, now: MonoTime) -> Heartbeat {
+        Heartbeat {
             time,
             next: self.sending.next(),
             settled: self.receiving.settled(),
@@ -196,38 +196,40 @@ impl Connection {
         }
     }
 
-    /// The other end says how far it has come.
-    fn learn(&mut self, sign: &SignOfLife, now: MonoTime) {
-        if !self.signs.hear(sign) {
+    /// Takes over the progress that a heartbeat of the other end reports.
+    fn learn(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+        if !self.heartbeats.receive(heartbeat) {
             return;
         }
-        let settled = self.sending.settled(sign.settled);
+        let settled = self.sending.settled(heartbeat.settled);
         if self.refuse(settled).is_none() {
-            if self.signs.contradict() {
+            if self.heartbeats.contradict() {
                 self.say_bye();
                 self.end(CONTRADICTED);
             }
             return;
         }
-        self.signs.agree();
-        let told = self.measurement.tell(sign.number, sign.arrivals, self.sending.datagrams(), now);
+        self.heartbeats.agree();
+        // Each of these refuses its own fields: one altered field must not hide what the others report.
+        let told =
+            self.measurement.report(heartbeat.number, heartbeat.arrivals, self.sending.datagrams(), now);
         self.refuse(told);
-        let expected = self.receiving.expect(sign.next, sign.time, now);
+        let expected = self.receiving.expect(heartbeat.next, heartbeat.time, now);
         self.refuse(expected);
     }
 
-    /// Passes on a claim that cannot be true; it changes nothing else.
+    /// Passes on a claim that cannot be true as garbage; it has no other effect.
     fn refuse<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
         claim.map_err(|claim| self.events.push_back(Event::Garbage(claim.to_string()))).ok()
     }
 
-    /// What is known of the datagrams of both directions, and the round trip.
+    /// Returns the totals of the datagrams of both directions, and the round trip.
     pub(crate) fn statistics(&mut self, now: MonoTime) -> TransportStatistics {
         self.measurement.statistics(self.sending.datagrams(), self.sending.retransmitted(), now)
     }
 
-    fn hear_bye(&mut self, next: u64, now: MonoTime) {
-        let count = self.shutdown.hear_bye();
+    fn receive_bye(&mut self, next: u64, now: MonoTime) {
+        let count = self.shutdown.receive_bye();
         let expected = self.receiving.expect(next, count.into(), now);
         self.refuse(expected);
         if self.shutdown.is_impatient() {
@@ -278,7 +280,7 @@ impl Connection {
         let expired = self.sending.expire(now);
         self.events.extend(expired.into_iter().map(Event::Lost));
         self.report(now);
-        if self.sending.loses_long(self.measurement.told_lost(), now) {
+        if self.sending.loses_long(self.measurement.reported_lost(), now) {
             tracing::debug!(bytes = self.sending.longest(), "none of the longest datagrams arrive");
             // The handshake of the next connection finds out what passes.
             if self.writer.role() == Role::Cloud {
@@ -288,17 +290,17 @@ impl Connection {
             self.end(LONG_LOST);
             return;
         }
-        if self.heartbeat.ends_at() <= now {
-            let seconds = self.heartbeat.timeout().seconds();
+        if self.timer.ends_at() <= now {
+            let seconds = self.timer.timeout().seconds();
             self.end(format!("nothing was heard of the peer for {seconds} s"));
             return;
         }
         if self.ping_at() <= now {
-            self.heartbeat.ping(now);
+            self.timer.ping(now);
             self.measurement.ask(now);
             let time = u64::try_from(now.nanos()).unwrap_or(0);
-            let sign = self.sign_of_life(time, now);
-            self.control.push(Packet::Ping { connection: self.writer.connection(), sign });
+            let heartbeat = self.heartbeat(time, now);
+            self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|at| at <= now) {
             self.shutdown.say_bye(now);
@@ -307,7 +309,7 @@ impl Connection {
     }
 
     fn ping_at(&self) -> MonoTime {
-        self.heartbeat.ping_at(self.sending.unsettled_since())
+        self.timer.ping_at(self.sending.unsettled_since())
     }
 
     /// When the next goodbye is due: all messages leave before the first.
@@ -317,12 +319,12 @@ impl Connection {
 
     /// When [`tick`](Self::tick) is to be called at the latest.
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
-        let next = self.ping_at().min(self.heartbeat.ends_at());
+        let next = self.ping_at().min(self.timer.ends_at());
         let others = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
         others.into_iter().flatten().fold(next, MonoTime::min)
     }
 
-    /// What happened next.
+    /// Takes the next event.
     pub(crate) fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }

@@ -12,14 +12,14 @@ use crate::statistics::DatagramStatistics;
 const WAIT: Span = Span::from_seconds(1);
 
 /// Numbers below the highest one of which it is remembered whether they arrived. One that comes later still is not
-/// counted: nobody can tell whether it came before.
+/// counted: it may be a duplicate.
 const REMEMBERED: u64 = 4_096;
 
 /// Numbers that one packet may pass over by itself. A longer gap is believed when the next packet has a number beyond it,
 /// too: a packet that was altered or forged on the way cannot make millions of lost datagrams.
 const MAX_GAP: u64 = 64;
 
-/// Totals that the receiving end of a direction tells its sending end.
+/// Totals that the receiving end of a direction reports to its sending end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ArrivalTotals {
     /// Datagrams that never arrived.
@@ -31,12 +31,12 @@ pub(crate) struct ArrivalTotals {
 }
 
 impl ArrivalTotals {
-    /// The larger of each: what was told earlier may arrive later.
+    /// Returns the larger of each total: reports may arrive out of order.
     pub(crate) fn max(self, other: Self) -> Self {
         self.of_each(other, u64::max)
     }
 
-    /// The smaller of each.
+    /// Returns the smaller of each total.
     pub(crate) fn min(self, other: Self) -> Self {
         self.of_each(other, u64::min)
     }
@@ -75,7 +75,7 @@ pub(crate) struct ArrivalCounter {
 #[derive(Clone, Copy, Debug)]
 struct Suspect {
     number: u64,
-    /// Whether a datagram had it; otherwise the other end has only told it.
+    /// Whether a datagram had it; otherwise the other end has only reported it.
     has_arrived: bool,
 }
 
@@ -146,6 +146,7 @@ impl ArrivalCounter {
             self.suspect = Some(found);
             return false;
         };
+        // The first datagram beyond the gap was held back until now.
         if suspect.has_arrived && suspect.number < found.number {
             self.arrive_next(suspect.number);
         }
@@ -159,7 +160,7 @@ impl ArrivalCounter {
         self.arrived.1 += 1;
     }
 
-    /// So many more numbers were sent; none of them has arrived.
+    /// Notes that `count` more numbers were sent, of which none has arrived.
     fn advance(&mut self, count: u64) {
         self.next += count;
         for number in self.next - count.min(REMEMBERED)..self.next {
@@ -168,13 +169,13 @@ impl ArrivalCounter {
         }
     }
 
-    /// Totals as the other end is told them.
+    /// Returns the totals that are reported to the other end.
     pub(crate) fn totals(&mut self, now: MonoTime) -> ArrivalTotals {
         self.decide(now);
         self.totals
     }
 
-    /// Totals as this end shows them.
+    /// Returns the totals that this end shows.
     pub(crate) fn statistics(&mut self, now: MonoTime) -> DatagramStatistics {
         let ArrivalTotals { lost, duplicated, reordered } = self.totals(now);
         DatagramStatistics {
@@ -187,7 +188,7 @@ impl ArrivalCounter {
         }
     }
 
-    /// How far a number is above the next one; negative below. Nearer than half of all 32-bit numbers.
+    /// Distance of a number above the next one; negative below. Less than half of all 32-bit numbers.
     fn ahead(&self, number: u32) -> i64 {
         i64::from(number.wrapping_sub(self.next as u32) as i32)
     }

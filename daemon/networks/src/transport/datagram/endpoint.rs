@@ -15,8 +15,8 @@ use peernet_clock::{MonoTime, Span};
 use self::answers::AnswerQueue;
 use self::arrival_queue::ArrivalQueue;
 pub(crate) use self::arrival_queue::Delivery;
-use self::connection_table::{ConnectionTable, Room};
-use self::entry::{Entry, Standing, reply_address};
+use self::connection_table::{Capacity, ConnectionTable};
+use self::entry::{Admission, Entry, reply_address};
 use self::reassembly_budgets::ReassemblyBudgets;
 use self::timers::Timers;
 use super::MIN_DATAGRAM_BYTES;
@@ -29,7 +29,7 @@ use super::sending::Batch;
 use crate::statistics::TransportStatistics;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 
-/// How often a connection's new address is asked whether it is one.
+/// Shortest time between two questions to a connection's new address.
 const PATH_PAUSE: Span = Span::from_millis(100);
 
 /// Bytes of the packet that asks, and the least that it is an answer to.
@@ -42,18 +42,18 @@ const SOON: Span = Span::from_millis(1);
 #[derive(Clone, Debug)]
 pub(crate) struct EndpointLimits {
     pub(crate) connection: ConnectionLimits,
-    /// Of connections that have a session.
+    /// Limits of connections that have a session.
     pub(crate) reassembly: ReassemblyLimits,
     /// Memory for the unfinished messages of all of these.
     pub(crate) max_unfinished_bytes: u64,
     pub(crate) max_connections: usize,
-    /// How long a connection may exist without a session or a request for one.
+    /// Longest time of a connection without a session or a request for one.
     pub(crate) hello_timeout: Span,
-    /// What this end takes.
+    /// Terms of this end.
     pub(crate) terms: Terms,
 }
 
-/// Where datagrams go to, and from which address of this machine.
+/// Destination of datagrams, and the address of this machine that they leave from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Route {
     pub(crate) to: SocketAddr,
@@ -92,7 +92,7 @@ impl Endpoint {
     }
 
     /// A body arrived from an address, at one of this machine's.
-    pub(crate) fn hear(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
+    pub(crate) fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         let packet = match Packet::read(Role::Cloud, body) {
             Ok(packet) => packet,
             Err(error) => return self.garbage(source, error.to_string()),
@@ -118,7 +118,7 @@ impl Endpoint {
             packet => {
                 let Some(connection) = packet.connection() else { return };
                 if self.table.contains(connection) {
-                    return self.hear_known(connection, back, body.len(), packet, now);
+                    return self.receive_known(connection, back, body.len(), packet, now);
                 }
                 match packet {
                     Packet::Bye { .. } => self.answers.push(back, &Packet::ByeHeard { connection }),
@@ -165,7 +165,7 @@ impl Endpoint {
             }
             Some(entry) => entry.datagram,
             None => {
-                let standing = Standing::Unadmitted { since: now };
+                let standing = Admission::Unadmitted { since: now };
                 let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, standing);
                 self.table.insert(id, entry);
                 datagram
@@ -179,10 +179,10 @@ impl Endpoint {
 
     /// Whether one more connection may be opened; closes the one that makes room for it.
     fn make_room(&mut self, group: AddressGroup) -> bool {
-        match self.table.room(group, self.limits.max_connections) {
-            Room::Free => true,
-            Room::None => false,
-            Room::Replaces(id) => {
+        match self.table.capacity(group, self.limits.max_connections) {
+            Capacity::Free => true,
+            Capacity::Exhausted => false,
+            Capacity::Replaces(id) => {
                 self.close_now(id, "it made room for another connection");
                 self.collect(id);
                 true
@@ -190,7 +190,7 @@ impl Endpoint {
         }
     }
 
-    fn hear_known(&mut self, id: u64, back: Route, bytes: usize, packet: Packet<'_>, now: MonoTime) {
+    fn receive_known(&mut self, id: u64, back: Route, bytes: usize, packet: Packet<'_>, now: MonoTime) {
         let Some(entry) = self.table.get_mut(id) else { return };
         if back.to == entry.source {
             entry.local = back.from;
@@ -208,7 +208,7 @@ impl Endpoint {
             self.answers.push(Route { to, from: back.from }, &Packet::Path { connection: id, token });
         }
         if let Some(entry) = self.table.get_mut(id) {
-            entry.connection.hear(packet, now);
+            entry.connection.receive(packet, now);
         }
         self.collect(id);
     }
@@ -242,7 +242,7 @@ impl Endpoint {
         }
     }
 
-    /// What arrived next.
+    /// Takes the next arrival.
     pub(crate) fn next_arrival(&mut self) -> Option<Delivery> {
         self.arrivals.pop()
     }
@@ -267,9 +267,9 @@ impl Endpoint {
     /// The connection's hello is being decided on.
     pub(crate) fn greet(&mut self, id: ConnectionId) {
         if let Some(entry) = self.table.get_mut(id.0)
-            && matches!(entry.standing, Standing::Unadmitted { .. })
+            && matches!(entry.standing, Admission::Unadmitted { .. })
         {
-            entry.standing = Standing::Greeted;
+            entry.standing = Admission::Greeted;
         }
     }
 
@@ -283,7 +283,7 @@ impl Endpoint {
     pub(crate) fn admit(&mut self, id: ConnectionId) {
         let (limits, budget) = self.budgets.admitted();
         if let Some(entry) = self.table.get_mut(id.0) {
-            entry.standing = Standing::Admitted;
+            entry.standing = Admission::Admitted;
             entry.connection.set_reassembly(limits, budget);
         }
     }
@@ -292,7 +292,7 @@ impl Endpoint {
     pub(crate) fn demote(&mut self, id: ConnectionId, now: MonoTime) {
         let (limits, budget) = self.budgets.unadmitted();
         if let Some(entry) = self.table.get_mut(id.0) {
-            entry.standing = Standing::Unadmitted { since: now };
+            entry.standing = Admission::Unadmitted { since: now };
             entry.connection.set_reassembly(limits, budget);
         }
     }

@@ -1,18 +1,18 @@
-//! What a packet claims that its peer cannot mean.
+//! Claims of packets that cannot be true.
 
 /// A claim of a packet that cannot be true, or not by its word alone: it was altered or forged on the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum FalseClaim {
-    /// Of messages that this end has not sent.
+    /// It reports on messages that this end has not sent.
     #[error("a packet tells of a message that was never sent")]
     Unsent,
-    /// Of a message with other fragments than it has.
+    /// It reports more fragments than the message has.
     #[error("a packet tells of more fragments than the message has")]
     Fragments,
-    /// Of a message that the other end has sent, far above those that are known.
+    /// It has a message number far above those that are known to have been sent.
     #[error("a packet has a message number that is too far ahead")]
     TooFarAhead,
-    /// Of totals above what was sent.
+    /// It reports totals above what was sent.
     #[error("a packet counts more datagrams than were sent")]
     Totals,
 }

@@ -22,7 +22,7 @@ pub(crate) enum UnsendableMessage {
 #[error("the lengths of a message's frames do not add up")]
 pub(crate) struct InvalidMessage;
 
-/// How many fragments a message has.
+/// Returns the number of fragments of a message.
 pub(crate) fn fragment_count(total: u32, stride: u16) -> u32 {
     total.div_ceil(u32::from(stride.max(1)))
 }
@@ -37,7 +37,7 @@ pub(crate) struct OutgoingMessage {
     pub(crate) total: u32,
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
-    /// What has not been taken yet.
+    /// Frames, or their ends, that have not been taken yet.
     rest: Vec<Bytes>,
     /// The first of `rest` that is not used up.
     first: usize,
@@ -82,7 +82,7 @@ impl OutgoingMessage {
         self.total - self.offset
     }
 
-    /// Takes the next bytes, at most so many, and appends them. Returns their offset and number.
+    /// Takes at most `most` of the next bytes and appends them. Returns their offset and number.
     pub(crate) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> (u32, u16) {
         let (offset, mut wanted) = (self.offset, usize::from(most));
         while wanted > 0
@@ -107,7 +107,7 @@ impl OutgoingMessage {
 /// The frames of a whole message.
 ///
 /// # Errors
-/// When it is none.
+/// When the lengths of its frames do not add up.
 pub(crate) fn split_frames(mut message: Bytes) -> Result<Frames, InvalidMessage> {
     let count = usize::from(message.try_get_u16().map_err(|_| InvalidMessage)?);
     if count > MAX_FRAMES || message.len() < 4 * count {

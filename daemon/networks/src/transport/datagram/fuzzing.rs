@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, Span};
 
 use super::connection::ConnectionLimits;
 use super::endpoint::{Endpoint, EndpointLimits};
-use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
+use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
 use crate::transport::{Arrival, ConnectionId};
@@ -89,7 +89,7 @@ impl Port {
 
     /// Brings a body and returns all that is sent to where it came from.
     fn bring(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
-        self.endpoint.hear(from, None, body, self.now);
+        self.endpoint.receive(from, None, body, self.now);
         let (mut back, mut out) = (Vec::new(), Vec::new());
         // What a connection has to say is bounded; what it sends stops at its window.
         while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
@@ -120,8 +120,8 @@ impl Port {
             bytes: bytes.get(7..).unwrap_or_default(),
         };
         let (sequence, far) = (number(0), number(1) << (number(2) % 64));
-        let sign =
-            |next, settled| SignOfLife { time: far, next, settled, number: far as u32, ..Default::default() };
+        let heartbeat =
+            |next, settled| Heartbeat { time: far, next, settled, number: far as u32, ..Default::default() };
         let packet = match what & 0x0f {
             0 => {
                 self.check(from, bytes);
@@ -142,8 +142,8 @@ impl Port {
             3 => Packet::Progress { connection, sequence: far, end: sequence as u32 },
             4 => Packet::Lost { connection, sequence, received: far as u32, total: far as u32 },
             5 => Packet::LostKnown { connection, sequence, tag: far, total: far as u32 },
-            6 => Packet::Ping { connection, sign: sign(far, sequence) },
-            7 => Packet::Pong { connection, sign: sign(sequence, far) },
+            6 => Packet::Ping { connection, heartbeat: heartbeat(far, sequence) },
+            7 => Packet::Pong { connection, heartbeat: heartbeat(sequence, far) },
             8 => Packet::Bye { connection, next: far },
             9 => Packet::PathConfirmed { connection, token: far },
             10 => Packet::Hello { version: 1, nonce: far, reply_port: 0 },

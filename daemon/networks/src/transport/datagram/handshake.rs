@@ -1,7 +1,7 @@
 //! Opening a virtual connection, without I/O.
 //!
 //! An edge says hello; the cloud answers with a cookie and keeps nothing. Who repeats the cookie receives what is sent
-//! to its address, and gets a connection. So nobody can have a cloud send more to an address than was sent from it, or
+//! to its address, and gets a connection. So no sender can have a cloud send more to an address than was sent from it, or
 //! fill its memory from invented addresses (RFC 9147, section 5.1, does the same).
 
 use std::net::{IpAddr, SocketAddr};
@@ -16,7 +16,7 @@ use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 /// The largest datagram that every path is trusted to carry: with its headers below IPv6's 1,280 bytes.
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
-/// How long a cookie is accepted, at least; at most twice as long.
+/// Shortest time for which a cookie is accepted; the longest is twice that.
 const COOKIE_LIFE: Span = Span::from_seconds(10);
 
 /// The pause after the first packet without an answer; it doubles up to eight times as much.
@@ -87,7 +87,7 @@ fn period(now: MonoTime) -> i64 {
     now.nanos().div_euclid(COOKIE_LIFE.nanos())
 }
 
-/// What an answer to a handshake means.
+/// Outcome of a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Dialled {
     /// The connection exists; the other end takes this.
@@ -110,7 +110,7 @@ pub(crate) struct PathTooSmall {
 #[derive(Debug)]
 pub(crate) struct Dialling {
     nonce: u64,
-    /// Where the cloud answers to; 0 is where the packets come from.
+    /// Port to which the cloud answers; 0 is the one that the packets come from.
     reply_port: u16,
     terms: Terms,
     prefix_bytes: usize,
@@ -140,7 +140,7 @@ impl Dialling {
     }
 
     /// A packet arrived from where the cloud is.
-    pub(crate) fn hear(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<Dialled> {
+    pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<Dialled> {
         match *packet {
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
@@ -171,7 +171,7 @@ impl Dialling {
         Ok(())
     }
 
-    /// What makes the connection worse than it could be, and what to do, if it is shorter datagrams.
+    /// Returns the remark that the path takes shorter datagrams only, and what to do, if it does.
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long?;
         Some(format!(

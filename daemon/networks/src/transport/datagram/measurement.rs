@@ -1,12 +1,12 @@
-//! What is measured of the datagrams of a connection: losses of both directions, and the round trip.
+//! Measurements of a connection's datagrams: losses of both directions, and the round trip.
 
+mod reported_totals;
 mod round_trip;
-mod told_totals;
 
 use peernet_clock::MonoTime;
 
+use self::reported_totals::ReportedTotals;
 use self::round_trip::RoundTripEstimator;
-use self::told_totals::ToldTotals;
 use super::counting::{ArrivalCounter, ArrivalTotals};
 use super::false_claim::FalseClaim;
 use crate::statistics::{DatagramStatistics, TransportStatistics};
@@ -16,8 +16,8 @@ use crate::statistics::{DatagramStatistics, TransportStatistics};
 pub(super) struct PathMeasurement {
     /// Datagrams of the other end.
     arrivals: ArrivalCounter,
-    /// Datagrams of this end, by the account of the other one.
-    told: ToldTotals,
+    /// Datagrams of this end, as the other end reports them.
+    reported: ReportedTotals,
     round_trip: RoundTripEstimator,
 }
 
@@ -25,26 +25,26 @@ impl PathMeasurement {
     pub(super) fn new(now: MonoTime) -> Self {
         Self {
             arrivals: ArrivalCounter::new(now),
-            told: ToldTotals::default(),
+            reported: ReportedTotals::default(),
             round_trip: RoundTripEstimator::default(),
         }
     }
 
-    /// A datagram with data arrived.
+    /// Counts a datagram with data that arrived.
     pub(super) fn arrive(&mut self, number: u32, now: MonoTime) {
         self.arrivals.arrive(number, now);
     }
 
-    /// What the other end is told.
+    /// Returns the totals that are reported to the other end.
     pub(super) fn totals(&mut self, now: MonoTime) -> ArrivalTotals {
         self.arrivals.totals(now)
     }
 
-    /// The other end tells the number of its next datagram and the totals of this end's; `sent` is how many left here.
+    /// Takes a report of the other end: the number of its next datagram, and the totals of this end's, of which `sent` have left.
     ///
     /// # Errors
     /// When they are more than `sent` can have led to.
-    pub(super) fn tell(
+    pub(super) fn report(
         &mut self,
         number: u32,
         totals: ArrivalTotals,
@@ -52,27 +52,27 @@ impl PathMeasurement {
         now: MonoTime,
     ) -> Result<(), FalseClaim> {
         self.arrivals.expect(number, now);
-        self.told.tell(totals, sent)
+        self.reported.report(totals, sent)
     }
 
-    /// A sign of life leaves.
+    /// Notes that a heartbeat leaves.
     pub(super) fn ask(&mut self, now: MonoTime) {
         self.round_trip.ask(now);
     }
 
-    /// The sign of life that left at a time is answered.
+    /// Notes that the heartbeat that left at `asked` is answered.
     pub(super) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
         self.round_trip.answer(asked, now);
     }
 
-    /// Datagrams of this end that were lost, as far as the other end has told.
-    pub(super) fn told_lost(&self) -> u64 {
-        self.told.totals().map_or(0, |told| told.lost)
+    /// Datagrams of this end that the other end has reported as lost.
+    pub(super) fn reported_lost(&self) -> u64 {
+        self.reported.totals().map_or(0, |told| told.lost)
     }
 
-    /// All that is known; of `sent` datagrams so many were `retransmitted`.
+    /// Returns all totals; of `sent` datagrams, `retransmitted` were sent again.
     pub(super) fn statistics(&mut self, sent: u64, retransmitted: u64, now: MonoTime) -> TransportStatistics {
-        let told = self.told.totals();
+        let told = self.reported.totals();
         TransportStatistics {
             sent: DatagramStatistics {
                 datagrams: Some(sent),

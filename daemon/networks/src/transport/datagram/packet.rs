@@ -47,7 +47,7 @@ pub(crate) enum Role {
     Cloud,
 }
 
-/// What an end of a connection takes.
+/// Terms that an end of a connection asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Terms {
     /// Bytes that may be on their way to it.
@@ -63,7 +63,7 @@ pub(crate) struct Fragment<'a> {
     pub(crate) sequence: u64,
     /// The sender's own number for the message, plus one; 0 for none.
     pub(crate) tag: u64,
-    /// Where the bytes belong in the message; a multiple of the stride.
+    /// Offset of the bytes in the message; a multiple of the stride.
     pub(crate) offset: u32,
     /// Bytes of the whole message.
     pub(crate) total: u32,
@@ -77,9 +77,9 @@ pub(crate) struct Fragment<'a> {
     pub(crate) bytes: &'a [u8],
 }
 
-/// A sign of life: how far an end has come.
+/// A heartbeat: the progress of an end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct SignOfLife {
+pub(crate) struct Heartbeat {
     /// When the ping left, on its sender's clock; nanoseconds. A pong repeats it.
     pub(crate) time: u64,
     /// Messages with a lower number have left this end.
@@ -88,11 +88,11 @@ pub(crate) struct SignOfLife {
     pub(crate) settled: u64,
     /// The number of this end's next datagram with data, its low half.
     pub(crate) number: u32,
-    /// What became of the other end's datagrams.
+    /// Totals of the other end's datagrams.
     pub(crate) arrivals: ArrivalTotals,
 }
 
-/// Why a connection is refused or gone.
+/// Reason why a connection is refused or gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResetReason {
     /// The cloud does not know the connection: it was restarted, or it gave the connection up.
@@ -114,8 +114,8 @@ pub(crate) enum Packet<'a> {
     Progress { connection: u64, sequence: u64, end: u32 },
     Lost { connection: u64, sequence: u64, received: u32, total: u32 },
     LostKnown { connection: u64, sequence: u64, tag: u64, total: u32 },
-    Ping { connection: u64, sign: SignOfLife },
-    Pong { connection: u64, sign: SignOfLife },
+    Ping { connection: u64, heartbeat: Heartbeat },
+    Pong { connection: u64, heartbeat: Heartbeat },
     Bye { connection: u64, next: u64 },
     ByeHeard { connection: u64 },
     Path { connection: u64, token: u64 },
@@ -187,8 +187,8 @@ impl Packet<'_> {
                 put(&tag.to_be_bytes());
                 put(&total.to_be_bytes());
             }
-            Self::Ping { connection, sign } | Self::Pong { connection, sign } => {
-                let SignOfLife { time, next, settled, number, arrivals } = sign;
+            Self::Ping { connection, heartbeat } | Self::Pong { connection, heartbeat } => {
+                let Heartbeat { time, next, settled, number, arrivals } = heartbeat;
                 [connection, time, next, settled].iter().for_each(|field| put(&field.to_be_bytes()));
                 put(&number.to_be_bytes());
                 let ArrivalTotals { lost, duplicated, reordered } = arrivals;

@@ -7,7 +7,7 @@ use bytes::Bytes;
 
 use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 
-/// What a fragment behind a gap costs beside its bytes: its place in the map and what the allocator adds.
+/// Cost of a fragment behind a gap beside its bytes: its place in the map and what the allocator adds. Bytes.
 const FRAGMENT_OVERHEAD: u64 = 96;
 
 /// The part of a message that has arrived.
@@ -20,16 +20,16 @@ pub(super) struct PartialMessage {
     start: Vec<u8>,
     /// The fragments behind that gap, by offset.
     behind: BTreeMap<u32, Box<[u8]>>,
-    /// What the fragments behind the gap cost. Bytes.
+    /// Cost of the fragments behind the gap. Bytes.
     behind_cost: u64,
     reserved: Reservation,
 }
 
-/// What a message takes at the most while its fragments arrive in any order, as a multiple of its length: the bytes before
+/// Most memory of a message while its fragments arrive in any order, as a multiple of its length: the bytes before
 /// the gap are reserved up to twice, and those behind it wait beside them. For fragments of a datagram's usual length.
 pub(super) const PEAK_COST: u64 = 2;
 
-/// What a fragment brought.
+/// Effect of a fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Added {
     New,
@@ -38,7 +38,7 @@ pub(super) enum Added {
 }
 
 impl PartialMessage {
-    /// A message of so many bytes, of which none has arrived.
+    /// A message of `total` bytes, of which none has arrived.
     pub(super) fn new(total: u32, budget: &Arc<MemoryBudget>) -> Self {
         Self {
             total,

@@ -18,31 +18,31 @@ use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 /// Message numbers whose state is kept at once.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
-/// How far above the messages that are known to have been sent a fragment's message may be when that needs more than
-/// [`MAX_SPAN`] states. One altered number must not give up all that is awaited.
+/// Distance above the messages that are known to have been sent, up to which a fragment's message is taken when that needs
+/// more than [`MAX_SPAN`] states.
 const MAX_AHEAD: u64 = 64;
 
-/// What messages may cost.
+/// Limits of unfinished messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ReassemblyLimits {
     /// Largest message. Bytes.
     pub(crate) max_message_bytes: u32,
     /// Messages of which a part has arrived.
     pub(crate) max_unfinished_messages: usize,
-    /// How long fragments are waited for once all of the message is known to have left.
+    /// Time for which fragments are waited for once all of the message is known to have left.
     pub(crate) timeout: Span,
-    /// How long a message may get nothing new when that is not known.
+    /// Longest time without a new fragment of a message while that is not known.
     pub(crate) idle_timeout: Span,
 }
 
-/// What became of a fragment.
+/// Outcome of a fragment.
 #[derive(Debug)]
 pub(crate) enum Received {
     /// It completes this message, which takes the reserved memory.
     Message {
         /// The message.
         bytes: Bytes,
-        /// What it takes.
+        /// Its memory.
         reserved: Reservation,
     },
     /// It is kept, or its message was given up because of it.
@@ -134,6 +134,7 @@ impl Reassembly {
         if fragment.sequence < self.floor {
             return Received::Duplicate;
         }
+        // One altered number must not give up all that is awaited.
         let most = self.floor.saturating_add(MAX_SPAN).max(self.sent.saturating_add(MAX_AHEAD));
         if fragment.sequence >= most {
             return Received::TooFarAhead;

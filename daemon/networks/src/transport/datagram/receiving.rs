@@ -1,4 +1,4 @@
-//! The receiving half of a virtual connection: what arrives, and what the other end is told of it.
+//! The receiving half of a virtual connection: arrivals, and reports of them to the other end.
 
 mod watermark;
 
@@ -16,13 +16,13 @@ use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Lost messages of which the other end does not know.
+/// Most lost messages that the other end does not know of.
 const MAX_REPORTS: usize = MAX_SPAN as usize;
 
-/// Lost messages that it is told of at once.
+/// Lost messages that are reported at once.
 const REPORTS_AT_ONCE: usize = 32;
 
-/// How often it is told of each.
+/// Most reports of one lost message.
 const REPORT_TRIES: u32 = 12;
 
 /// The pause after the first time; it doubles up to eight times as much.
@@ -34,8 +34,8 @@ pub(crate) struct Receiving {
     connection: u64,
     reassembly: Reassembly,
     watermark: SentWatermark,
-    /// The furthest that has arrived since the other end was told last: sequence, and end in its message. Not of all time: a
-    /// number that was altered on the way must not stay.
+    /// The furthest end of a fragment since the last report of progress: sequence, and end in its message. Not of all time,
+    /// because a number that was altered on the way must not be kept.
     furthest: (u64, u32),
     /// Bytes that arrived since then.
     untold: u32,
@@ -50,7 +50,7 @@ struct Report {
     next: MonoTime,
 }
 
-/// What a fragment brought.
+/// Outcome of a fragment.
 #[derive(Debug)]
 pub(crate) enum Arrived {
     /// A whole message and the memory that it takes.
@@ -95,12 +95,13 @@ impl Receiving {
         }
     }
 
-    /// What to tell the other end of how far it has come, if it is time to.
+    /// Returns the report of progress, if it is due.
     pub(crate) fn progress(&mut self) -> Option<Packet<'static>> {
         if self.untold < PROGRESS_BYTES {
             return None;
         }
         self.untold = 0;
+        // A number that was altered on the way goes into one report only.
         let (sequence, end) = std::mem::take(&mut self.furthest);
         Some(Packet::Progress { connection: self.connection, sequence, end })
     }
@@ -115,7 +116,7 @@ impl Receiving {
         if next <= most { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
     }
 
-    /// Notes what a packet claims to have been sent.
+    /// Notes that a packet claims the messages below a number to have been sent.
     fn claim(&mut self, next: u64, packet: u64, now: MonoTime) {
         if let Some((confirmed, since)) = self.watermark.claim(next, packet, now) {
             self.reassembly.expect(confirmed, since);
@@ -130,6 +131,7 @@ impl Receiving {
 
     /// Whether nothing is awaited and the other end knows what was lost.
     pub(crate) fn is_settled(&self) -> bool {
+        // The last messages before a goodbye may be claimed by the goodbye alone.
         let is_known = self.watermark.claimed() <= self.reassembly.floor();
         is_known && self.reassembly.is_settled() && self.reports.is_empty()
     }
@@ -139,7 +141,7 @@ impl Receiving {
         self.reassembly.give_up_all();
     }
 
-    /// Takes the losses since the last call: those that can be told here at once. The other end is told of all.
+    /// Takes the losses since the last call: those that can be passed on here at once. All are reported to the other end.
     pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let lost = self.reassembly.take_lost();
         let mut known = Vec::new();
@@ -168,7 +170,7 @@ impl Receiving {
         self.reassembly.tick(now);
     }
 
-    /// What to tell the other end of losses now, and the losses that it will not be told of any more.
+    /// Returns the reports of losses that are due, and the losses that are not reported any more.
     pub(crate) fn reports(&mut self, now: MonoTime) -> (Vec<Packet<'static>>, Vec<MessageLoss>) {
         let (mut packets, mut silent) = (Vec::new(), Vec::new());
         let connection = self.connection;
@@ -191,7 +193,7 @@ impl Receiving {
         (packets, silent)
     }
 
-    /// When something is to be given up or told.
+    /// Returns when something is to be given up or reported.
     pub(crate) fn next_timer(&self, now: MonoTime, tick: Span) -> Option<MonoTime> {
         let waiting = (!self.reassembly.is_settled()).then(|| now + tick);
         self.reports.iter().map(|report| report.next).chain(waiting).min()

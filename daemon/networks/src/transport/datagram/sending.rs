@@ -1,4 +1,4 @@
-//! The sending half of a virtual connection: messages that wait, and what became of those that left.
+//! The sending half of a virtual connection: messages that wait, and those that left and are not settled.
 
 mod long_losses;
 mod outstanding;
@@ -29,7 +29,7 @@ const MAX_BATCH_BYTES: usize = 60_000;
 pub(crate) struct Batch {
     /// Bytes of each datagram but the last.
     pub(crate) segment: usize,
-    /// How many there are.
+    /// Number of datagrams.
     pub(crate) count: usize,
 }
 
@@ -99,7 +99,7 @@ impl Sending {
         Ok(())
     }
 
-    /// How far sending has come: the message of which the next part leaves, and where that part begins.
+    /// Returns the message of which the next part leaves, and the offset of that part.
     fn position(&self) -> (u64, u32) {
         let waiting = self.queue.front().map(|message| (message.sequence, message.offset));
         waiting.unwrap_or_else(|| (self.outstanding.next(), 0))
@@ -135,7 +135,7 @@ impl Sending {
         (!self.queue.is_empty()).then(|| self.window.opens_at())
     }
 
-    /// Appends datagrams that leave now, at most so many. Returns `None` when there are none.
+    /// Appends at most `most` datagrams that leave now. Returns `None` when there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<Batch> {
         let start = out.len();
         let full = self.longest();
@@ -183,10 +183,10 @@ impl Sending {
         expired.into_iter().filter_map(|sequence| self.outstanding.expire(sequence)).collect()
     }
 
-    /// The other end has come so far.
+    /// Takes a report of progress: everything up to `end` of the message `sequence` has arrived or is lost.
     ///
     /// # Errors
-    /// When so much was not sent.
+    /// When that part was not sent.
     pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) -> Result<(), FalseClaim> {
         let (current, offset) = self.position();
         if sequence > current || (sequence == current && end > offset) {
@@ -212,8 +212,8 @@ impl Sending {
         Ok(())
     }
 
-    /// The other end says that a message is lost; `lost` is as in [`loses_long`](Self::loses_long). Returns what to tell it,
-    /// and what to tell here.
+    /// Takes the report of a lost message; `lost` is as in [`loses_long`](Self::loses_long). Returns the tag and the number of
+    /// fragments for the answer, and the loss to pass on.
     ///
     /// # Errors
     /// When the message was not sent, or has fewer fragments than are said to have arrived.
@@ -224,6 +224,7 @@ impl Sending {
         now: MonoTime,
     ) -> Result<(u64, u32, Option<MessageLoss>), FalseClaim> {
         let (current, offset) = self.position();
+        // Only a message of which something has left can be lost on the way.
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
@@ -251,7 +252,7 @@ impl Sending {
     }
 
     /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end
-    /// has told: it may give messages up for other reasons, too.
+    /// has reported: it may give messages up for other reasons, too.
     pub(crate) fn loses_long(&self, lost: u64, now: MonoTime) -> bool {
         self.long_losses.loses_all(lost, now)
     }

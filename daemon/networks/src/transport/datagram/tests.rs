@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::handshake::{Dialled, Dialling};
-use super::packet::{Fragment, Packet, Role, SignOfLife, Terms};
+use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
@@ -44,19 +44,19 @@ pub(super) fn limits() -> EndpointLimits {
     }
 }
 
-/// What the network does to each datagram. Percent.
+/// Impairments of each datagram. Percent.
 #[derive(Clone, Copy, Debug)]
-struct Weather {
+struct Impairment {
     loss: u64,
     doubled: u64,
     reordered: u64,
 }
 
-const CALM: Weather = Weather { loss: 0, doubled: 0, reordered: 0 };
+const UNIMPAIRED: Impairment = Impairment { loss: 0, doubled: 0, reordered: 0 };
 
-struct World {
+struct SimulatedNetwork {
     now: MonoTime,
-    weather: Weather,
+    impairment: Impairment,
     random: u64,
     edge_address: SocketAddr,
     cloud: Endpoint,
@@ -71,12 +71,12 @@ struct World {
     max_bytes: (usize, usize),
 }
 
-impl World {
-    fn new(weather: Weather, seed: u64) -> Self {
+impl SimulatedNetwork {
+    fn new(impairment: Impairment, seed: u64) -> Self {
         let now = MonoTime::default();
         Self {
             now,
-            weather,
+            impairment,
             random: seed | 1,
             edge_address: "192.0.2.1:1000".parse().expect("an address"),
             cloud: Endpoint::new([7; 32], PREFIX, limits()),
@@ -90,9 +90,9 @@ impl World {
         }
     }
 
-    /// Whether something happens that has so many percent.
+    /// Whether something happens that has a probability of `percent`.
     fn chance(&mut self, percent: u64) -> bool {
-        // Xorshift, as good as any for weather.
+        // Xorshift, as good as any for impairment.
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -102,13 +102,13 @@ impl World {
     fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8]) {
         let (up, down) = self.max_bytes;
         let is_long = datagram.len() > if to_cloud { up } else { down };
-        let copies = if self.chance(self.weather.loss) || is_long {
+        let copies = if self.chance(self.impairment.loss) || is_long {
             0
         } else {
-            1 + u64::from(self.chance(self.weather.doubled))
+            1 + u64::from(self.chance(self.impairment.doubled))
         };
         for _ in 0..copies {
-            let late = if self.chance(self.weather.reordered) { 15 } else { 5 };
+            let late = if self.chance(self.impairment.reordered) { 15 } else { 5 };
             self.count += 1;
             let key = (self.now + Span::from_millis(late), self.count);
             self.wire.insert(key, (to_cloud, address, datagram.to_vec()));
@@ -124,15 +124,15 @@ impl World {
         for (to_cloud, address, datagram) in due.into_values() {
             let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
             if to_cloud {
-                self.cloud.hear(address, None, body, now);
+                self.cloud.receive(address, None, body, now);
                 continue;
             }
             let packet = Packet::read(Role::Edge, body).expect("a packet");
             match &mut self.edge {
-                Some(edge) if packet.connection().is_some() => edge.hear(packet, now),
+                Some(edge) if packet.connection().is_some() => edge.receive(packet, now),
                 Some(_) => {}
                 None => {
-                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.hear(&packet, now) {
+                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
                         let limits = limits();
                         self.edge = Some(Connection::new(
                             PacketWriter::new(Role::Edge, connection, PREFIX),
@@ -223,15 +223,15 @@ proptest! {
         seed: u64,
     ) {
         const MESSAGES: u64 = 30;
-        let mut world = World::new(Weather { loss, doubled, reordered }, seed);
-        let id = world.open();
+        let mut network = SimulatedNetwork::new(Impairment { loss, doubled, reordered }, seed);
+        let id = network.open();
         for tag in 0..MESSAGES {
-            world.send(Some(tag), &payload(tag));
-            world.steps(3);
+            network.send(Some(tag), &payload(tag));
+            network.steps(3);
         }
-        world.steps(8_000);
+        network.steps(8_000);
         let mut arrived = BTreeSet::new();
-        for arrival in &world.arrivals {
+        for arrival in &network.arrivals {
             match arrival {
                 Arrival::Message(_, frames) => {
                     let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("as it was sent");
@@ -242,7 +242,7 @@ proptest! {
             }
         }
         let mut lost = BTreeSet::new();
-        for event in &world.events {
+        for event in &network.events {
             match event {
                 Event::Lost(loss) => {
                     prop_assert!(loss.received < loss.total && lost.insert(loss.tag.expect("it has one")));
@@ -253,78 +253,78 @@ proptest! {
         prop_assert!(arrived.is_disjoint(&lost));
         prop_assert_eq!(arrived.len() + lost.len(), MESSAGES as usize);
         prop_assert!(loss > 0 || lost.is_empty());
-        prop_assert_eq!(world.cloud.held_bytes(), 0);
+        prop_assert_eq!(network.cloud.held_bytes(), 0);
 
         // The other way, and the goodbye.
-        world.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
-        world.steps(4_000);
-        let answers = world.events.iter().filter(|event| matches!(
+        network.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
+        network.steps(4_000);
+        let answers = network.events.iter().filter(|event| matches!(
             event, Event::Message(..) | Event::Incomplete(..)
         )).count();
         prop_assert_eq!(answers, 1);
-        let now = world.now;
-        world.edge.as_mut().expect("open").close(now);
-        world.steps(8_000);
-        prop_assert_eq!(world.cloud.len(), 0);
-        let gone = world.arrivals.iter().filter(|arrival| matches!(arrival, Arrival::Gone(..))).count();
+        let now = network.now;
+        network.edge.as_mut().expect("open").close(now);
+        network.steps(8_000);
+        prop_assert_eq!(network.cloud.len(), 0);
+        let gone = network.arrivals.iter().filter(|arrival| matches!(arrival, Arrival::Gone(..))).count();
         prop_assert_eq!(gone, 1);
     }
 
     #[test]
     fn messages_without_tag_always_arrive_once(loss in 0_u64..25, seed: u64) {
-        let mut world = World::new(Weather { loss, doubled: 5, reordered: 10 }, seed);
-        world.open();
+        let mut network = SimulatedNetwork::new(Impairment { loss, doubled: 5, reordered: 10 }, seed);
+        network.open();
         for n in 0..10 {
-            world.send(None, &[n]);
-            world.steps(2);
+            network.send(None, &[n]);
+            network.steps(2);
         }
-        world.steps(15_000);
-        let arrived: BTreeSet<u8> = world.arrivals.iter().filter_map(|arrival| match arrival {
+        network.steps(15_000);
+        let arrived: BTreeSet<u8> = network.arrivals.iter().filter_map(|arrival| match arrival {
             Arrival::Message(_, frames) => Some(frames[0][0]),
             _ => None,
         }).collect();
         prop_assert_eq!(arrived.len(), 10);
-        prop_assert_eq!(world.arrivals.iter().filter(|a| matches!(a, Arrival::Message(..))).count(), 10);
+        prop_assert_eq!(network.arrivals.iter().filter(|a| matches!(a, Arrival::Message(..))).count(), 10);
     }
 }
 
 #[test]
 fn silence_ends_connection_at_both_ends() {
-    let mut world = World::new(CALM, 1);
-    let id = world.open();
-    world.steps(7_000);
-    assert!(world.arrivals.is_empty() && world.events.is_empty(), "heartbeats keep it open");
-    world.weather.loss = 100;
-    world.steps(6_000);
-    assert!(matches!(world.arrivals[..], [Arrival::Gone(gone, _)] if gone == id));
-    assert!(matches!(world.events[..], [Event::Gone(_)]));
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    let id = network.open();
+    network.steps(7_000);
+    assert!(network.arrivals.is_empty() && network.events.is_empty(), "heartbeats keep it open");
+    network.impairment.loss = 100;
+    network.steps(6_000);
+    assert!(matches!(network.arrivals[..], [Arrival::Gone(gone, _)] if gone == id));
+    assert!(matches!(network.events[..], [Event::Gone(_)]));
 }
 
 #[test]
 fn restarted_cloud_says_so() {
-    let mut world = World::new(CALM, 1);
-    world.open();
-    world.cloud = Endpoint::new([8; 32], PREFIX, limits());
-    world.send(Some(1), b"anybody there?");
-    world.steps(20);
-    let [Event::Gone(reason)] = &world.events[..] else { panic!("{:?}", world.events) };
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    network.open();
+    network.cloud = Endpoint::new([8; 32], PREFIX, limits());
+    network.send(Some(1), b"anybody there?");
+    network.steps(20);
+    let [Event::Gone(reason)] = &network.events[..] else { panic!("{:?}", network.events) };
     assert!(reason.contains("does not know the connection"), "{reason}");
 }
 
 #[test]
 fn peer_that_moves_is_followed_after_it_was_asked() {
-    let mut world = World::new(CALM, 1);
-    let id = world.open();
-    world.edge_address = "192.0.2.77:7".parse().expect("an address");
-    world.send(Some(1), b"from elsewhere");
-    world.steps(30);
-    let moved = world.arrivals.iter().any(
-        |arrival| matches!(arrival, Arrival::Moved(moved, to) if *moved == id && *to == world.edge_address),
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    let id = network.open();
+    network.edge_address = "192.0.2.77:7".parse().expect("an address");
+    network.send(Some(1), b"from elsewhere");
+    network.steps(30);
+    let moved = network.arrivals.iter().any(
+        |arrival| matches!(arrival, Arrival::Moved(moved, to) if *moved == id && *to == network.edge_address),
     );
-    assert!(moved, "{:?}", world.arrivals);
-    world.cloud.send(id, vec!["answer".into()], Some(1)).expect("there is room");
-    world.steps(30);
-    assert!(matches!(&world.events[..], [Event::Message(frames, _)] if frames[0] == "answer"));
+    assert!(moved, "{:?}", network.arrivals);
+    network.cloud.send(id, vec!["answer".into()], Some(1)).expect("there is room");
+    network.steps(30);
+    assert!(matches!(&network.events[..], [Event::Message(frames, _)] if frames[0] == "answer"));
 }
 
 #[test]
@@ -337,12 +337,12 @@ fn invented_addresses_get_less_than_they_send_and_no_memory() {
         let packets = [
             Packet::Hello { version: 1, nonce: n, reply_port: 0 },
             Packet::Open { nonce: n, cookie, reply_port: 0, terms: TERMS },
-            Packet::Ping { connection: n, sign: SignOfLife { next: n, ..SignOfLife::default() } },
+            Packet::Ping { connection: n, heartbeat: Heartbeat { next: n, ..Heartbeat::default() } },
         ];
         for packet in packets {
             let mut body = Vec::new();
             packet.write(Role::Edge, &mut body);
-            cloud.hear(source, None, &body, now);
+            cloud.receive(source, None, &body, now);
             let mut out = Vec::new();
             while cloud.fill(&mut out, 10, now).is_some() {}
             assert!(out.len() <= PREFIX.len() + body.len(), "{packet:?}");
@@ -359,13 +359,13 @@ fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut Mon
         let mut out = Vec::new();
         *now = *now + Span::from_millis(1);
         assert_eq!(dialling.fill(&mut out, *now), Ok(true));
-        cloud.hear(source, None, &out, *now);
+        cloud.receive(source, None, &out, *now);
         let mut answer = Vec::new();
         while let Some((route, batch)) = cloud.fill(&mut answer, 10, *now) {
             let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
             if route.to == source
                 && let Ok(packet) = Packet::read(Role::Edge, body)
-                && let Some(Dialled::Opened { connection, .. }) = dialling.hear(&packet, *now)
+                && let Some(Dialled::Opened { connection, .. }) = dialling.receive(&packet, *now)
             {
                 opened = Some(connection);
             }
@@ -392,13 +392,13 @@ fn connections_without_session_are_bounded_and_end() {
 
 #[test]
 fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
-    let mut world = World::new(CALM, 1);
-    world.open();
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    network.open();
     let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
-    let mut now = world.now;
-    let connection = open_from(&mut world.cloud, stranger, 77, &mut now).expect("there is room");
-    world.cloud.admit(ConnectionId(connection));
-    world.now = now;
+    let mut now = network.now;
+    let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
+    network.cloud.admit(ConnectionId(connection));
+    network.now = now;
     let claimed = limits().reassembly.max_message_bytes;
     for sequence in 0..80 {
         let fragment = Fragment {
@@ -413,14 +413,14 @@ fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
         };
         let mut body = Vec::new();
         Packet::Data { connection, number: sequence as u32, fragment }.write(Role::Edge, &mut body);
-        world.cloud.hear(stranger, None, &body, now);
+        network.cloud.receive(stranger, None, &body, now);
     }
-    assert!(world.cloud.held_bytes() <= 80 * 1_100, "{} bytes are held", world.cloud.held_bytes());
+    assert!(network.cloud.held_bytes() <= 80 * 1_100, "{} bytes are held", network.cloud.held_bytes());
     let bytes = vec![9; 3_000_000];
-    world.send(Some(1), &bytes);
-    world.steps(2_000);
+    network.send(Some(1), &bytes);
+    network.steps(2_000);
     let arrived = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == bytes);
-    assert!(world.arrivals.iter().any(arrived), "{:?}, {:?}", world.arrivals.len(), world.events);
+    assert!(network.arrivals.iter().any(arrived), "{:?}, {:?}", network.arrivals.len(), network.events);
 }
 
 #[test]
@@ -428,7 +428,7 @@ fn large_datagrams_that_do_not_pass_are_given_up() {
     let mut now = MonoTime::default();
     let large = Terms { datagram: 8_000, ..TERMS };
     let mut dialling = Dialling::new(1, 0, large, PREFIX.len(), now);
-    dialling.hear(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
+    dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
     let mut lengths = Vec::new();
     for _ in 0..4 {
         let mut out = PREFIX.to_vec();
@@ -440,7 +440,7 @@ fn large_datagrams_that_do_not_pass_are_given_up() {
     let begin = now;
     let error = loop {
         now = dialling.next_timer();
-        dialling.hear(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
+        dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
         if let Err(error) = dialling.fill(&mut Vec::new(), now) {
             break error.to_string();
         }
@@ -452,28 +452,28 @@ fn large_datagrams_that_do_not_pass_are_given_up() {
 #[test]
 fn connection_ends_when_path_stops_carrying_long_datagrams() {
     for loses_upload in [true, false] {
-        let mut world = World::new(CALM, 1);
-        let id = world.open();
-        world.max_bytes = if loses_upload { (1_000, usize::MAX) } else { (usize::MAX, 1_000) };
+        let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+        let id = network.open();
+        network.max_bytes = if loses_upload { (1_000, usize::MAX) } else { (usize::MAX, 1_000) };
         for tag in 0..40 {
-            if world.edge.as_ref().is_some_and(Connection::is_closed) {
+            if network.edge.as_ref().is_some_and(Connection::is_closed) {
                 break;
             }
-            world.send(Some(tag), &payload(4));
-            world.steps(50);
-            let answer = world.cloud.send(id, vec![payload(4).into()], Some(tag));
+            network.send(Some(tag), &payload(4));
+            network.steps(50);
+            let answer = network.cloud.send(id, vec![payload(4).into()], Some(tag));
             if answer.is_err() {
                 break;
             }
         }
-        world.steps(3_000);
-        let ended = world.events.iter().find_map(|event| match event {
+        network.steps(3_000);
+        let ended = network.events.iter().find_map(|event| match event {
             Event::Gone(reason) => Some(reason.as_str()),
             _ => None,
         });
         let reason = ended.expect("the connection ends");
         assert!(reason.contains("long datagrams") && reason.contains("datagram_bytes"), "{reason}");
         let is_gone = |arrival: &Arrival| matches!(arrival, Arrival::Gone(..));
-        assert_eq!(world.arrivals.iter().any(is_gone), !loses_upload, "{:?}", world.arrivals);
+        assert_eq!(network.arrivals.iter().any(is_gone), !loses_upload, "{:?}", network.arrivals);
     }
 }

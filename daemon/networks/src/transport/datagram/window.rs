@@ -1,4 +1,4 @@
-//! How much may be sent now: what the other end's socket buffer holds, what arrived lately, and a configured rate.
+//! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
 //!
 //! The other end says how many bytes may be on their way to it and how far it has come. Within that the window grows
 //! with what arrives and is halved when messages are lost, much as TCP's does (RFC 5681), so that the rate follows the

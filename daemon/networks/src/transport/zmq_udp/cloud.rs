@@ -81,8 +81,8 @@ struct CloudEnd {
 impl Machine for CloudEnd {
     type Delivery = Delivery;
 
-    fn hear(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
-        self.endpoint.hear(source, local, body, now);
+    fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
+        self.endpoint.receive(source, local, body, now);
     }
 
     // Anybody may make the system say so; who is gone is noticed by silence.

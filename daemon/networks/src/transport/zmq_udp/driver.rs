@@ -17,7 +17,7 @@ use super::socket::{ReceiveBuffers, UdpPort};
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
-/// What arrived and waits to be received.
+/// Most arrivals that wait to be received.
 const MAX_WAITING: usize = 1_024;
 
 /// Batches that are read before something is sent again.
@@ -29,11 +29,11 @@ const FAR: Span = Span::from_seconds(3_600);
 
 /// The state machine of a socket.
 pub(super) trait Machine: Send + fmt::Debug + 'static {
-    /// What is handed to the layer above.
+    /// An arrival for the layer above.
     type Delivery: Send + 'static;
 
-    fn hear(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
-    /// The system says that nobody listens where something was sent to.
+    fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
+    /// The system reports a closed port at the destination.
     fn refused(&mut self);
     fn tick(&mut self, now: MonoTime);
     fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
@@ -47,12 +47,12 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     fn is_over(&self) -> bool;
 }
 
-/// What senders and the task have in common.
+/// State that senders share with the task.
 #[derive(Debug)]
 pub(super) struct Port<M> {
     pub(super) socket: UdpPort,
     state: Mutex<State<M>>,
-    /// Tells the task that there is something to do.
+    /// Wakes the task.
     wake: Notify,
     /// Cancelled by whoever wants the task to end at once.
     pub(super) abort: CancellationToken,
@@ -65,7 +65,7 @@ pub(super) struct Port<M> {
 struct State<M> {
     machine: M,
     out: Vec<u8>,
-    /// What is in `out` because the socket did not take it.
+    /// Destination of the datagrams in `out` that the socket did not take.
     blocked: Option<(Route, Batch)>,
     /// Until when the task sleeps if nothing wakes it.
     asleep_until: MonoTime,
@@ -238,7 +238,7 @@ impl<M: Machine> Port<M> {
             let received = self.socket.try_receive(buffers, |source, local, datagram| {
                 // Of another group, or of another program.
                 let body = radio::body(datagram).unwrap_or_default();
-                machine.hear(source, local, body, now);
+                machine.receive(source, local, body, now);
             });
             match received {
                 Ok(()) => {}

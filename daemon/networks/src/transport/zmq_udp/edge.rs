@@ -109,7 +109,7 @@ async fn open(
                 return;
             }
             if let Some(Ok(packet)) = radio::body(datagram).map(|body| Packet::read(Role::Edge, body)) {
-                answer = answer.or(dialling.hear(&packet, time_since(start, Instant::now())));
+                answer = answer.or(dialling.receive(&packet, time_since(start, Instant::now())));
             }
         });
         match received {
@@ -135,7 +135,7 @@ struct EdgeEnd {
     peer: SocketAddr,
     id: u64,
     connection: Connection,
-    /// What was noticed while it was opened, until it was told.
+    /// Remark on the opening, until it is passed on.
     remark: Option<String>,
     garbage: VecDeque<String>,
     /// Proves that who repeats it receives what is sent to its address.
@@ -144,16 +144,16 @@ struct EdgeEnd {
     asked: Option<(SocketAddr, MonoTime, bool)>,
 }
 
-/// How often another address is asked whether it is the cloud's.
+/// Shortest time between two questions to another address.
 const PATH_PAUSE: Span = Span::from_millis(100);
 
-/// Most of what makes no sense that waits to be told.
+/// Most descriptions of garbage that wait to be passed on.
 const MAX_GARBAGE: usize = 64;
 
 impl Machine for EdgeEnd {
     type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
 
-    fn hear(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
+    fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         // A RADIO socket sends from a port of its own.
         let is_elsewhere = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
@@ -170,7 +170,7 @@ impl Machine for EdgeEnd {
                 }
             }
             _ if is_elsewhere => {}
-            Ok(packet) if packet.connection() == Some(self.id) => self.connection.hear(packet, now),
+            Ok(packet) if packet.connection() == Some(self.id) => self.connection.receive(packet, now),
             // An answer to the handshake that was sent twice, or what was meant for an earlier socket at this port.
             Ok(_) => {}
             Err(error) if self.garbage.len() < MAX_GARBAGE => self.garbage.push_back(error.to_string()),

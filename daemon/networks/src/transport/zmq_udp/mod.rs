@@ -26,7 +26,7 @@ use super::{AddressForm, HostChecks};
 use crate::SessionSettings;
 use crate::message::MAX_FRAMES;
 
-/// How addresses are written.
+/// Form of addresses.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
 /// It works everywhere.

@@ -61,7 +61,7 @@ pub(super) const fn any_address(peer: SocketAddr) -> IpAddr {
 }
 
 impl UdpPort {
-    /// A socket at an address of this machine, with buffers of so many bytes if the system allows.
+    /// Binds a socket at an address of this machine, with buffers of `buffer_bytes` if the system allows.
     ///
     /// # Errors
     /// When the port is taken or the address is not this machine's.
@@ -93,7 +93,7 @@ impl UdpPort {
         Ok(Self { socket, state, address, receive_buffer, caveat })
     }
 
-    /// Asks the system to say when nobody listens where something was sent to.
+    /// Asks the system to report closed ports at destinations.
     ///
     /// # Errors
     /// When the system refuses.
@@ -101,12 +101,12 @@ impl UdpPort {
         self.state.enable_transport_errors((&self.socket).into())
     }
 
-    /// Where it is bound, with the real port.
+    /// Returns the address that it is bound to, with the real port.
     pub(super) const fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// What of the system slows it down, and what to do.
+    /// Returns the limit of the system that slows it down, and what to do.
     pub(super) fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
@@ -169,7 +169,7 @@ impl UdpPort {
     /// Waits until something may be there.
     ///
     /// # Errors
-    /// When the system says that nobody listens where something was sent to.
+    /// When the system reports a closed port at a destination.
     pub(super) async fn readable(&self) -> io::Result<()> {
         let ready = self.socket.ready(Interest::READABLE | Interest::ERROR).await?;
         if !ready.is_error() {

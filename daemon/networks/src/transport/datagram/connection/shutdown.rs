@@ -9,7 +9,7 @@ const BYE_PAUSE: Span = Span::from_millis(50);
 const PATIENT_BYES: u32 = 2;
 const LAST_BYE: u32 = 8;
 
-/// How far the end of a connection has come.
+/// Progress of a connection's end.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     phase: Phase,
@@ -66,7 +66,7 @@ impl Shutdown {
     }
 
     /// The other end says goodbye. Returns how many times it has.
-    pub(super) fn hear_bye(&mut self) -> u32 {
+    pub(super) fn receive_bye(&mut self) -> u32 {
         self.byes += 1;
         self.byes
     }
@@ -111,7 +111,7 @@ mod tests {
         let mut shutdown = Shutdown::new();
         let mut heard = Vec::new();
         for _ in 0..8 {
-            shutdown.hear_bye();
+            shutdown.receive_bye();
             heard.push((shutdown.is_impatient(), shutdown.is_last_bye()));
         }
         assert_eq!(heard[..2], [(false, false), (true, false)]);

@@ -1,11 +1,11 @@
-//! What a port answers to those who have no connection.
+//! Answers of a port to senders without a connection.
 
 use std::collections::VecDeque;
 
 use super::Route;
 use crate::transport::datagram::packet::{Packet, Role};
 
-/// Most answers that wait to be sent. Whoever is not answered asks again.
+/// Most answers that wait to be sent. A sender that is not answered asks again.
 const MAX_ANSWERS: usize = 256;
 
 /// Answers that wait to be sent.
@@ -30,7 +30,7 @@ impl AnswerQueue {
         self.push_padded(route, packet, 0);
     }
 
-    /// Queues an answer in a datagram of so many bytes, or more.
+    /// Queues an answer in a datagram of at least `bytes` bytes.
     pub(super) fn push_padded(&mut self, route: Route, packet: &Packet<'_>, bytes: usize) {
         if self.answers.len() < MAX_ANSWERS {
             let mut answer = self.prefix.to_vec();

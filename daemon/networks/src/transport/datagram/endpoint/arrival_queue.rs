@@ -1,4 +1,4 @@
-//! What arrived at a port and waits for the layer above.
+//! Arrivals of a port that wait for the layer above.
 
 use std::collections::VecDeque;
 

@@ -3,16 +3,16 @@
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
 
-use super::entry::{Entry, Standing};
+use super::entry::{Admission, Entry};
 use crate::transport::AddressGroup;
 
 /// Whether one more connection may be opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Room {
+pub(super) enum Capacity {
     Free,
     /// In place of this one, which has no session.
     Replaces(u64),
-    None,
+    Exhausted,
 }
 
 /// All connections. Each is found by its number, and by the address where it is answered with the nonce of its hello.
@@ -78,13 +78,13 @@ impl ConnectionTable {
 
     /// Whether one more connection of a group of addresses may be opened, of `max` in all. One without a session makes room: the
     /// oldest of the same group, or else of the group that has most of them.
-    pub(super) fn room(&self, group: AddressGroup, max: usize) -> Room {
+    pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
         for entry in self.entries.values() {
             let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
             *all += 1;
-            *unadmitted += usize::from(matches!(entry.standing, Standing::Unadmitted { .. }));
+            *unadmitted += usize::from(matches!(entry.standing, Admission::Unadmitted { .. }));
         }
         let of_group = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
@@ -95,18 +95,18 @@ impl ConnectionTable {
             let most = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
             most.map_or(group, |(group, _)| *group)
         } else {
-            return Room::Free;
+            return Capacity::Free;
         };
         let oldest = self
             .entries
             .iter()
             .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
             .filter_map(|(id, entry)| match entry.standing {
-                Standing::Unadmitted { since } => Some((since, *id)),
+                Admission::Unadmitted { since } => Some((since, *id)),
                 _ => None,
             })
             .min();
-        oldest.map_or(Room::None, |(_, id)| Room::Replaces(id))
+        oldest.map_or(Capacity::Exhausted, |(_, id)| Capacity::Replaces(id))
     }
 }
 
@@ -125,7 +125,7 @@ mod tests {
         SocketAddr::from(([198, 51, 100, host], port))
     }
 
-    fn entry(source: SocketAddr, nonce: u64, standing: Standing) -> Entry {
+    fn entry(source: SocketAddr, nonce: u64, standing: Admission) -> Entry {
         let limits = limits();
         let connection = Connection::new(
             PacketWriter::new(Role::Cloud, nonce, b""),
@@ -137,14 +137,14 @@ mod tests {
         Entry::new(connection, (source, 0), None, nonce, 1_200, standing)
     }
 
-    fn unadmitted(seconds: i64) -> Standing {
-        Standing::Unadmitted { since: MonoTime::default() + Span::from_seconds(seconds) }
+    fn unadmitted(seconds: i64) -> Admission {
+        Admission::Unadmitted { since: MonoTime::default() + Span::from_seconds(seconds) }
     }
 
     #[test]
     fn connection_is_found_where_it_moved_to_until_it_is_removed() {
         let mut table = ConnectionTable::default();
-        table.insert(7, entry(address(1, 9), 3, Standing::Admitted));
+        table.insert(7, entry(address(1, 9), 3, Admission::Admitted));
         assert_eq!(table.find(address(1, 9), 3), Some(7));
         table.relocate(7, address(2, 8), None);
         assert_eq!((table.find(address(1, 9), 3), table.find(address(2, 8), 3)), (None, Some(7)));
@@ -156,22 +156,22 @@ mod tests {
     fn oldest_connection_without_session_makes_room() {
         let mut table = ConnectionTable::default();
         let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
-        table.insert(1, entry(address(1, 1), 1, Standing::Admitted));
-        assert_eq!(table.room(one, 8), Room::Free);
+        table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
+        assert_eq!(table.capacity(one, 8), Capacity::Free);
         table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
         table.insert(3, entry(address(1, 3), 3, unadmitted(4)));
-        assert_eq!(table.room(one, 8), Room::Replaces(3), "a quarter is of this address");
-        assert_eq!(table.room(other, 8), Room::Free);
-        assert_eq!(table.room(other, 3), Room::Replaces(3), "all are taken");
-        assert_eq!(table.room(one, 1_000), Room::Free);
+        assert_eq!(table.capacity(one, 8), Capacity::Replaces(3), "a quarter is of this address");
+        assert_eq!(table.capacity(other, 8), Capacity::Free);
+        assert_eq!(table.capacity(other, 3), Capacity::Replaces(3), "all are taken");
+        assert_eq!(table.capacity(one, 1_000), Capacity::Free);
     }
 
     #[test]
     fn connections_with_sessions_make_no_room() {
         let mut table = ConnectionTable::default();
         for n in 1..=4 {
-            table.insert(n, entry(address(n as u8, 1), n, Standing::Admitted));
+            table.insert(n, entry(address(n as u8, 1), n, Admission::Admitted));
         }
-        assert_eq!(table.room(AddressGroup::of(address(9, 1)), 4), Room::None);
+        assert_eq!(table.capacity(AddressGroup::of(address(9, 1)), 4), Capacity::Exhausted);
     }
 }

@@ -6,9 +6,9 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::transport::datagram::connection::Connection;
 
-/// What a connection may do.
+/// Rights of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Standing {
+pub(super) enum Admission {
     Unadmitted { since: MonoTime },
     Greeted,
     Admitted,
@@ -18,14 +18,14 @@ pub(super) enum Standing {
 #[derive(Debug)]
 pub(super) struct Entry {
     pub(super) connection: Connection,
-    /// Where its datagrams come from.
+    /// Address that its datagrams come from.
     pub(super) source: SocketAddr,
-    /// Where it is answered, if not there.
+    /// Port at which it is answered; 0 for that of `source`.
     pub(super) reply_port: u16,
     pub(super) local: Option<IpAddr>,
     pub(super) nonce: u64,
     pub(super) datagram: u16,
-    pub(super) standing: Standing,
+    pub(super) standing: Admission,
     pub(super) path_asked: Option<MonoTime>,
     pub(super) has_delivered: bool,
     pub(super) is_ready: bool,
@@ -39,7 +39,7 @@ impl Entry {
         local: Option<IpAddr>,
         nonce: u64,
         datagram: u16,
-        standing: Standing,
+        standing: Admission,
     ) -> Self {
         Self {
             connection,
@@ -55,27 +55,27 @@ impl Entry {
         }
     }
 
-    /// Where it is answered.
+    /// Returns the address where it is answered.
     pub(super) fn reply_address(&self) -> SocketAddr {
         reply_address(self.source, self.reply_port)
     }
 
     /// Whether it has gone without a hello for too long.
     pub(super) fn is_late(&self, hello_timeout: Span, now: MonoTime) -> bool {
-        matches!(self.standing, Standing::Unadmitted { since } if now - since >= hello_timeout)
+        matches!(self.standing, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }
 
     /// When it is to be looked at.
     pub(super) fn next_timer(&self, hello_timeout: Span, now: MonoTime) -> MonoTime {
         let next = self.connection.next_timer(now);
         match self.standing {
-            Standing::Unadmitted { since } => next.min(since + hello_timeout),
+            Admission::Unadmitted { since } => next.min(since + hello_timeout),
             _ => next,
         }
     }
 }
 
-/// Where datagrams from an address are answered to; the port is the one that its hello named, if not 0.
+/// Returns the address where datagrams from `source` are answered; its port is `reply_port`, if that is not 0.
 pub(super) fn reply_address(source: SocketAddr, reply_port: u16) -> SocketAddr {
     SocketAddr::new(source.ip(), if reply_port == 0 { source.port() } else { reply_port })
 }

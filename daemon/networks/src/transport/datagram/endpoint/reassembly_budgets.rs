@@ -1,4 +1,4 @@
-//! What the unfinished messages of a port's connections may cost, with a session and without.
+//! Memory of unfinished messages, for connections with a session and without.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 /// Limits of each connection, and memory that connections share: those without a session cannot take that of the others.
 #[derive(Debug)]
 pub(super) struct ReassemblyBudgets {
-    /// Of connections that have a session.
+    /// Limits of connections that have a session.
     limits: ReassemblyLimits,
     unadmitted: Arc<MemoryBudget>,
     admitted: Arc<MemoryBudget>,
@@ -36,12 +36,12 @@ impl ReassemblyBudgets {
         }
     }
 
-    /// What may arrive on a connection with a session.
+    /// Returns the limits and the budget of a connection with a session.
     pub(super) fn admitted(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
         (self.limits, Arc::clone(&self.admitted))
     }
 
-    /// What may arrive on a connection without a session.
+    /// Returns the limits and the budget of a connection without a session.
     pub(super) fn unadmitted(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
         let limits = ReassemblyLimits {
             max_message_bytes: MAX_UNADMITTED_BYTES.min(self.limits.max_message_bytes),

@@ -1,4 +1,4 @@
-//! The round trip of a connection's signs of life.
+//! The round trip of a connection's heartbeats.
 
 use std::collections::VecDeque;
 
@@ -9,7 +9,7 @@ use crate::statistics::TransportRoundTrip;
 /// The shortest round trip is that of the last one to two of these, as paths change.
 const MIN_PERIOD: Span = Span::from_seconds(150);
 
-/// Most signs of life whose answers are awaited: those of a second while they follow each other as fast as they do.
+/// Most heartbeats whose answers are awaited: those of a second while they follow each other as fast as they do.
 const MAX_ASKED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
@@ -19,12 +19,12 @@ pub(crate) struct RoundTripEstimator {
     /// The shortest of this period and of the one before.
     shortest: (Option<Span>, Option<Span>),
     period_began: MonoTime,
-    /// When the signs of life left that were not answered, oldest first.
+    /// Departures of the heartbeats that were not answered, oldest first.
     asked: VecDeque<MonoTime>,
 }
 
 impl RoundTripEstimator {
-    /// A sign of life leaves.
+    /// Notes that a heartbeat leaves.
     pub(crate) fn ask(&mut self, now: MonoTime) {
         if self.asked.len() >= MAX_ASKED {
             self.asked.pop_front();
@@ -32,7 +32,7 @@ impl RoundTripEstimator {
         self.asked.push_back(now);
     }
 
-    /// An answer says that it is one to the sign of life that left at a time. One that answers none is not measured: it was
+    /// An answer says that it is one to the heartbeat that left at a time. One that answers none is not measured: it was
     /// doubled or altered on the way.
     pub(crate) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
         if let Some(at) = self.asked.iter().position(|time| *time == asked) {
@@ -59,7 +59,7 @@ impl RoundTripEstimator {
         self.smoothed = Some((Span::from_nanos(smoothed), Span::from_nanos(variation)));
     }
 
-    /// What is known; `None` before the first answer.
+    /// Returns the estimate; `None` before the first answer.
     pub(crate) fn estimate(&self) -> Option<TransportRoundTrip> {
         let (smoothed, variation) = self.smoothed?;
         let (this, before) = self.shortest;

@@ -1,7 +1,7 @@
 //! Reading packets from bytes that anybody may have sent.
 
 use super::{
-    ArrivalTotals, FROM_CLOUD, Fragment, HELLO_BYTES, InvalidPacket, Packet, ResetReason, Role, SignOfLife,
+    ArrivalTotals, FROM_CLOUD, Fragment, HELLO_BYTES, Heartbeat, InvalidPacket, Packet, ResetReason, Role,
     Terms,
 };
 
@@ -35,11 +35,11 @@ impl<'a> Reader<'a> {
         Ok(Terms { window: self.u32()?, datagram: self.u16()? })
     }
 
-    fn sign_of_life(&mut self) -> Result<SignOfLife, InvalidPacket> {
+    fn heartbeat(&mut self) -> Result<Heartbeat, InvalidPacket> {
         let (time, next, settled, number) = (self.u64()?, self.u64()?, self.u64()?, self.u32()?);
         let (lost, duplicated, reordered) = (self.u64()?, self.u64()?, self.u64()?);
         let arrivals = ArrivalTotals { lost, duplicated, reordered };
-        Ok(SignOfLife { time, next, settled, number, arrivals })
+        Ok(Heartbeat { time, next, settled, number, arrivals })
     }
 
     fn rest(&mut self) -> &'a [u8] {
@@ -112,8 +112,12 @@ fn fields<'a>(
             Ok(Packet::LostKnown { connection, sequence, tag: reader.u64()?, total: reader.u32()? })
         }
         (9 | 10, _) => {
-            let (connection, sign) = (reader.u64()?, reader.sign_of_life()?);
-            Ok(if kind == 9 { Packet::Ping { connection, sign } } else { Packet::Pong { connection, sign } })
+            let (connection, heartbeat) = (reader.u64()?, reader.heartbeat()?);
+            Ok(if kind == 9 {
+                Packet::Ping { connection, heartbeat }
+            } else {
+                Packet::Pong { connection, heartbeat }
+            })
         }
         (11, _) => Ok(Packet::Bye { connection: reader.u64()?, next: reader.u64()? }),
         (12, _) => Ok(Packet::ByeHeard { connection: reader.u64()? }),

@@ -41,9 +41,9 @@ fn packets_read_back_as_written() {
         both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
         both_ways(from, Packet::LostKnown { connection, sequence: 3, tag: 1, total: 2 });
         let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
-        let sign = SignOfLife { time: 1, next: 2, settled: 3, number: 4, arrivals };
-        let ping = both_ways(from, Packet::Ping { connection, sign });
-        both_ways(from, Packet::Pong { connection, sign });
+        let heartbeat = Heartbeat { time: 1, next: 2, settled: 3, number: 4, arrivals };
+        let ping = both_ways(from, Packet::Ping { connection, heartbeat });
+        both_ways(from, Packet::Pong { connection, heartbeat });
         let bye = both_ways(from, Packet::Bye { connection, next: 2 });
         let heard = both_ways(from, Packet::ByeHeard { connection });
         both_ways(from, Packet::Path { connection, token: 2 });

@@ -16,7 +16,7 @@ fn at(millis: i64) -> MonoTime {
     MonoTime::default() + Span::from_millis(millis)
 }
 
-/// A message's bytes, cut into fragments of so many.
+/// Cuts a message's bytes into fragments of `stride` bytes.
 fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
     let total = bytes.len() as u32;
     let checksum = crc32fast::hash(bytes);

@@ -1,4 +1,4 @@
-//! How far a peer has come, from packets any one of which may have been altered or forged on the way.
+//! Progress of a peer, from packets any one of which may have been altered or forged on the way.
 
 use peernet_clock::MonoTime;
 
@@ -12,7 +12,7 @@ pub(super) struct SentWatermark {
     last: Claim,
 }
 
-/// What one packet claims.
+/// Claim of one packet.
 #[derive(Clone, Copy, Debug, Default)]
 struct Claim {
     next: u64,
@@ -34,10 +34,11 @@ impl SentWatermark {
             return None;
         }
         self.confirmed = confirmed;
+        // Waiting for the second packet must not delay the loss of a message: time runs since the first claim.
         Some((confirmed, last.at))
     }
 
-    /// What the last packet claimed.
+    /// Returns the claim of the last packet.
     pub(super) const fn claimed(&self) -> u64 {
         self.last.next
     }

@@ -2,8 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Long datagrams do not pass when so many messages in a row, and for at least so long, lost all of them. Chance alone
-/// does so once in 40,000 times where 30 % are lost and messages have two datagrams.
+/// Messages in a row, and their least duration, that have to lose all long datagrams before these count as not passing. Chance
+/// alone does so once in 40,000 times where 30 % are lost and messages have two datagrams.
 const MIN_MESSAGES: u32 = 16;
 const MIN_DURATION: Span = Span::from_seconds(1);
 
@@ -17,21 +17,21 @@ pub(super) struct LongLossDetector {
 #[derive(Clone, Copy, Debug)]
 struct LongLosses {
     messages: u32,
-    /// Datagrams that were lost before, as far as the other end had told.
+    /// Datagrams that the other end had reported as lost before.
     before: u64,
-    /// When the first of them was told of.
+    /// When the first of them was reported.
     since: MonoTime,
 }
 
 impl LongLossDetector {
-    /// A message of so many fragments arrived as a whole.
+    /// Notes that a message of `fragments` fragments arrived as a whole.
     pub(super) fn arrive(&mut self, fragments: u32) {
         if fragments > 1 {
             self.losses = None;
         }
     }
 
-    /// A message was lost of which so many fragments arrived; `lost` is the number of lost datagrams that the other end has told.
+    /// Notes that a message was lost of which `received` fragments arrived; the other end has reported `lost` datagrams as lost.
     pub(super) fn lose(&mut self, fragments: u32, received: u32, lost: u64, now: MonoTime) {
         // The one that arrived may be the last, which is shorter than the others.
         if received > 1 {
@@ -43,7 +43,7 @@ impl LongLossDetector {
     }
 
     /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end
-    /// has told: it may give messages up for other reasons, too.
+    /// has reported: it may give messages up for other reasons, too.
     pub(super) fn loses_all(&self, lost: u64, now: MonoTime) -> bool {
         self.losses.is_some_and(|losses| {
             losses.messages >= MIN_MESSAGES

@@ -24,7 +24,7 @@ pub(super) struct OutstandingMessages {
     messages: VecDeque<OutstandingMessage>,
 }
 
-/// The number for a tag on the wire, where 0 is none.
+/// Returns the number for a tag on the wire, where 0 stands for no tag.
 pub(super) fn written_tag(tag: Option<u64>) -> u64 {
     tag.map_or(0, |tag| tag.wrapping_add(1))
 }
@@ -35,7 +35,7 @@ pub(in crate::transport::datagram) fn read_tag(written: u64) -> Option<u64> {
 }
 
 impl OutstandingMessages {
-    /// Messages with a lower number are settled, or too old to be told of.
+    /// Messages with a lower number are settled, or too old to be reported.
     pub(super) const fn first(&self) -> u64 {
         self.first
     }
@@ -67,7 +67,7 @@ impl OutstandingMessages {
         self.messages.drain(..count as usize).filter(|message| !message.is_lost)
     }
 
-    /// A message was dropped before it left as a whole. Returns what to tell of it.
+    /// Notes that a message was dropped before it left as a whole. Returns the loss.
     pub(super) fn expire(&mut self, sequence: u64) -> Option<MessageLoss> {
         let message = self.get_mut(sequence)?;
         message.is_lost = true;

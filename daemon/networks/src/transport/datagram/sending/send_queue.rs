@@ -6,7 +6,7 @@ use peernet_clock::MonoTime;
 
 use crate::transport::datagram::fragment::OutgoingMessage;
 
-/// What may wait to be sent.
+/// Limits of what waits to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct QueueLimits {
     /// Messages.
@@ -20,7 +20,7 @@ pub(crate) struct QueueLimits {
 pub(super) struct SendQueue {
     limits: QueueLimits,
     messages: VecDeque<OutgoingMessage>,
-    /// What is left of all of them.
+    /// Bytes of all messages that have not left.
     bytes: u64,
 }
 
@@ -33,7 +33,7 @@ impl SendQueue {
         self.messages.is_empty()
     }
 
-    /// Whether a message of so many bytes may be queued.
+    /// Whether a message of `bytes` bytes may be queued.
     pub(super) fn has_room(&self, bytes: u64) -> bool {
         let is_full = self.messages.len() >= self.limits.messages || self.bytes + bytes > self.limits.bytes;
         self.messages.is_empty() || !is_full
@@ -50,7 +50,7 @@ impl SendQueue {
         self.messages.front()
     }
 
-    /// Takes the next bytes of the first message, at most so many, and appends them. Returns the number of the message and where
+    /// Takes at most `most` of the next bytes of the first message and appends them. Returns the number of the message and where
     /// they end in it.
     pub(super) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;

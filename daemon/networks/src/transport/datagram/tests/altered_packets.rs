@@ -8,18 +8,18 @@ const FAR: u64 = 1 << 20;
 /// Alters a packet of one kind; `None` where it is another.
 type Alteration = for<'a> fn(Packet<'a>) -> Option<Packet<'a>>;
 
-/// What an alteration is called, and the alteration.
+/// Name of an alteration, and the alteration.
 type Case = (&'static str, Alteration);
 
-fn sign(packet: Packet<'_>, alter: fn(&mut SignOfLife)) -> Option<Packet<'_>> {
+fn heartbeat(packet: Packet<'_>, alter: fn(&mut Heartbeat)) -> Option<Packet<'_>> {
     match packet {
-        Packet::Ping { connection, mut sign } => {
-            alter(&mut sign);
-            Some(Packet::Ping { connection, sign })
+        Packet::Ping { connection, mut heartbeat } => {
+            alter(&mut heartbeat);
+            Some(Packet::Ping { connection, heartbeat })
         }
-        Packet::Pong { connection, mut sign } => {
-            alter(&mut sign);
-            Some(Packet::Pong { connection, sign })
+        Packet::Pong { connection, mut heartbeat } => {
+            alter(&mut heartbeat);
+            Some(Packet::Pong { connection, heartbeat })
         }
         _ => None,
     }
@@ -32,22 +32,24 @@ fn data(packet: Packet<'_>, sequence: u64, number: u32) -> Option<Packet<'_>> {
 }
 
 const CASES: [Case; 13] = [
-    ("next message far ahead", |packet| sign(packet, |sign| sign.next += FAR)),
-    ("next message within the window", |packet| sign(packet, |sign| sign.next += 500)),
-    ("settled message far ahead", |packet| sign(packet, |sign| sign.settled += FAR)),
-    ("settled message ahead", |packet| sign(packet, |sign| sign.settled += 2)),
-    ("next datagram far ahead", |packet| sign(packet, |sign| sign.number += FAR as u32)),
-    ("lost datagrams", |packet| sign(packet, |sign| sign.arrivals.lost = u64::MAX)),
-    ("duplicated datagrams", |packet| sign(packet, |sign| sign.arrivals.duplicated |= 1 << 40)),
-    ("reordered datagrams", |packet| sign(packet, |sign| sign.arrivals.reordered += 3)),
-    ("time", |packet| sign(packet, |sign| sign.time ^= 1 << 22)),
+    ("next message far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.next += FAR)),
+    ("next message within the window", |packet| heartbeat(packet, |heartbeat| heartbeat.next += 500)),
+    ("settled message far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.settled += FAR)),
+    ("settled message ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.settled += 2)),
+    ("next datagram far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.number += FAR as u32)),
+    ("lost datagrams", |packet| heartbeat(packet, |heartbeat| heartbeat.arrivals.lost = u64::MAX)),
+    ("duplicated datagrams", |packet| {
+        heartbeat(packet, |heartbeat| heartbeat.arrivals.duplicated |= 1 << 40)
+    }),
+    ("reordered datagrams", |packet| heartbeat(packet, |heartbeat| heartbeat.arrivals.reordered += 3)),
+    ("time", |packet| heartbeat(packet, |heartbeat| heartbeat.time ^= 1 << 22)),
     ("fragment far ahead", |packet| data(packet, FAR, 0)),
     ("fragment ahead", |packet| data(packet, 500, 0)),
     ("datagram far ahead", |packet| data(packet, 0, FAR as u32)),
     ("datagram half of all numbers ahead", |packet| data(packet, 0, i32::MAX as u32)),
 ];
 
-impl World {
+impl SimulatedNetwork {
     /// Alters the next packet on the wire in one direction that is of the alteration's kind.
     fn alter_next(&mut self, is_to_cloud: bool, alter: Alteration) {
         let (at, from) = if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
@@ -83,31 +85,31 @@ impl World {
 }
 
 /// An open connection over which some messages went.
-fn open() -> (World, ConnectionId) {
-    let mut world = World::new(CALM, 1);
-    let id = world.open();
+fn open() -> (SimulatedNetwork, ConnectionId) {
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    let id = network.open();
     for tag in 0..20 {
-        assert!(world.exchange(id, tag));
+        assert!(network.exchange(id, tag));
     }
-    (world, id)
+    (network, id)
 }
 
 #[test]
 fn single_altered_packet_harms_no_later_message() {
     for (name, alter) in CASES {
         for is_to_cloud in [true, false] {
-            let (mut world, id) = open();
+            let (mut network, id) = open();
             // The message that is under way may be lost with the packet that is altered.
-            world.send(Some(90), b"up");
-            world.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
-            world.alter_next(is_to_cloud, alter);
-            // Longer than anything is waited for, with signs of life in between.
-            world.steps(6_000);
+            network.send(Some(90), b"up");
+            network.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
+            network.alter_next(is_to_cloud, alter);
+            // Longer than anything is waited for, with heartbeats in between.
+            network.steps(6_000);
             for tag in 100..130 {
                 assert!(
-                    world.exchange(id, tag),
+                    network.exchange(id, tag),
                     "{name}, to the cloud: {is_to_cloud}, {tag}: {:?}",
-                    world.events
+                    network.events
                 );
             }
         }
@@ -118,14 +120,14 @@ fn single_altered_packet_harms_no_later_message() {
 fn single_altered_packet_makes_no_absurd_total() {
     for (name, alter) in CASES {
         for is_to_cloud in [true, false] {
-            let (mut world, id) = open();
-            world.send(Some(90), b"up");
-            world.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
-            world.alter_next(is_to_cloud, alter);
-            world.steps(6_000);
-            let now = world.now;
-            let edge = world.edge.as_mut().expect("open").statistics(now);
-            let cloud = world.cloud.statistics(id, now);
+            let (mut network, id) = open();
+            network.send(Some(90), b"up");
+            network.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
+            network.alter_next(is_to_cloud, alter);
+            network.steps(6_000);
+            let now = network.now;
+            let edge = network.edge.as_mut().expect("open").statistics(now);
+            let cloud = network.cloud.statistics(id, now);
             for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
                 let [lost, duplicated, reordered] =
                     [direction.lost, direction.duplicated, direction.reordered]
@@ -146,62 +148,62 @@ fn single_altered_packet_makes_no_absurd_total() {
 
 #[test]
 fn word_of_messages_never_sent_is_garbage() {
-    let (mut world, id) = open();
+    let (mut network, id) = open();
     let connection = id.0;
     let forged = [
         // Of the last message that was sent, which has one fragment.
         Packet::Lost { connection, sequence: 19, received: 9, total: 9 },
         Packet::Lost { connection, sequence: FAR, received: 0, total: 0 },
         Packet::Progress { connection, sequence: FAR, end: 1 },
-        Packet::Ping { connection, sign: SignOfLife { next: FAR, time: 1, ..SignOfLife::default() } },
-        Packet::Ping { connection, sign: SignOfLife { settled: FAR, time: 2, ..SignOfLife::default() } },
+        Packet::Ping { connection, heartbeat: Heartbeat { next: FAR, time: 1, ..Heartbeat::default() } },
+        Packet::Ping { connection, heartbeat: Heartbeat { settled: FAR, time: 2, ..Heartbeat::default() } },
     ];
     for packet in forged {
-        world.arrivals.clear();
+        network.arrivals.clear();
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
-        world.cloud.hear(world.edge_address, None, &body, world.now);
-        world.steps(1);
+        network.cloud.receive(network.edge_address, None, &body, network.now);
+        network.steps(1);
         let is_garbage = |arrival: &Arrival| matches!(arrival, Arrival::Garbage(Some(_), _));
-        assert_eq!(world.arrivals.iter().filter(|arrival| is_garbage(arrival)).count(), 1, "{packet:?}");
-        assert!(world.exchange(id, 200), "{packet:?}");
+        assert_eq!(network.arrivals.iter().filter(|arrival| is_garbage(arrival)).count(), 1, "{packet:?}");
+        assert!(network.exchange(id, 200), "{packet:?}");
     }
 }
 
 #[test]
 fn long_gap_with_many_messages_ends_nothing() {
-    let (mut world, id) = open();
-    world.weather.loss = 100;
+    let (mut network, id) = open();
+    network.impairment.loss = 100;
     let mut sent = 0;
     for _ in 0..3_000 {
-        let edge = world.edge.as_mut().expect("open");
+        let edge = network.edge.as_mut().expect("open");
         sent += u32::from(edge.send(vec![Bytes::from_static(&[7; 100])], Some(sent.into()), None).is_ok());
-        world.step();
+        network.step();
     }
     assert!(sent > 2_000, "{sent} were sent into nothing");
-    world.weather.loss = 0;
-    world.steps(2_000);
+    network.impairment.loss = 0;
+    network.steps(2_000);
     for tag in 10_000..10_010 {
-        assert!(world.exchange(id, tag), "{:?}", world.events);
+        assert!(network.exchange(id, tag), "{:?}", network.events);
     }
 }
 
 #[test]
 fn ends_that_contradict_each_other_open_another_connection() {
     for jump in [FAR, 500] {
-        let (mut world, id) = open();
+        let (mut network, id) = open();
         // Two in succession that agree are believed: the cloud takes messages that are still to be sent for lost.
         for time in 1..3 {
-            let sign = SignOfLife { time, next: 20 + jump, ..SignOfLife::default() };
+            let heartbeat = Heartbeat { time, next: 20 + jump, ..Heartbeat::default() };
             let mut body = Vec::new();
-            Packet::Ping { connection: id.0, sign }.write(Role::Edge, &mut body);
-            world.cloud.hear(world.edge_address, None, &body, world.now);
+            Packet::Ping { connection: id.0, heartbeat }.write(Role::Edge, &mut body);
+            network.cloud.receive(network.edge_address, None, &body, network.now);
         }
-        world.steps(20_000);
-        let reason = world.events.iter().find_map(|event| match event {
+        network.steps(20_000);
+        let reason = network.events.iter().find_map(|event| match event {
             Event::Gone(reason) => Some(reason.as_str()),
             _ => None,
         });
-        assert!(reason.is_some_and(|reason| reason.contains("altered or forged")), "{:?}", world.events);
+        assert!(reason.is_some_and(|reason| reason.contains("altered or forged")), "{:?}", network.events);
     }
 }

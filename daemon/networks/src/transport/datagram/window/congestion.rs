@@ -1,14 +1,14 @@
-//! How much may be on its way, by what arrives and what is lost.
+//! Congestion window: the bytes that may be in flight, by arrivals and losses.
 
 use peernet_clock::MonoTime;
 
 use super::PROGRESS_BYTES;
 use super::in_flight::SILENCE;
 
-/// The least that may be on its way: more than goes unsaid for.
+/// Smallest size: more than arrives between two reports of progress. Bytes.
 pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
 
-/// What may be on its way at first.
+/// Initial size. Bytes.
 pub(super) const FIRST_WINDOW: u32 = 256 * 1024;
 
 /// Growth in a second after a loss, as a part of the size: it doubles in three seconds.
@@ -34,12 +34,12 @@ impl CongestionWindow {
         Self { most, size: FIRST_WINDOW.min(most), threshold: most, progressed: now, recovery: 0 }
     }
 
-    /// Bytes that may be on their way.
+    /// Bytes that may be in flight.
     pub(super) const fn size(&self) -> u32 {
         self.size
     }
 
-    /// So many bytes arrived, at least one.
+    /// Grows after `arrived` bytes arrived, at least one.
     pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
         let growth = if self.size < self.threshold {
             arrived
@@ -51,7 +51,7 @@ impl CongestionWindow {
         self.size = u64::from(self.size).saturating_add(growth).min(u64::from(self.most)) as u32;
     }
 
-    /// A message was lost, while `sent` bytes had left in all and `arrived` of them were not on their way any more.
+    /// Shrinks after the loss of a message; `sent` bytes had left in all, and `arrived` of them were not in flight any more.
     pub(super) fn shrink(&mut self, sent: u64, arrived: u64) {
         if arrived < self.recovery {
             return;

@@ -1,4 +1,4 @@
-//! What is on its way to the other end.
+//! Bytes in flight to the other end.
 
 use std::collections::VecDeque;
 
@@ -7,19 +7,19 @@ use peernet_clock::{MonoTime, Span};
 /// Without word from the other end for so long, what was sent is taken for arrived or lost.
 pub(super) const SILENCE: Span = Span::from_millis(200);
 
-/// Bytes of datagrams that have left, and of those of which the other end has said that it has come so far.
+/// Bytes of datagrams that have left, and of those that arrived by the other end's reports of progress.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     sent: u64,
     /// At most `sent`.
     arrived: u64,
-    /// The datagrams on their way, in the order in which they left.
+    /// The datagrams in flight, in the order in which they left.
     marks: VecDeque<Mark>,
     /// When the other end last came further, or the first of these datagrams left.
     heard: MonoTime,
 }
 
-/// A datagram on its way.
+/// A datagram in flight.
 #[derive(Clone, Copy, Debug)]
 struct Mark {
     /// Its message, and where its part of the message ends.
@@ -33,7 +33,7 @@ impl BytesInFlight {
         Self { sent: 0, arrived: 0, marks: VecDeque::new(), heard: now }
     }
 
-    /// Bytes on their way.
+    /// Bytes in flight.
     pub(super) const fn bytes(&self) -> u64 {
         self.sent - self.arrived
     }
@@ -43,18 +43,19 @@ impl BytesInFlight {
         self.sent
     }
 
-    /// All bytes that have left and are not on their way any more.
+    /// All bytes that have left and are not in flight any more.
     pub(super) const fn arrived(&self) -> u64 {
         self.arrived
     }
 
-    /// When what is on its way is taken for gone.
+    /// When the bytes in flight are taken for arrived or lost.
     pub(super) fn ends_at(&self) -> MonoTime {
         self.heard + SILENCE
     }
 
-    /// A datagram left, with the part of a message that ends there.
+    /// Notes a datagram that left, and where its part of a message ends.
     pub(super) fn send(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
+        // Silence counts while something is in flight only.
         if self.bytes() == 0 {
             self.heard = now;
         }
@@ -62,7 +63,7 @@ impl BytesInFlight {
         self.marks.push_back(Mark { end, sent: self.sent });
     }
 
-    /// The other end has come so far. Returns how many bytes arrived with that.
+    /// Takes a report of progress. Returns the bytes that arrived since the last one.
     pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         while let Some(mark) = self.marks.pop_front_if(|mark| mark.end <= end) {
@@ -75,7 +76,7 @@ impl BytesInFlight {
         arrived
     }
 
-    /// Takes what is on its way for gone when nothing was heard of it for long.
+    /// Takes the bytes in flight for arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.ends_at() {
             self.arrived = self.sent;

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// How far ahead of the configured rate sending may be.
+/// Longest time that sending may be ahead of the configured rate.
 const BURST: Span = Span::from_millis(2);
 
 /// Spaces datagrams so that they leave at a configured rate on the average.
@@ -24,7 +24,7 @@ impl Pacer {
         self.next - BURST
     }
 
-    /// A datagram of so many bytes left.
+    /// Notes that a datagram of `bytes` bytes left.
     pub(super) fn sent(&mut self, bytes: u32, now: MonoTime) {
         if let Some(rate) = self.bytes_per_second {
             let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;

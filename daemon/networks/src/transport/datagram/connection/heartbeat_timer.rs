@@ -1,45 +1,45 @@
-//! When the other end is asked for a sign of life, and when it counts as gone.
+//! Timers of heartbeats and of the end by silence.
 
 use peernet_clock::{MonoTime, Span};
 
-/// How long after a message the other end is asked what has arrived.
+/// Pause between a message and the heartbeat that asks what has arrived.
 const ASK_PAUSE: Span = Span::from_millis(50);
 
-/// How often it is asked at least while messages follow each other: statistics come with the answers.
+/// Longest time between heartbeats while messages follow each other: statistics come with the answers.
 const ASK_PERIOD: Span = Span::from_seconds(1);
 
-/// The times of a connection's signs of life.
+/// The timers of a connection.
 #[derive(Debug)]
-pub(super) struct Heartbeat {
+pub(super) struct HeartbeatTimer {
     interval: Span,
     timeout: Span,
     /// When the other end was last heard of.
     heard: MonoTime,
-    /// When it was last asked for a sign of life.
+    /// When it was last asked for a heartbeat.
     pinged: MonoTime,
 }
 
-impl Heartbeat {
+impl HeartbeatTimer {
     pub(super) const fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
         Self { interval, timeout, heard: now, pinged: now }
     }
 
-    /// How long the other end may be silent.
+    /// Longest silence of the other end.
     pub(super) const fn timeout(&self) -> Span {
         self.timeout
     }
 
-    /// Something arrived.
-    pub(super) fn hear(&mut self, now: MonoTime) {
+    /// Notes that a packet arrived.
+    pub(super) fn receive(&mut self, now: MonoTime) {
         self.heard = now;
     }
 
-    /// The other end is asked for a sign of life.
+    /// Notes that the other end is asked for a heartbeat.
     pub(super) fn ping(&mut self, now: MonoTime) {
         self.pinged = now;
     }
 
-    /// When the other end is to be asked; `sent_at` is when the last part of a message left, while messages are not settled
+    /// Returns when the other end is to be asked; `sent_at` is when the last part of a message left, while messages are not settled
     /// there: it is asked sooner then, as its answer tells what never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
         let idle = self.heard.max(self.pinged) + self.interval;
@@ -60,9 +60,9 @@ mod tests {
     #[test]
     fn other_end_is_asked_when_idle_and_after_messages() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
-        let mut heartbeat = Heartbeat::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
+        let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
         assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_000), at(5_000)));
-        heartbeat.hear(at(500));
+        heartbeat.receive(at(500));
         assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_500), at(5_500)));
         assert_eq!(heartbeat.ping_at(Some(at(600))), at(650), "after the last message");
         assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_000), "once a second while they follow each other");

@@ -1,26 +1,26 @@
-//! What the other end tells of this end's datagrams.
+//! Totals that the other end reports of this end's datagrams.
 
 use crate::transport::datagram::counting::ArrivalTotals;
 use crate::transport::datagram::false_claim::FalseClaim;
 
-/// Copies of each datagram that a network may make, on the average.
+/// Most copies of each datagram that a network is believed to make, on average.
 const MAX_COPIES: u64 = 16;
 
-/// The totals of this end's datagrams by the account of the other end.
+/// Totals of this end's datagrams, as the other end reports them.
 ///
-/// No total falls, and none is above what two packets in succession say: one that was altered or forged does not stay.
+/// No total falls, and none is above the lower of two reports in succession: a total that was altered or forged is not kept.
 #[derive(Debug, Default)]
-pub(super) struct ToldTotals {
+pub(super) struct ReportedTotals {
     last: Option<ArrivalTotals>,
     confirmed: Option<ArrivalTotals>,
 }
 
-impl ToldTotals {
-    /// The other end tells totals; `sent` is how many datagrams left here.
+impl ReportedTotals {
+    /// Takes a report; `sent` datagrams have left this end.
     ///
     /// # Errors
     /// When they are more than `sent` can have led to.
-    pub(super) fn tell(&mut self, totals: ArrivalTotals, sent: u64) -> Result<(), FalseClaim> {
+    pub(super) fn report(&mut self, totals: ArrivalTotals, sent: u64) -> Result<(), FalseClaim> {
         let ArrivalTotals { lost, duplicated, reordered } = totals;
         if lost.max(reordered) > sent || duplicated > sent.saturating_mul(MAX_COPIES) {
             return Err(FalseClaim::Totals);
@@ -31,7 +31,7 @@ impl ToldTotals {
         Ok(())
     }
 
-    /// The totals; `None` until the other end has told them twice.
+    /// Returns the totals; `None` before the second report.
     pub(super) const fn totals(&self) -> Option<ArrivalTotals> {
         self.confirmed
     }
@@ -47,24 +47,24 @@ mod tests {
 
     #[test]
     fn totals_follow_what_is_told_twice() {
-        let mut told = ToldTotals::default();
-        assert_eq!(told.tell(totals(1, 2, 3), 10), Ok(()));
+        let mut told = ReportedTotals::default();
+        assert_eq!(told.report(totals(1, 2, 3), 10), Ok(()));
         assert_eq!(told.totals(), None);
-        assert_eq!(told.tell(totals(2, 2, 4), 10), Ok(()));
+        assert_eq!(told.report(totals(2, 2, 4), 10), Ok(()));
         assert_eq!(told.totals(), Some(totals(1, 2, 3)));
-        assert_eq!(told.tell(totals(9, 9, 9), 10), Ok(()));
+        assert_eq!(told.report(totals(9, 9, 9), 10), Ok(()));
         assert_eq!(told.totals(), Some(totals(2, 2, 4)), "one packet alone is not believed");
-        assert_eq!(told.tell(totals(2, 3, 4), 10), Ok(()));
+        assert_eq!(told.report(totals(2, 3, 4), 10), Ok(()));
         assert_eq!(told.totals(), Some(totals(2, 3, 4)));
-        assert_eq!(told.tell(totals(1, 1, 1), 10), Ok(()));
+        assert_eq!(told.report(totals(1, 1, 1), 10), Ok(()));
         assert_eq!(told.totals(), Some(totals(2, 3, 4)), "no total falls");
     }
 
     #[test]
     fn totals_above_what_was_sent_are_refused() {
-        let mut told = ToldTotals::default();
+        let mut told = ReportedTotals::default();
         for absurd in [totals(11, 0, 0), totals(0, 161, 0), totals(0, 0, 11), totals(u64::MAX, 0, 0)] {
-            assert_eq!(told.tell(absurd, 10), Err(FalseClaim::Totals));
+            assert_eq!(told.report(absurd, 10), Err(FalseClaim::Totals));
         }
         assert_eq!(told.totals(), None);
     }
