@@ -4,8 +4,12 @@
 //! (packet numbers, RFC 9000 section 12.3). A number that is missing is waited for before it counts as lost, so that no
 //! total ever falls.
 
+mod gap_check;
+
 use peernet_clock::{MonoTime, Span};
 
+pub(super) use self::gap_check::MAX_GAP;
+use self::gap_check::{GapCheck, NextNumber};
 use crate::statistics::DatagramStatistics;
 
 /// A number that is missing for so long, and at most for twice as long, counts as lost.
@@ -14,10 +18,6 @@ const WAIT: Span = Span::from_seconds(1);
 /// Numbers below the highest one of which it is remembered whether they arrived. One that comes later still is not
 /// counted: it may be a duplicate.
 const REMEMBERED: u64 = 4_096;
-
-/// Numbers that one packet may pass over by itself. A longer gap is believed when the next packet has a number beyond it,
-/// too: a packet that was altered or forged on the way cannot make millions of lost datagrams.
-const MAX_GAP: u64 = 64;
 
 /// Totals that the receiving end of a direction reports to its sending end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -67,16 +67,7 @@ pub(crate) struct ArrivalCounter {
     since: MonoTime,
     /// Arrived numbers from `decided` to `waiting`, and from there on.
     arrived: (u64, u64),
-    /// A number beyond a long gap that the next packet has to confirm.
-    suspect: Option<Suspect>,
-}
-
-/// A number beyond a long gap.
-#[derive(Clone, Copy, Debug)]
-struct Suspect {
-    number: u64,
-    /// Whether a datagram had it; otherwise the other end has only reported it.
-    has_arrived: bool,
+    gaps: GapCheck,
 }
 
 impl ArrivalCounter {
@@ -90,7 +81,7 @@ impl ArrivalCounter {
             waiting: 0,
             since: now,
             arrived: (0, 0),
-            suspect: None,
+            gaps: GapCheck::new(now),
         }
     }
 
@@ -101,7 +92,7 @@ impl ArrivalCounter {
         let ahead = self.ahead(number);
         if ahead >= 0 {
             let number = self.next + ahead.unsigned_abs();
-            if self.is_believed(Suspect { number, has_arrived: true }) {
+            if self.is_believed(NextNumber { number, has_arrived: true }, now) {
                 self.arrive_next(number);
             }
             return;
@@ -126,29 +117,17 @@ impl ArrivalCounter {
     pub(crate) fn expect(&mut self, next: u32, now: MonoTime) {
         self.decide(now);
         let number = self.next + self.ahead(next).max(0).unsigned_abs();
-        if self.is_believed(Suspect { number, has_arrived: false }) {
+        if self.is_believed(NextNumber { number, has_arrived: false }, now) {
             self.advance(number.saturating_sub(self.next));
         }
     }
 
-    /// Whether a number that is not below the next one is believed: it is near, or the packet before had one that is near it.
-    fn is_believed(&mut self, found: Suspect) -> bool {
-        if found.number - self.next <= MAX_GAP {
-            self.suspect = None;
-            return true;
-        }
-        // A datagram that the network has doubled does not confirm itself.
-        let confirms = |suspect: &Suspect| {
-            let distance = suspect.number.abs_diff(found.number);
-            distance <= MAX_GAP && (distance > 0 || !found.has_arrived || !suspect.has_arrived)
-        };
-        let Some(suspect) = self.suspect.take_if(|suspect| confirms(suspect)) else {
-            self.suspect = Some(found);
-            return false;
-        };
-        // The first datagram beyond the gap was held back until now.
-        if suspect.has_arrived && suspect.number < found.number {
-            self.arrive_next(suspect.number);
+    /// Whether a number is believed. Counts the datagram beyond a gap that was held back until now.
+    fn is_believed(&mut self, found: NextNumber, now: MonoTime) -> bool {
+        let Some(confirmed) = self.gaps.check(self.next, found, now) else { return false };
+        let held_back = confirmed.filter(|held| held.has_arrived && held.number < found.number);
+        if let Some(held_back) = held_back {
+            self.arrive_next(held_back.number);
         }
         true
     }
@@ -291,12 +270,31 @@ mod tests {
     fn numbers_go_on_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
-        for number in numbers {
-            counter.arrive(number, at(0));
+        // So late that so many can have been sent.
+        for (day, number) in numbers.into_iter().enumerate() {
+            counter.arrive(number, at(day as i64 * 86_400_000));
         }
         assert_eq!(counter.next, (1 << 32) + 3);
+        let reordered = |counter: &ArrivalCounter| counter.totals.reordered;
+        assert_eq!(reordered(&counter), 0);
         counter.arrive(1, at(0));
-        assert_eq!(counter.totals(at(0)), totals(0, 0, 1));
+        assert_eq!(reordered(&counter), 1);
+    }
+
+    #[test]
+    fn number_slightly_ahead_distorts_totals_by_its_gap_only() {
+        let mut counter = ArrivalCounter::new(at(0));
+        for number in [0, 1, 1 + MAX_GAP as u32] {
+            counter.arrive(number, at(10));
+        }
+        for number in 2..100 {
+            counter.arrive(number, at(i64::from(number) * 100));
+        }
+        let totals = counter.totals(at(20_000));
+        assert!(
+            totals.lost <= MAX_GAP && totals.reordered <= MAX_GAP && totals.duplicated <= 1,
+            "{totals:?}"
+        );
     }
 
     proptest! {

@@ -1,6 +1,6 @@
 //! An edge and a cloud over a simulated network that loses, doubles and reorders.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
 use bytes::Bytes;
@@ -11,13 +11,14 @@ use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::handshake::{Dialled, Dialling};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
-use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
-use crate::transport::memory::MemoryBudget;
 use crate::transport::{Arrival, ConnectionId};
 
 mod altered_packets;
+mod simulated_network;
+
+use self::simulated_network::{Impairment, SimulatedNetwork, UNIMPAIRED};
 
 const PREFIX: &[u8] = b"\x01x";
 const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
@@ -41,170 +42,6 @@ pub(super) fn limits() -> EndpointLimits {
         max_connections: 64,
         hello_timeout: Span::from_seconds(30),
         terms: TERMS,
-    }
-}
-
-/// Impairments of each datagram. Percent.
-#[derive(Clone, Copy, Debug)]
-struct Impairment {
-    loss: u64,
-    doubled: u64,
-    reordered: u64,
-}
-
-const UNIMPAIRED: Impairment = Impairment { loss: 0, doubled: 0, reordered: 0 };
-
-struct SimulatedNetwork {
-    now: MonoTime,
-    impairment: Impairment,
-    random: u64,
-    edge_address: SocketAddr,
-    cloud: Endpoint,
-    dialling: Dialling,
-    edge: Option<Connection>,
-    /// Datagrams under way, by when they arrive: whether to the cloud, and their bytes.
-    wire: BTreeMap<(MonoTime, u64), (bool, SocketAddr, Vec<u8>)>,
-    count: u64,
-    arrivals: Vec<Arrival>,
-    events: Vec<Event>,
-    /// Longest datagrams that pass, up and down.
-    max_bytes: (usize, usize),
-}
-
-impl SimulatedNetwork {
-    fn new(impairment: Impairment, seed: u64) -> Self {
-        let now = MonoTime::default();
-        Self {
-            now,
-            impairment,
-            random: seed | 1,
-            edge_address: "192.0.2.1:1000".parse().expect("an address"),
-            cloud: Endpoint::new([7; 32], PREFIX, limits()),
-            dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
-            edge: None,
-            wire: BTreeMap::new(),
-            count: 0,
-            arrivals: Vec::new(),
-            events: Vec::new(),
-            max_bytes: (usize::MAX, usize::MAX),
-        }
-    }
-
-    /// Whether something happens that has a probability of `percent`.
-    fn chance(&mut self, percent: u64) -> bool {
-        // Xorshift, as good as any for impairment.
-        self.random ^= self.random << 13;
-        self.random ^= self.random >> 7;
-        self.random ^= self.random << 17;
-        self.random % 100 < percent
-    }
-
-    fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8]) {
-        let (up, down) = self.max_bytes;
-        let is_long = datagram.len() > if to_cloud { up } else { down };
-        let copies = if self.chance(self.impairment.loss) || is_long {
-            0
-        } else {
-            1 + u64::from(self.chance(self.impairment.doubled))
-        };
-        for _ in 0..copies {
-            let late = if self.chance(self.impairment.reordered) { 15 } else { 5 };
-            self.count += 1;
-            let key = (self.now + Span::from_millis(late), self.count);
-            self.wire.insert(key, (to_cloud, address, datagram.to_vec()));
-        }
-    }
-
-    /// Moves time on by a millisecond.
-    fn step(&mut self) {
-        self.now = self.now + Span::from_millis(1);
-        let now = self.now;
-        let later = self.wire.split_off(&(now, u64::MAX));
-        let due = std::mem::replace(&mut self.wire, later);
-        for (to_cloud, address, datagram) in due.into_values() {
-            let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
-            if to_cloud {
-                self.cloud.receive(address, None, body, now);
-                continue;
-            }
-            let packet = Packet::read(Role::Edge, body).expect("a packet");
-            match &mut self.edge {
-                Some(edge) if packet.connection().is_some() => edge.receive(packet, now),
-                Some(_) => {}
-                None => {
-                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
-                        let limits = limits();
-                        self.edge = Some(Connection::new(
-                            PacketWriter::new(Role::Edge, connection, PREFIX),
-                            terms,
-                            limits.connection,
-                            (limits.reassembly, MemoryBudget::new(10_000_000)),
-                            now,
-                        ));
-                    }
-                }
-            }
-        }
-        let mut out = PREFIX.to_vec();
-        if self.edge.is_none() && self.dialling.fill(&mut out, now).expect("some pass") {
-            self.carry(true, self.edge_address, &out);
-        }
-        if let Some(edge) = &mut self.edge {
-            edge.tick(now);
-        }
-        self.cloud.tick(now);
-        loop {
-            out.clear();
-            let Some(batch) = self.edge.as_mut().and_then(|edge| edge.fill(&mut out, 10, now)) else { break };
-            let address = self.edge_address;
-            for datagram in out.clone().chunks(batch.segment) {
-                assert!(datagram.len() <= TERMS.datagram.into());
-                self.carry(true, address, datagram);
-            }
-        }
-        loop {
-            out.clear();
-            let Some((route, batch)) = self.cloud.fill(&mut out, 10, now) else { break };
-            for datagram in out.clone().chunks(batch.segment) {
-                if route.to == self.edge_address {
-                    self.carry(false, route.to, datagram);
-                }
-            }
-        }
-        if let Some(edge) = &mut self.edge {
-            self.events.extend(std::iter::from_fn(|| edge.next_event()));
-        }
-        let cloud = &mut self.cloud;
-        self.arrivals.extend(std::iter::from_fn(|| cloud.next_arrival()).map(|delivery| delivery.arrival));
-    }
-
-    fn steps(&mut self, millis: u64) {
-        (0..millis).for_each(|_| self.step());
-    }
-
-    /// Opens a connection and makes it one with a session.
-    fn open(&mut self) -> ConnectionId {
-        self.send(None, b"hello");
-        for _ in 0..20_000 {
-            self.step();
-            if let Some(Arrival::Message(peer, frames)) = self.arrivals.pop() {
-                assert_eq!(frames, [&b"hello"[..]]);
-                self.cloud.admit(peer.connection);
-                return peer.connection;
-            }
-        }
-        panic!("no hello arrives");
-    }
-
-    fn send(&mut self, tag: Option<u64>, bytes: &[u8]) {
-        for _ in 0..20_000 {
-            if let Some(edge) = &mut self.edge {
-                edge.send(vec![Bytes::copy_from_slice(bytes)], tag, None).expect("there is room");
-                return;
-            }
-            self.step();
-        }
-        panic!("no connection opens");
     }
 }
 
@@ -294,7 +131,7 @@ fn silence_ends_connection_at_both_ends() {
     let id = network.open();
     network.steps(7_000);
     assert!(network.arrivals.is_empty() && network.events.is_empty(), "heartbeats keep it open");
-    network.impairment.loss = 100;
+    network.path.impairment.loss = 100;
     network.steps(6_000);
     assert!(matches!(network.arrivals[..], [Arrival::Gone(gone, _)] if gone == id));
     assert!(matches!(network.events[..], [Event::Gone(_)]));
@@ -454,7 +291,7 @@ fn connection_ends_when_path_stops_carrying_long_datagrams() {
     for loses_upload in [true, false] {
         let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
         let id = network.open();
-        network.max_bytes = if loses_upload { (1_000, usize::MAX) } else { (usize::MAX, 1_000) };
+        network.path.max_bytes = if loses_upload { (1_000, usize::MAX) } else { (usize::MAX, 1_000) };
         for tag in 0..40 {
             if network.edge.as_ref().is_some_and(Connection::is_closed) {
                 break;

@@ -54,7 +54,7 @@ impl SimulatedNetwork {
     fn alter_next(&mut self, is_to_cloud: bool, alter: Alteration) {
         let (at, from) = if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
         for _ in 0..5_000 {
-            for (to_cloud, _, datagram) in self.wire.values_mut() {
+            for (to_cloud, _, datagram) in self.path.datagrams.values_mut() {
                 let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
                 if *to_cloud == is_to_cloud
                     && let Some(packet) = alter(Packet::read(at, body).expect("a packet"))
@@ -173,7 +173,7 @@ fn word_of_messages_never_sent_is_garbage() {
 #[test]
 fn long_gap_with_many_messages_ends_nothing() {
     let (mut network, id) = open();
-    network.impairment.loss = 100;
+    network.path.impairment.loss = 100;
     let mut sent = 0;
     for _ in 0..3_000 {
         let edge = network.edge.as_mut().expect("open");
@@ -181,7 +181,7 @@ fn long_gap_with_many_messages_ends_nothing() {
         network.step();
     }
     assert!(sent > 2_000, "{sent} were sent into nothing");
-    network.impairment.loss = 0;
+    network.path.impairment.loss = 0;
     network.steps(2_000);
     for tag in 10_000..10_010 {
         assert!(network.exchange(id, tag), "{:?}", network.events);

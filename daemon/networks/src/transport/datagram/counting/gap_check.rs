@@ -1,0 +1,104 @@
+//! Datagram numbers beyond a gap, any one of which may have been altered or forged on the way.
+
+use peernet_clock::MonoTime;
+
+/// Numbers that one packet may pass over by itself: more than networks reorder.
+pub(in crate::transport::datagram) const MAX_GAP: u64 = 64;
+
+/// Datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
+const MAX_PER_MILLISECOND: u64 = 4_000;
+
+/// Decides whether a number beyond a gap is believed.
+///
+/// A long gap is believed when the next packet has a number beyond it, too (RFC 3550, appendix A.1), and when the other end can
+/// have sent so much since the last number that was believed.
+#[derive(Debug)]
+pub(super) struct GapCheck {
+    suspect: Option<NextNumber>,
+    believed_at: MonoTime,
+}
+
+/// A number that is not below the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct NextNumber {
+    pub(super) number: u64,
+    /// Whether a datagram had it; otherwise the other end has only reported it.
+    pub(super) has_arrived: bool,
+}
+
+impl GapCheck {
+    pub(super) const fn new(now: MonoTime) -> Self {
+        Self { suspect: None, believed_at: now }
+    }
+
+    /// Checks a number; those below `next` are known. Returns `None` when it is held back, and otherwise the number that was
+    /// held back before and is confirmed by this one, if there is one.
+    pub(super) fn check(
+        &mut self,
+        next: u64,
+        found: NextNumber,
+        now: MonoTime,
+    ) -> Option<Option<NextNumber>> {
+        let gap = found.number - next;
+        if gap <= MAX_GAP {
+            (self.suspect, self.believed_at) = (None, now);
+            return Some(None);
+        }
+        let elapsed = u64::try_from((now - self.believed_at).nanos() / 1_000_000).unwrap_or(0);
+        let is_possible = gap <= (elapsed + 1).saturating_mul(MAX_PER_MILLISECOND);
+        let confirmed = self.suspect.filter(|suspect| is_possible && found.confirms(suspect));
+        if confirmed.is_none() {
+            self.suspect = Some(found);
+            return None;
+        }
+        (self.suspect, self.believed_at) = (None, now);
+        Some(confirmed)
+    }
+}
+
+impl NextNumber {
+    fn confirms(&self, suspect: &Self) -> bool {
+        let distance = suspect.number.abs_diff(self.number);
+        // A datagram that the network has doubled does not confirm itself.
+        let is_other = distance > 0 || !self.has_arrived || !suspect.has_arrived;
+        distance <= MAX_GAP && is_other
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Span;
+
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::default() + Span::from_millis(millis)
+    }
+
+    fn datagram(number: u64) -> NextNumber {
+        NextNumber { number, has_arrived: true }
+    }
+
+    #[test]
+    fn long_gap_waits_for_another_packet_beyond_it() {
+        let mut check = GapCheck::new(at(0));
+        assert_eq!(check.check(5, datagram(5 + MAX_GAP), at(0)), Some(None));
+        assert_eq!(check.check(5, datagram(1_000), at(1)), None);
+        assert_eq!(check.check(5, datagram(1_000), at(1)), None, "a doubled datagram");
+        assert_eq!(check.check(5, datagram(1_003), at(1)), Some(Some(datagram(1_000))));
+        assert_eq!(check.check(5, datagram(1_000), at(2)), None);
+        assert_eq!(check.check(5, datagram(6), at(2)), Some(None));
+        assert_eq!(check.check(7, datagram(1_001), at(2)), None, "a number in between disproved the first");
+        let reported = NextNumber { number: 1_001, has_arrived: false };
+        assert_eq!(check.check(7, reported, at(2)), Some(Some(datagram(1_001))));
+    }
+
+    #[test]
+    fn gap_longer_than_peer_can_have_sent_is_never_believed() {
+        let mut check = GapCheck::new(at(0));
+        for number in 0..10 {
+            assert_eq!(check.check(0, datagram(1_000_000 + number), at(100)), None);
+        }
+        assert_eq!(check.check(0, datagram(1_000_010), at(300)), Some(Some(datagram(1_000_009))));
+    }
+}

@@ -1,0 +1,195 @@
+//! An edge and a cloud over a simulated path that loses, doubles and reorders datagrams.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+
+use bytes::Bytes;
+use peernet_clock::{MonoTime, Span};
+
+use super::super::connection::{Connection, Event};
+use super::super::endpoint::Endpoint;
+use super::super::handshake::{Dialled, Dialling};
+use super::super::packet::{Packet, Role};
+use super::super::packet_writer::PacketWriter;
+use super::{PREFIX, TERMS, limits};
+use crate::transport::memory::MemoryBudget;
+use crate::transport::{Arrival, ConnectionId};
+
+/// Impairments of each datagram. Percent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Impairment {
+    pub(super) loss: u64,
+    pub(super) doubled: u64,
+    pub(super) reordered: u64,
+}
+
+pub(super) const UNIMPAIRED: Impairment = Impairment { loss: 0, doubled: 0, reordered: 0 };
+
+/// The datagrams under way between an edge and a cloud.
+pub(super) struct ImpairedPath {
+    pub(super) impairment: Impairment,
+    random: u64,
+    /// Longest datagrams that pass, up and down.
+    pub(super) max_bytes: (usize, usize),
+    /// By arrival: whether they go to the cloud, the address of the edge, and their bytes.
+    pub(super) datagrams: BTreeMap<(MonoTime, u64), (bool, SocketAddr, Vec<u8>)>,
+    count: u64,
+}
+
+impl ImpairedPath {
+    /// Whether something happens that has a probability of `percent`.
+    fn chance(&mut self, percent: u64) -> bool {
+        // Xorshift, as good as any for this.
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        self.random % 100 < percent
+    }
+
+    fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8], now: MonoTime) {
+        let (up, down) = self.max_bytes;
+        let is_long = datagram.len() > if to_cloud { up } else { down };
+        let copies = if self.chance(self.impairment.loss) || is_long {
+            0
+        } else {
+            1 + u64::from(self.chance(self.impairment.doubled))
+        };
+        for _ in 0..copies {
+            let late = if self.chance(self.impairment.reordered) { 15 } else { 5 };
+            self.count += 1;
+            let key = (now + Span::from_millis(late), self.count);
+            self.datagrams.insert(key, (to_cloud, address, datagram.to_vec()));
+        }
+    }
+
+    /// Takes the datagrams that have arrived, in their order.
+    fn take_due(&mut self, now: MonoTime) -> impl Iterator<Item = (bool, SocketAddr, Vec<u8>)> + use<> {
+        let later = self.datagrams.split_off(&(now, u64::MAX));
+        std::mem::replace(&mut self.datagrams, later).into_values()
+    }
+}
+
+/// An edge and a cloud, and the path between them.
+pub(super) struct SimulatedNetwork {
+    pub(super) now: MonoTime,
+    pub(super) path: ImpairedPath,
+    pub(super) edge_address: SocketAddr,
+    pub(super) cloud: Endpoint,
+    dialling: Dialling,
+    pub(super) edge: Option<Connection>,
+    /// What the cloud and the edge have handed up.
+    pub(super) arrivals: Vec<Arrival>,
+    pub(super) events: Vec<Event>,
+}
+
+impl SimulatedNetwork {
+    pub(super) fn new(impairment: Impairment, seed: u64) -> Self {
+        let now = MonoTime::default();
+        Self {
+            now,
+            path: ImpairedPath {
+                impairment,
+                random: seed | 1,
+                max_bytes: (usize::MAX, usize::MAX),
+                datagrams: BTreeMap::new(),
+                count: 0,
+            },
+            edge_address: "192.0.2.1:1000".parse().expect("an address"),
+            cloud: Endpoint::new([7; 32], PREFIX, limits()),
+            dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
+            edge: None,
+            arrivals: Vec::new(),
+            events: Vec::new(),
+        }
+    }
+
+    /// Moves time on by a millisecond.
+    pub(super) fn step(&mut self) {
+        self.now = self.now + Span::from_millis(1);
+        let now = self.now;
+        for (to_cloud, address, datagram) in self.path.take_due(now) {
+            let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
+            if to_cloud {
+                self.cloud.receive(address, None, body, now);
+                continue;
+            }
+            let packet = Packet::read(Role::Edge, body).expect("a packet");
+            match &mut self.edge {
+                Some(edge) if packet.connection().is_some() => edge.receive(packet, now),
+                Some(_) => {}
+                None => {
+                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
+                        let limits = limits();
+                        self.edge = Some(Connection::new(
+                            PacketWriter::new(Role::Edge, connection, PREFIX),
+                            terms,
+                            limits.connection,
+                            (limits.reassembly, MemoryBudget::new(10_000_000)),
+                            now,
+                        ));
+                    }
+                }
+            }
+        }
+        let mut out = PREFIX.to_vec();
+        if self.edge.is_none() && self.dialling.fill(&mut out, now).expect("some pass") {
+            self.path.carry(true, self.edge_address, &out, now);
+        }
+        if let Some(edge) = &mut self.edge {
+            edge.tick(now);
+        }
+        self.cloud.tick(now);
+        loop {
+            out.clear();
+            let Some(batch) = self.edge.as_mut().and_then(|edge| edge.fill(&mut out, 10, now)) else { break };
+            let address = self.edge_address;
+            for datagram in out.clone().chunks(batch.segment) {
+                assert!(datagram.len() <= TERMS.datagram.into());
+                self.path.carry(true, address, datagram, now);
+            }
+        }
+        loop {
+            out.clear();
+            let Some((route, batch)) = self.cloud.fill(&mut out, 10, now) else { break };
+            for datagram in out.clone().chunks(batch.segment) {
+                if route.to == self.edge_address {
+                    self.path.carry(false, route.to, datagram, now);
+                }
+            }
+        }
+        if let Some(edge) = &mut self.edge {
+            self.events.extend(std::iter::from_fn(|| edge.next_event()));
+        }
+        let cloud = &mut self.cloud;
+        self.arrivals.extend(std::iter::from_fn(|| cloud.next_arrival()).map(|delivery| delivery.arrival));
+    }
+
+    pub(super) fn steps(&mut self, millis: u64) {
+        (0..millis).for_each(|_| self.step());
+    }
+
+    /// Opens a connection and makes it one with a session.
+    pub(super) fn open(&mut self) -> ConnectionId {
+        self.send(None, b"hello");
+        for _ in 0..20_000 {
+            self.step();
+            if let Some(Arrival::Message(peer, frames)) = self.arrivals.pop() {
+                assert_eq!(frames, [&b"hello"[..]]);
+                self.cloud.admit(peer.connection);
+                return peer.connection;
+            }
+        }
+        panic!("no hello arrives");
+    }
+
+    pub(super) fn send(&mut self, tag: Option<u64>, bytes: &[u8]) {
+        for _ in 0..20_000 {
+            if let Some(edge) = &mut self.edge {
+                edge.send(vec![Bytes::copy_from_slice(bytes)], tag, None).expect("there is room");
+                return;
+            }
+            self.step();
+        }
+        panic!("no connection opens");
+    }
+}
