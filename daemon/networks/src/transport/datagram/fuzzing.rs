@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use peernet_clock::{MonoTime, Span};
 
 use super::connection::ConnectionLimits;
+use super::counting::ArrivalTotals;
 use super::endpoint::{Endpoint, EndpointLimits};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
@@ -28,8 +29,8 @@ struct Port {
 /// any bytes, fragments and packets of an open connection with any fields, and time.
 ///
 /// # Panics
-/// When a promise is broken: an unverified address is sent more than came from it, or messages take more memory than
-/// they may.
+/// When a promise is broken: an unverified address is sent more than came from it, messages take more memory than
+/// they may, or more datagrams count as lost than were sent.
 pub fn any_datagrams(script: &[u8]) {
     let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
     let mut rest = script;
@@ -101,6 +102,8 @@ impl Port {
         while let Some(delivery) = self.endpoint.next_arrival() {
             assert!(!matches!(delivery.arrival, Arrival::Moved(_, to) if to == self.stranger));
         }
+        let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
+        assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
         assert!(self.endpoint.held_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
         back
     }
@@ -120,8 +123,8 @@ impl Port {
             bytes: bytes.get(7..).unwrap_or_default(),
         };
         let (sequence, far) = (number(0), number(1) << (number(2) % 64));
-        let heartbeat =
-            |next, settled| Heartbeat { time: far, next, settled, number: far as u32, ..Default::default() };
+        let arrivals = ArrivalTotals { lost: number(3), duplicated: far, reordered: number(4) };
+        let heartbeat = |next, settled| Heartbeat { time: far, next, settled, number: far as u32, arrivals };
         let packet = match what & 0x0f {
             0 => {
                 self.check(from, bytes);

@@ -228,13 +228,14 @@ impl Sending {
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
-        // A message that is being sent cannot be lost yet.
-        let Some(message) = self.outstanding.get_mut(sequence).filter(|_| sequence < current) else {
-            return Ok((0, 0, None));
-        };
+        let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {
             return Err(FalseClaim::Fragments);
+        }
+        if sequence == current {
+            // The other end found no room for it. The rest would arrive in vain, and the loss would not be known here in time.
+            self.queue.drop_front();
         }
         if std::mem::replace(&mut message.is_lost, true) {
             return Ok((tag, fragments, None));

@@ -261,6 +261,46 @@ fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
 }
 
 #[test]
+fn message_without_room_is_lost_while_it_still_leaves() {
+    let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
+    network.open();
+    let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
+    let mut now = network.now;
+    let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
+    network.cloud.admit(ConnectionId(connection));
+    network.now = now;
+    // Fragments of two messages that take nearly all memory.
+    for number in 0..9_000 {
+        let fragment = Fragment {
+            sequence: u64::from(number % 2),
+            tag: 1,
+            offset: (number / 2 + 1) * 1_000,
+            total: limits().reassembly.max_message_bytes,
+            checksum: 0,
+            stride: 1_000,
+            lifetime_ms: 0,
+            bytes: &[7; 1_000],
+        };
+        let mut body = Vec::new();
+        Packet::Data { connection, number, fragment }.write(Role::Edge, &mut body);
+        network.cloud.receive(stranger, None, &body, now);
+    }
+    network.send(Some(1), &vec![9; 3_000_000]);
+    let lost = |event: &Event| matches!(event, Event::Lost(loss) if loss.tag == Some(1));
+    for _ in 0..1_000 {
+        network.step();
+        if network.events.iter().any(lost) {
+            break;
+        }
+    }
+    assert!(network.events.iter().any(lost), "{} bytes are held", network.cloud.held_bytes());
+    network.send(Some(2), b"small");
+    network.steps(50);
+    let arrived = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == "small");
+    assert!(network.arrivals.iter().any(arrived), "{:?}", network.arrivals);
+}
+
+#[test]
 fn large_datagrams_that_do_not_pass_are_given_up() {
     let mut now = MonoTime::default();
     let large = Terms { datagram: 8_000, ..TERMS };

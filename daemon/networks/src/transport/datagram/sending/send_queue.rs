@@ -63,6 +63,13 @@ impl SendQueue {
         Some(end)
     }
 
+    /// Drops what is left of the first message.
+    pub(super) fn drop_front(&mut self) {
+        if let Some(message) = self.messages.pop_front() {
+            self.bytes -= u64::from(message.remaining());
+        }
+    }
+
     /// Drops the messages whose deadline is over. Returns their numbers.
     pub(super) fn expire(&mut self, now: MonoTime) -> Vec<u64> {
         let (mut expired, bytes) = (Vec::new(), &mut self.bytes);
@@ -104,6 +111,13 @@ mod tests {
         assert!(queue.has_room(960) && !queue.has_room(961));
         assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 100)));
         assert!(queue.is_empty() && queue.front().is_none());
+        queue.push(message(2, 94, None));
+        queue.push(message(3, 94, None));
+        queue.take(60, &mut Vec::new());
+        queue.drop_front();
+        assert_eq!(queue.front().map(|message| message.sequence), Some(3));
+        assert!(queue.has_room(900) && !queue.has_room(901));
+        queue.drop_front();
         assert_eq!(queue.take(60, &mut Vec::new()), None);
     }
 
