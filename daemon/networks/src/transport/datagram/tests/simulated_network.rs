@@ -77,6 +77,8 @@ pub(super) struct SimulatedNetwork {
     pub(super) cloud: Endpoint,
     dialling: Dialling,
     pub(super) edge: Option<Connection>,
+    /// Number of the edge's connection, once it is open.
+    edge_id: Option<u64>,
     /// What the cloud and the edge have handed up.
     pub(super) arrivals: Vec<Arrival>,
     pub(super) events: Vec<Event>,
@@ -98,6 +100,7 @@ impl SimulatedNetwork {
             cloud: Endpoint::new([7; 32], PREFIX, limits()),
             dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
             edge: None,
+            edge_id: None,
             arrivals: Vec::new(),
             events: Vec::new(),
         }
@@ -113,13 +116,15 @@ impl SimulatedNetwork {
                 self.cloud.receive(address, None, body, now);
                 continue;
             }
-            let packet = Packet::read(Role::Edge, body).expect("a packet");
+            // One that was altered on the way may be none any more; the driver counts it then.
+            let Ok(packet) = Packet::read(Role::Edge, body) else { continue };
             match &mut self.edge {
-                Some(edge) if packet.connection().is_some() => edge.receive(packet, now),
+                Some(edge) if packet.connection() == self.edge_id => edge.receive(packet, now),
                 Some(_) => {}
                 None => {
                     if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
                         let limits = limits();
+                        self.edge_id = Some(connection);
                         self.edge = Some(Connection::new(
                             PacketWriter::new(Role::Edge, connection, PREFIX),
                             terms,
