@@ -4,8 +4,11 @@
 //! A *virtual connection* is opened by a [`handshake`], has heartbeats, and is ended by a goodbye or by silence
 //! ([`connection`]). A message is split into [fragments](fragment); at the other end [`reassembly`] puts it together
 //! or counts it as lost, and then both ends learn how many of its fragments arrived. Nothing is sent again but what opens
-//! and closes sessions. [`window`] bounds how much is on its way, [`counting`] has the losses of datagrams, [`endpoint`] has all connections of a port, and
-//! [`packet`] describes the wire form.
+//! and closes sessions. [`window`] bounds the bytes in flight, [`counting`] has the losses of datagrams, [`endpoint`] has all
+//! connections of a port, and [`packet`] describes the wire form.
+//!
+//! Any packet may have been altered or forged on the way: a number far ahead and a total need a second packet that agrees
+//! ([`receiving`], [`counting`], [`measurement`]), and what contradicts this end's own state is a [`false_claim`].
 
 pub(crate) mod connection;
 pub(crate) mod counting;
