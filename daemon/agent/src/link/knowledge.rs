@@ -95,9 +95,18 @@ impl Knowledge {
         self.networks.leave(network);
     }
 
-    /// Everything of the sessions that are over by now is counted.
-    pub(super) fn settle_sessions(&mut self) {
-        self.networks.settle();
+    /// The session that probed is over and its probes are counted: the last sample of each network without sessions ends here. Another
+    /// session probes from now on.
+    pub(super) fn settle_sessions(&mut self, now: Stamp) -> News {
+        let mut news = self.turn(now);
+        for network in self.networks.take_ended(0) {
+            if !self.second.is_empty() {
+                let offset = self.relation.offset(now.raw, now.wall);
+                news.samples.push(self.sample(&network, now, offset));
+                self.second.forget(&network);
+            }
+        }
+        news
     }
 
     /// An exchange of data over a network finished: judges the delays of its two ways.

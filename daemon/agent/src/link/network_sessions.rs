@@ -4,8 +4,11 @@ use std::collections::BTreeMap;
 
 use peernet_stream::NetworkName;
 
-/// Number of sessions by network. A network whose sessions are over stays until everything of them is counted and the second in which that
-/// happened is closed; the last network stays for good, because what follows its sessions is told of it.
+/// Closed seconds in which a network is still told of after its last session. Probes are those of the pair of hosts, sent by the oldest
+/// session whatever its network: those that were under way when another session ended come back or are lost in this time.
+const LINGER_SECONDS: u8 = 2;
+
+/// Number of sessions by network. The last network stays for good: what follows its sessions is told of it.
 #[derive(Debug, Default)]
 pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 
@@ -13,15 +16,15 @@ pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 #[derive(Debug, Default)]
 struct Sessions {
     open: usize,
-    /// Everything of those that are over is counted.
-    is_settled: bool,
+    /// Seconds that were closed since the last one was over.
+    closed_seconds: u8,
 }
 
 impl NetworkSessions {
     /// A session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
         let sessions = self.0.entry(network.clone()).or_default();
-        (sessions.open, sessions.is_settled) = (sessions.open + 1, false);
+        (sessions.open, sessions.closed_seconds) = (sessions.open + 1, 0);
     }
 
     /// A session over this network is over.
@@ -31,16 +34,24 @@ impl NetworkSessions {
         }
     }
 
-    /// Everything of the sessions that are over by now is counted.
-    pub(super) fn settle(&mut self) {
-        self.0.values_mut().for_each(|sessions| sessions.is_settled = sessions.open == 0);
+    /// A second was told of these networks.
+    pub(super) fn close_second(&mut self) {
+        for ended in self.0.values_mut().filter(|sessions| sessions.open == 0) {
+            ended.closed_seconds = ended.closed_seconds.saturating_add(1);
+        }
+        self.take_ended(LINGER_SECONDS);
     }
 
-    /// Forgets the networks whose sessions are over and counted.
-    pub(super) fn close_second(&mut self) {
-        if self.0.values().any(|sessions| sessions.open > 0) {
-            self.0.retain(|_, sessions| !sessions.is_settled);
+    /// Takes away the networks without sessions of which so many seconds were told, unless none has any session.
+    pub(super) fn take_ended(&mut self, closed_seconds: u8) -> Vec<NetworkName> {
+        if self.0.values().all(|sessions| sessions.open == 0) {
+            return Vec::new();
         }
+        let is_ended = |sessions: &Sessions| sessions.open == 0 && sessions.closed_seconds >= closed_seconds;
+        let ended = self.0.iter().filter(|(_, sessions)| is_ended(sessions));
+        let ended: Vec<NetworkName> = ended.map(|(network, _)| network.clone()).collect();
+        self.0.retain(|_, sessions| !is_ended(sessions));
+        ended
     }
 
     /// The networks, in the order of their names.

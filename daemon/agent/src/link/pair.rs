@@ -234,9 +234,11 @@ impl Link {
         self.sessions.borrow().is_empty()
     }
 
-    /// Everything of the sessions that are over by now is counted.
+    /// The session that probed is over, and its probes are counted.
     pub(super) fn settle_sessions(&self) {
-        lock(&self.knowledge).settle_sessions();
+        let now = self.shared.host.clock.stamp();
+        let news = lock(&self.knowledge).settle_sessions(now);
+        self.tell(news);
     }
 
     /// As it is shown: a link for each network in use.

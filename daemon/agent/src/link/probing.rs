@@ -52,8 +52,6 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
                 if changed.is_err() || !still {
                     break;
                 }
-                // No probe belongs to those that are over.
-                link.settle_sessions();
             }
             Ok(()) = own.changed() => {
                 let clock = own.borrow_and_update().clone();

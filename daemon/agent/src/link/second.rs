@@ -107,6 +107,11 @@ impl Second {
         self.delays.keys()
     }
 
+    /// Everything of a network is told.
+    pub(super) fn forget(&mut self, network: &NetworkName) {
+        self.delays.remove(network);
+    }
+
     /// Round trips of probes.
     pub(super) fn round_trips(&self) -> Option<RoundTrip> {
         Some(RoundTrip { min: self.shortest?, median: self.trips.median(|trip| *trip)? })

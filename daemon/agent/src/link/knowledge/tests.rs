@@ -247,11 +247,23 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
-    knowledge.settle_sessions();
-    assert_eq!(networks(knowledge.turn(now(2001))), [network(), other.clone()]);
+    assert_eq!(networks(knowledge.settle_sessions(now(1300))), [network()]);
+    assert_eq!(networks(knowledge.turn(now(2001))), [other.clone()]);
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
     knowledge.leave(&other);
     assert_eq!(networks(knowledge.finish(now(2200))), [other]);
+}
+
+#[test]
+fn network_that_another_session_probes_for_is_told_of_two_seconds_longer() {
+    let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
+    knowledge.join(&other);
+    knowledge.leave(&other);
+    let mut told = |second: i64| {
+        let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_000 * second + 100));
+        knowledge.turn(now(1_000 * (second + 1) + 1)).samples.len()
+    };
+    assert_eq!([0, 1, 2, 3].map(&mut told), [2, 2, 1, 1]);
 }
 
 #[test]
@@ -266,7 +278,7 @@ fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
     news.push(knowledge.turn(now(2_001)));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_002));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_003));
-    knowledge.settle_sessions();
+    news.push(knowledge.settle_sessions(now(2_004)));
     news.push(knowledge.turn(now(3_001)));
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(3_100));
     news.push(knowledge.turn(now(4_001)));
