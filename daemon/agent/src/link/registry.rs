@@ -35,6 +35,8 @@ struct Inner {
     /// The first of them that died.
     died: watch::Sender<Option<LinkPanic>>,
     sessions: AtomicU64,
+    /// Sessions that are over.
+    ended_sessions: AtomicU64,
 }
 
 /// A cloud as it introduced itself.
@@ -75,6 +77,7 @@ impl Links {
             tasks: TaskTracker::new(),
             died: watch::Sender::new(None),
             sessions: AtomicU64::new(0),
+            ended_sessions: AtomicU64::new(0),
         }))
     }
 
@@ -142,6 +145,11 @@ impl Links {
         links.iter().flat_map(|link| link.live()).collect()
     }
 
+    /// Number of sessions, with a connection each, that are over since the agent started.
+    pub(crate) fn ended_sessions(&self) -> u64 {
+        self.0.ended_sessions.load(Ordering::Relaxed)
+    }
+
     /// Looks after the links' tasks until it is told to stop and all sessions are over.
     ///
     /// # Errors
@@ -199,6 +207,7 @@ impl Drop for Attached {
         if over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
             open.remove(&self.link.cloud.id);
         }
+        self.links.0.ended_sessions.fetch_add(1, Ordering::Relaxed);
     }
 }
 

@@ -25,6 +25,19 @@ fn grouped(number: u64) -> String {
     text
 }
 
+/// What is so when the aggregator takes the agent in.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Welcome {
+    /// The newest batch that the aggregator has.
+    pub(super) stored: u64,
+    /// It lacks batches that were acknowledged.
+    pub(super) lacks: bool,
+    /// Events that wait.
+    pub(super) waiting: u64,
+    /// Connections to clouds that ended since the last live update.
+    pub(super) untold_ends: u64,
+}
+
 /// Says each trouble once.
 #[derive(Debug)]
 pub(super) struct Reports {
@@ -42,7 +55,8 @@ impl Reports {
     }
 
     /// The aggregator took us in.
-    pub(super) fn welcomed(&mut self, aggregator: &Slug, stored: u64, lacks: bool, waiting: u64) {
+    pub(super) fn welcomed(&mut self, aggregator: &Slug, welcome: &Welcome) {
+        let Welcome { stored, lacks, waiting, untold_ends } = *welcome;
         self.said = None;
         let has = match stored {
             0 => String::new(),
@@ -59,7 +73,15 @@ impl Reports {
             1 => ", 1 event waits".to_owned(),
             waiting => format!(", {} events wait", grouped(waiting)),
         };
-        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}");
+        let untold = match untold_ends {
+            0 => String::new(),
+            1 => "; 1 connection to a cloud ended meanwhile, what it sent and received since the last live figures is not stored".to_owned(),
+            ends => format!(
+                "; {} connections to clouds ended meanwhile, what they sent and received since the last live figures is not stored",
+                grouped(ends)
+            ),
+        };
+        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{untold}");
         self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
     }
 

@@ -5,7 +5,7 @@ use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
-use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
+use crate::harness::{Aggregator, Seen, TestAgent, assert_contiguous, value};
 
 fn cloud(port: u16) -> String {
     format!(
@@ -177,5 +177,34 @@ async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
     assert!(matches!(lost[..], [text] if text.starts_with("lost second: ")), "{lost:?}");
     assert_eq!(served.borrow().sessions, 0);
     second.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn connections_that_end_without_an_aggregator_are_counted() {
+    let port = free_port();
+    let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
+    let absent = Aggregator::start().await.down().await;
+    let tables = format!("{}limit = {{ iterations = 3 }}\n", edge(port, "slow"));
+    let edge = TestAgent::start("edge", Some(&absent.0), &tables).await;
+    edge.until_state(|state| *state == PipelineState::Finished).await;
+    edge.until(|live| live.links.is_empty()).await;
+
+    let welcomes = |seen: &Seen| {
+        let texts = seen.incidents(IncidentKind::Connected).into_iter().map(|incident| incident.text.clone());
+        texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
+    };
+    let aggregator = Aggregator::up(absent).await;
+    let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
+    let said = &welcomes(&seen)[0];
+    assert!(said.contains("1 connection to a cloud ended meanwhile"), "{said}");
+    aggregator.until(|seen| !seen.lives.is_empty()).await;
+
+    // What was told is not told again.
+    let aggregator = Aggregator::up(aggregator.down().await).await;
+    let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
+    let said = &welcomes(&seen)[1];
+    assert!(!said.contains("ended meanwhile"), "{said}");
+    edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

@@ -15,11 +15,14 @@ pub(super) struct LiveLane {
     is_due: bool,
     /// It waits for room on the connection, not for the way to be free.
     is_blocked: bool,
+    /// Sessions that were over when the last update was sent. The aggregator stores the totals of their connections, which it knows from
+    /// the updates before.
+    told_ends: u64,
 }
 
 impl LiveLane {
     pub(super) const fn new(sources: LiveSources) -> Self {
-        Self { sources, is_due: false, is_blocked: false }
+        Self { sources, is_due: false, is_blocked: false, told_ends: 0 }
     }
 
     /// Time for an update.
@@ -39,6 +42,11 @@ impl LiveLane {
     /// There is no connection: no update is due.
     pub(super) const fn reset(&mut self) {
         (self.is_due, self.is_blocked) = (false, false);
+    }
+
+    /// Number of connections to clouds that ended since the last update was sent: the last of their totals never reached the aggregator.
+    pub(super) fn untold_ends(&self) -> u64 {
+        self.sources.links.ended_sessions().saturating_sub(self.told_ends)
     }
 
     /// The aggregator may have been started anew and know no second of ours.
@@ -64,11 +72,13 @@ impl LiveLane {
         if !machine.may_show() {
             return;
         }
+        // Before the update is made: one that ends meanwhile is untold.
+        let ends = self.sources.links.ended_sessions();
         let (frame, receipt) = self.update(machine, sent, account);
         let bytes = frame.len();
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
-            self.is_due = false;
+            (self.is_due, self.told_ends) = (false, ends);
             machine.shown(bytes);
             self.sources.board.delivered(&receipt);
         }

@@ -191,6 +191,17 @@ impl Sender {
                 "stopped; what waits in the spool goes out after the next start"
             );
         }
+        match self.live.untold_ends() {
+            0 => {}
+            connections if self.machine.is_up() => {
+                tracing::debug!(connections, "the last update tells of their end")
+            }
+            connections => tracing::warn!(
+                connections,
+                "stopped while no aggregator answered: what these connections to clouds sent and received since the last live figures is \
+                 not stored"
+            ),
+        }
         if let Line::Open(connection) = line {
             let words = self.last_words();
             if tokio::time::timeout(LINGER, connection.deliver(words)).await.is_err() {

@@ -5,6 +5,7 @@ use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 use super::Sender;
 use crate::outbox::farewell::Standing;
 use crate::outbox::line::Line;
+use crate::outbox::reports::Welcome;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
@@ -95,7 +96,13 @@ impl Sender {
     fn noticed(&mut self, notice: Notice) {
         match notice {
             Notice::Welcomed { aggregator, stored, lacks } => {
-                self.reports.welcomed(&aggregator, stored, lacks, self.count().waiting);
+                let welcome = Welcome {
+                    stored,
+                    lacks,
+                    waiting: self.count().waiting,
+                    untold_ends: self.live.untold_ends(),
+                };
+                self.reports.welcomed(&aggregator, &welcome);
                 self.live.start_over();
                 if lacks {
                     self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
