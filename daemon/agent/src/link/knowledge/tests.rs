@@ -248,7 +248,7 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
     assert_eq!(networks(knowledge.settle_sessions(now(1300))), [network()]);
-    assert_eq!(networks(knowledge.turn(now(2001))), [other.clone()]);
+    assert_eq!(networks(knowledge.turn(now(2001))), std::slice::from_ref(&other));
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
     knowledge.leave(&other);
     assert_eq!(networks(knowledge.finish(now(2200))), [other]);

@@ -191,16 +191,14 @@ impl Sender {
                 "stopped; what waits in the spool goes out after the next start"
             );
         }
-        match self.live.untold_ends() {
-            0 => {}
-            connections if self.machine.is_up() => {
-                tracing::debug!(connections, "the last update tells of their end")
-            }
-            connections => tracing::warn!(
+        let connections = self.live.untold_ends();
+        // Else the last update tells of them.
+        if connections > 0 && !self.machine.is_up() {
+            tracing::warn!(
                 connections,
                 "stopped while no aggregator answered: what these connections to clouds sent and received since the last live figures is \
                  not stored"
-            ),
+            );
         }
         if let Line::Open(connection) = line {
             let words = self.last_words();
