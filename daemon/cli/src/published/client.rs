@@ -8,6 +8,7 @@ use crate::output::{complain, say};
 use anyhow::Context;
 use peernet_agent::config::{HostConfig, PipelineConfig};
 use peernet_clock::ClockIdentity;
+use peernet_external::exec::with_arguments;
 use peernet_networks::Address;
 use peernet_report::summary::Summary;
 use peernet_results::{Overwrite, summary};
@@ -49,21 +50,23 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 /// What is to be measured.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::of(arguments)?;
-    let pipeline = json!({
-        "name": arguments.name,
-        "sensor": sensor,
-        "transforms": transforms,
-        "placement": {
-            "kind": "remote",
-            "peer": devices.address,
-            "session": { "open_timeout_ms": OPEN_TIMEOUT_MS, "ros2": devices.ros2 },
-        },
-        "load": { "mode": "closed" },
-        "timeout_ms": TIMEOUT_MS,
-        "warm_up": { "iterations": WARM_UP },
-        "limit": { "total": arguments.iterations },
-    });
-    let pipeline: PipelineConfig = serde_json::from_value(pipeline)
+    let pipeline = || {
+        json!({
+            "name": arguments.name,
+            "sensor": sensor,
+            "transforms": transforms,
+            "placement": {
+                "kind": "remote",
+                "peer": devices.address,
+                "session": { "open_timeout_ms": OPEN_TIMEOUT_MS, "ros2": devices.ros2 },
+            },
+            "load": { "mode": "closed" },
+            "timeout_ms": TIMEOUT_MS,
+            "warm_up": { "iterations": WARM_UP },
+            "limit": { "total": arguments.iterations },
+        })
+    };
+    let pipeline: PipelineConfig = serde_json::from_value(with_arguments(pipeline))
         .context("cannot set up the pipeline")
         .map_err(|error| Failure::new(Exit::Software, error))?;
     let mut agent = tables(arguments.config.as_deref())?;
@@ -113,4 +116,31 @@ fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address
     say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
     waiting.iter().for_each(complain);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use peernet_sensors::SensorConfig;
+
+    use super::*;
+    use crate::Line;
+
+    #[test]
+    fn sensor_program_keeps_its_arguments() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("net.yaml");
+        let devices = "devices: { edge: 127.0.0.1, cluster: 127.0.0.1 }\nserver: cluster\n";
+        std::fs::write(&file, devices).expect("written");
+        let line = format!(
+            "peernet --client --name edge --iterations 7 --network-config {} --sensor-object exec:cat",
+            file.display()
+        );
+        let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
+        let arguments = Line::try_parse_from(words).expect("a published command line").published;
+        let arguments = arguments.expect("its options stand on the top level");
+        let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
+        let order = order(&arguments, &devices).expect("a pipeline");
+        assert_eq!(order.agent.pipelines[0].sensor, Some(SensorConfig::program("cat -u")));
+    }
 }
