@@ -150,7 +150,7 @@ fn observing_goes_on_after_master_and_nodes_were_restarted() {
     ros.kill_master();
     agent.wait_for("the ROS master is not reachable");
     ros.start_master();
-    agent.wait_for("the ROS master was started anew");
+    agent.wait_for("the ROS master does not know the node any more");
     let before = ok();
     until("iterations after the master was restarted", || (ok() > before).then_some(()));
     let incidents = api.json("/api/v1/incidents").to_string();

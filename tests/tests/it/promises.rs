@@ -9,8 +9,18 @@ use peernet_tests::{Document, root};
 const DOCUMENT: &str = "ARCHITECTURE.md";
 const SECTION: &str = "what-is-promised-and-what-keeps-it";
 /// Where code is; not the folders of what was built.
-const CODE: [&str; 9] =
-    ["configs", "daemon", "deploy", "docs", "fuzz", "migrations", "tests/src", "tests/tests", "web"];
+const CODE: [&str; 10] = [
+    "configs",
+    "daemon",
+    "deploy",
+    "docs",
+    "fuzz",
+    "migrations",
+    "tests/ports",
+    "tests/src",
+    "tests/tests",
+    "web",
+];
 
 /// What the table of libraries names beside crates of the workspace: a crate under another name, and a command.
 const OTHER_NAMES: [&str; 2] = ["omq-tokio", "chronyc"];

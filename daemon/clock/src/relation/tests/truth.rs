@@ -24,7 +24,8 @@ proptest! {
         let mut relation = relation();
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.witnessed());
-            prop_assert_eq!(judged.learned, Learned::Taken);
+            // Jitter alone looks like a jump once in a while, which makes nothing wrong.
+            prop_assert!(matches!(judged.learned, Learned::Taken | Learned::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
                 let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
