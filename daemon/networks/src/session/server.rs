@@ -187,8 +187,8 @@ impl Server {
         })
     }
 
-    /// Returns the rights of a connection now.
-    pub(crate) fn standing(&self, connection: ConnectionId) -> Admission {
+    /// Returns the admission of a connection, by its sessions now.
+    pub(crate) fn admission(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
         let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
         match sessions {

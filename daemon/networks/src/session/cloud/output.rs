@@ -18,8 +18,8 @@ impl PortOutput {
     }
 
     /// Tells the transport what the connection may send from now on.
-    pub(super) fn settle(&self, connection: ConnectionId, standing: Admission) {
-        match standing {
+    pub(super) fn set_admission(&self, connection: ConnectionId, admission: Admission) {
+        match admission {
             Admission::Admitted => self.sender.admit(connection),
             Admission::Greeted => self.sender.greet(connection),
             Admission::Unadmitted => self.sender.demote(connection),

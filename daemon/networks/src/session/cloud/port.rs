@@ -52,22 +52,22 @@ impl PortState {
     }
 
     /// Tells the transport what the connection may send from now on.
-    pub(super) fn settle(&self, connection: ConnectionId) {
-        let standing = self.machine().standing(connection);
-        self.output.settle(connection, standing);
+    pub(super) fn update_admission(&self, connection: ConnectionId) {
+        let admission = self.machine().admission(connection);
+        self.output.set_admission(connection, admission);
     }
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
         // Before the edge knows: its first request may be large.
-        self.settle(peer.connection);
+        self.update_admission(peer.connection);
         self.tell(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
         let refusal = self.machine().refuse(session, reason);
         if let Some((peer, header)) = refusal {
-            self.settle(peer.connection);
+            self.update_admission(peer.connection);
             self.tell(&peer, &header);
         }
     }

@@ -50,7 +50,7 @@ pub(super) fn heard(
     }
     match heard {
         EdgeMessage::Open(session, hello) => {
-            shared.settle(peer.connection);
+            shared.update_admission(peer.connection);
             let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
             Some(Incoming::Open(wish))
         }
@@ -60,7 +60,7 @@ pub(super) fn heard(
             None
         }
         EdgeMessage::Closed(session, ordered) => {
-            shared.settle(peer.connection);
+            shared.update_admission(peer.connection);
             Some(Incoming::Closed { session, said_goodbye: true, ordered })
         }
         EdgeMessage::Malformed(problem) => {

@@ -165,8 +165,8 @@ impl Endpoint {
             }
             Some(entry) => entry.datagram,
             None => {
-                let standing = Admission::Unadmitted { since: now };
-                let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, standing);
+                let admission = Admission::Unadmitted { since: now };
+                let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, admission);
                 self.table.insert(id, entry);
                 datagram
             }
@@ -267,9 +267,9 @@ impl Endpoint {
     /// The connection's hello is being decided on.
     pub(crate) fn greet(&mut self, id: ConnectionId) {
         if let Some(entry) = self.table.get_mut(id.0)
-            && matches!(entry.standing, Admission::Unadmitted { .. })
+            && matches!(entry.admission, Admission::Unadmitted { .. })
         {
-            entry.standing = Admission::Greeted;
+            entry.admission = Admission::Greeted;
         }
     }
 
@@ -283,7 +283,7 @@ impl Endpoint {
     pub(crate) fn admit(&mut self, id: ConnectionId) {
         let (limits, budget) = self.budgets.admitted();
         if let Some(entry) = self.table.get_mut(id.0) {
-            entry.standing = Admission::Admitted;
+            entry.admission = Admission::Admitted;
             entry.connection.set_reassembly(limits, budget);
         }
     }
@@ -292,7 +292,7 @@ impl Endpoint {
     pub(crate) fn demote(&mut self, id: ConnectionId, now: MonoTime) {
         let (limits, budget) = self.budgets.unadmitted();
         if let Some(entry) = self.table.get_mut(id.0) {
-            entry.standing = Admission::Unadmitted { since: now };
+            entry.admission = Admission::Unadmitted { since: now };
             entry.connection.set_reassembly(limits, budget);
         }
     }

@@ -36,16 +36,16 @@ const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Why a connection ended.
 #[derive(Debug)]
-pub(super) enum End {
-    /// The peer closed it, or it broke.
+pub(super) enum ConnectionEnd {
+    /// The peer closed the connection, or the connection broke.
     Peer(String),
-    /// It broke a limit or the protocol.
+    /// The peer exceeded a limit or violated the protocol.
     Rejected(Rejection, String),
     /// The listener closes.
     Closed,
 }
 
-/// What the task of a connection works with.
+/// State of the task of a connection.
 pub(super) struct Driver {
     pub(super) connection: Arc<ZmtpConnection>,
     input: Input,
@@ -101,11 +101,11 @@ impl Driver {
         }
     }
 
-    /// Runs until the connection ends; what arrived before has been handed out then.
-    pub(super) async fn run(&mut self) -> End {
+    /// Runs until the connection ends. Messages that arrived before the end have been handed out then.
+    pub(super) async fn run(&mut self) -> ConnectionEnd {
         let mut timer = std::pin::pin!(sleep_until(Instant::now()));
         loop {
-            if let Some(end) = self.look_at_phase(timer.as_mut()) {
+            if let Some(end) = self.apply_phase(timer.as_mut()) {
                 return end;
             }
             if self.has_output
@@ -118,7 +118,7 @@ impl Driver {
             let event = tokio::select! {
                 biased;
                 read = self.input.read(&connection), if !is_blocked => Wake::Read(read),
-                () = connection.wake.notified() => Wake::Told,
+                () = connection.wake.notified() => Wake::Notified,
                 result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
                 () = timer.as_mut() => Wake::Timer,
             };
@@ -126,25 +126,25 @@ impl Driver {
                 Wake::Read(Read::Bytes) => {
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
-                        return End::Rejected(reason, text);
+                        return ConnectionEnd::Rejected(reason, text);
                     }
                     if !self.deliver().await {
-                        return End::Closed;
+                        return ConnectionEnd::Closed;
                     }
                 }
-                Wake::Read(Read::End(reason)) => return End::Peer(reason),
+                Wake::Read(Read::End(reason)) => return ConnectionEnd::Peer(reason),
                 Wake::Read(Read::Violation((reason, text))) => {
-                    // What was whole before it still counts.
+                    // Messages that were complete before the violation are still delivered.
                     if self.decode().is_ok() {
                         self.deliver().await;
                     }
-                    return End::Rejected(reason, text);
+                    return ConnectionEnd::Rejected(reason, text);
                 }
-                Wake::Told => self.has_output = true,
+                Wake::Notified => self.has_output = true,
                 Wake::Writable(true) => {}
-                Wake::Writable(false) => return End::Peer("the connection broke".into()),
+                Wake::Writable(false) => return ConnectionEnd::Peer("the connection broke".into()),
                 Wake::Timer => {
-                    if let Some(end) = self.tick() {
+                    if let Some(end) = self.check_deadlines() {
                         return end;
                     }
                     timer.as_mut().reset(self.deadlines.next(Instant::now()));
@@ -153,13 +153,13 @@ impl Driver {
         }
     }
 
-    /// Whether answers must go out before more is read.
+    /// Whether queued PONGs must be written before more is read.
     fn is_blocked(&self) -> bool {
         self.has_output && self.connection.codec().zmtp.pending_pong_size() > MAX_QUEUED_PONG_BYTES
     }
 
-    /// Takes over a new phase, which another thread may have set.
-    fn look_at_phase(&mut self, timer: Pin<&mut Sleep>) -> Option<End> {
+    /// Applies the phase of the connection if another thread has changed it. Returns the end that the phase demands.
+    fn apply_phase(&mut self, timer: Pin<&mut Sleep>) -> Option<ConnectionEnd> {
         let phase = self.connection.phase();
         if phase == self.deadlines.phase() {
             return None;
@@ -168,22 +168,23 @@ impl Driver {
         self.deadlines.enter(phase, now);
         timer.reset(self.deadlines.next(now));
         match phase {
-            Phase::Closing => Some(End::Closed),
-            Phase::Replaced => {
-                Some(End::Rejected(Rejection::Replaced, "a newer connection needed its place".into()))
-            }
+            Phase::Closing => Some(ConnectionEnd::Closed),
+            Phase::Replaced => Some(ConnectionEnd::Rejected(
+                Rejection::Replaced,
+                "a newer connection needed its place".into(),
+            )),
             _ => None,
         }
     }
 
-    fn write(&mut self) -> Option<End> {
+    fn write(&mut self) -> Option<ConnectionEnd> {
         let written = self.connection.write(&mut self.connection.codec());
         match written {
             Ok(is_all) => {
                 self.has_output = !is_all;
                 None
             }
-            Err(error) => Some(End::Peer(error.to_string())),
+            Err(error) => Some(ConnectionEnd::Peer(error.to_string())),
         }
     }
 
@@ -213,7 +214,7 @@ impl Driver {
         Ok(())
     }
 
-    /// Hands out what is whole; waits while the listener is busy. Returns whether it still listens.
+    /// Hands complete messages to the listener; waits while its queue is full. Returns `false` once the listener is gone.
     async fn deliver(&mut self) -> bool {
         while let Some((message, reserved)) = self.messages.pop_front() {
             let frames: Frames = message.iter().collect();
@@ -227,15 +228,15 @@ impl Driver {
         true
     }
 
-    /// Looks at deadlines.
-    fn tick(&mut self) -> Option<End> {
+    /// Sends a PING or ends the connection, if that is due.
+    fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
         match self.deadlines.check(Instant::now()) {
             Due::Nothing => None,
             Due::Ping => {
                 self.ping();
                 None
             }
-            Due::End(reason, text) => Some(End::Rejected(reason, text)),
+            Due::End(reason, text) => Some(ConnectionEnd::Rejected(reason, text)),
         }
     }
 
@@ -291,13 +292,15 @@ fn violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
     (reason, error.to_string())
 }
 
+/// Event that the task of a connection waited for.
 enum Wake {
     Read(Read),
-    Told,
+    Notified,
     Writable(bool),
     Timer,
 }
 
+/// Result of one read.
 enum Read {
     Bytes,
     End(String),

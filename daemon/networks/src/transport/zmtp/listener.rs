@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use super::connection::{Phase, ZmtpConnection};
-use super::driver::{Budgets, Driver, End};
+use super::driver::{Budgets, ConnectionEnd, Driver};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
 use super::rejections::{Rejection, RejectionCounts};
 use super::table::{ConnectionTable, Inserted};
@@ -268,17 +268,17 @@ async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::S
     let (id, address) = (connection.id, connection.address);
     let (has_delivered, is_ready) = (driver.has_delivered, driver.is_ready);
     let reason = match end {
-        End::Peer(reason) => {
+        ConnectionEnd::Peer(reason) => {
             if !is_ready {
                 shared.rejections.record(Rejection::Handshake, Some(address), &reason);
             }
             reason
         }
-        End::Rejected(rejection, text) => {
+        ConnectionEnd::Rejected(rejection, text) => {
             shared.rejections.record(rejection, Some(address), &text);
             text
         }
-        End::Closed => {
+        ConnectionEnd::Closed => {
             driver.finish(shared.close_deadline()).await;
             "the connection was closed here".into()
         }

@@ -84,7 +84,7 @@ impl ConnectionTable {
         for entry in self.entries.values() {
             let (all, unadmitted) = groups.entry(AddressGroup::of(entry.source)).or_default();
             *all += 1;
-            *unadmitted += usize::from(matches!(entry.standing, Admission::Unadmitted { .. }));
+            *unadmitted += usize::from(matches!(entry.admission, Admission::Unadmitted { .. }));
         }
         let of_group = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
@@ -101,7 +101,7 @@ impl ConnectionTable {
             .entries
             .iter()
             .filter(|(_, entry)| AddressGroup::of(entry.source) == crowded)
-            .filter_map(|(id, entry)| match entry.standing {
+            .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
                 _ => None,
             })
@@ -125,7 +125,7 @@ mod tests {
         SocketAddr::from(([198, 51, 100, host], port))
     }
 
-    fn entry(source: SocketAddr, nonce: u64, standing: Admission) -> Entry {
+    fn entry(source: SocketAddr, nonce: u64, admission: Admission) -> Entry {
         let limits = limits();
         let connection = Connection::new(
             PacketWriter::new(Role::Cloud, nonce, b""),
@@ -134,7 +134,7 @@ mod tests {
             (limits.reassembly, MemoryBudget::new(1)),
             MonoTime::default(),
         );
-        Entry::new(connection, (source, 0), None, nonce, 1_200, standing)
+        Entry::new(connection, (source, 0), None, nonce, 1_200, admission)
     }
 
     fn unadmitted(seconds: i64) -> Admission {

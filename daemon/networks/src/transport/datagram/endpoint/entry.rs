@@ -25,7 +25,7 @@ pub(super) struct Entry {
     pub(super) local: Option<IpAddr>,
     pub(super) nonce: u64,
     pub(super) datagram: u16,
-    pub(super) standing: Admission,
+    pub(super) admission: Admission,
     pub(super) path_asked: Option<MonoTime>,
     pub(super) has_delivered: bool,
     pub(super) is_ready: bool,
@@ -39,7 +39,7 @@ impl Entry {
         local: Option<IpAddr>,
         nonce: u64,
         datagram: u16,
-        standing: Admission,
+        admission: Admission,
     ) -> Self {
         Self {
             connection,
@@ -48,7 +48,7 @@ impl Entry {
             local,
             nonce,
             datagram,
-            standing,
+            admission,
             path_asked: None,
             has_delivered: false,
             is_ready: false,
@@ -62,13 +62,13 @@ impl Entry {
 
     /// Whether it has gone without a hello for too long.
     pub(super) fn is_late(&self, hello_timeout: Span, now: MonoTime) -> bool {
-        matches!(self.standing, Admission::Unadmitted { since } if now - since >= hello_timeout)
+        matches!(self.admission, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }
 
     /// When it is to be looked at.
     pub(super) fn next_timer(&self, hello_timeout: Span, now: MonoTime) -> MonoTime {
         let next = self.connection.next_timer(now);
-        match self.standing {
+        match self.admission {
             Admission::Unadmitted { since } => next.min(since + hello_timeout),
             _ => next,
         }
