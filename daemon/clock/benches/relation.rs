@@ -5,8 +5,8 @@
 use std::hint::black_box;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Direction, Exchange, RawTime, RelatedClocks, Relation, RelationSettings, Span,
-    SystemClock, WallTime, Witnessed,
+    Clock, ClockIdentity, Direction, Exchange, ExchangeObservation, RawTime, RelatedClocks, Relation,
+    RelationSettings, Span, SystemClock, WallTime,
 };
 use peernet_statistics::SplitMix64;
 
@@ -40,20 +40,21 @@ fn main() {
     let free = [RelatedClocks::Raw, RelatedClocks::Wall];
     for (clocks, traffic) in free.into_iter().flat_map(|clocks| TRAFFIC.iter().map(move |it| (clocks, it))) {
         let mut relation = relation(clocks);
-        let exchanges: Vec<Witnessed> = (0..SECONDS * traffic.hz).map(|n| traffic.exchange(n)).collect();
+        let exchanges: Vec<ExchangeObservation> =
+            (0..SECONDS * traffic.hz).map(|n| traffic.exchange(n)).collect();
         let (learnt, judged) = exchanges.split_at(exchanges.len() / 2);
-        let learn = timed(&clock, learnt, |witnessed| {
-            black_box(relation.learn(witnessed));
+        let learn = timed(&clock, learnt, |observation| {
+            black_box(relation.learn(observation));
         });
-        let judge = timed(&clock, judged, |witnessed| {
-            black_box(relation.judge(witnessed));
+        let judge = timed(&clock, judged, |observation| {
+            black_box(relation.judge(observation));
         });
         let late = &judged[judged.len() / 2..];
-        let delay = timed(&clock, late, |Witnessed { exchange, .. }| {
+        let delay = timed(&clock, late, |ExchangeObservation { exchange, .. }| {
             black_box(relation.delay(Direction::Up, exchange.sent, exchange.received));
         });
-        let offset = timed(&clock, late, |witnessed| {
-            drop(black_box(relation.offset(witnessed.exchange.sent, WallTime::default())));
+        let offset = timed(&clock, late, |observation| {
+            drop(black_box(relation.offset(observation.exchange.sent, WallTime::default())));
         });
         println!(
             "{:<58}{learn:>10.0}{judge:>10.0}{delay:>10.0}{offset:>10.0}{:>12}",
@@ -71,9 +72,9 @@ fn main() {
 fn late_arrivals(clock: &SystemClock) {
     let mut relation = relation(RelatedClocks::Raw);
     let worst = &TRAFFIC[3];
-    let exchanges: Vec<Witnessed> = (0..600 * worst.hz).rev().map(|n| worst.exchange(n)).collect();
-    let learn = timed(clock, &exchanges, |witnessed| {
-        black_box(relation.learn(witnessed));
+    let exchanges: Vec<ExchangeObservation> = (0..600 * worst.hz).rev().map(|n| worst.exchange(n)).collect();
+    let learn = timed(clock, &exchanges, |observation| {
+        black_box(relation.learn(observation));
     });
     println!("{:<58}{learn:>10.0}{:>42}", "worst, 50 a second, backwards", relation.memory_bytes());
 }
@@ -101,7 +102,7 @@ fn relation(clocks: RelatedClocks) -> Relation {
 
 impl Traffic {
     /// The `n`th: a cloud one second ahead, 10 ppm fast, 30 µs away.
-    fn exchange(&self, n: i64) -> Witnessed {
+    fn exchange(&self, n: i64) -> ExchangeObservation {
         let at = n * 1_000_000_000 / self.hz;
         let cloud = |edge: i64| RawTime::from_nanos(edge + 1_000_000_000 + edge / 100_000);
         let there = at + 30_000 + (self.wait)(2 * n as u64);
@@ -113,7 +114,7 @@ impl Traffic {
             returned: RawTime::from_nanos(back),
             uncertainty: Span::ZERO,
         };
-        Witnessed { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+        ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
     }
 }
 

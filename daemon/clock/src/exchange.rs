@@ -10,16 +10,16 @@ use crate::{Interval, RawTime, Span};
 /// them. What would make it wrong, a departure stamped late or an arrival stamped early, is `uncertainty`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Exchange {
-    /// Not later than the message left the edge; the edge's clock.
+    /// Time on the edge's clock at which the message left the edge, or earlier.
     pub sent: RawTime,
-    /// Not earlier than it was at the cloud; the cloud's clock.
+    /// Time on the cloud's clock at which the message arrived there, or later.
     pub received: RawTime,
-    /// Not later than the answer left the cloud; the cloud's clock.
+    /// Time on the cloud's clock at which the answer left the cloud, or earlier.
     pub replied: RawTime,
-    /// Not earlier than it was at the edge; the edge's clock.
+    /// Time on the edge's clock at which the answer arrived there, or later.
     pub returned: RawTime,
-    /// How wrong, to the unsafe side, the stamps of a departure and of its arrival can be together: the
-    /// resolution of clocks and of the format in which stamps travel.
+    /// Largest sum by which the departure is stamped too late and its arrival too early: the resolution of clocks and of
+    /// the format in which stamps travel.
     pub uncertainty: Span,
 }
 
@@ -38,7 +38,7 @@ impl Exchange {
         self.replied - self.returned - self.uncertainty
     }
 
-    /// Time on the way, both directions together: the edge's waiting less what the cloud took.
+    /// Time on the way in both directions together: the time that the edge waited, less the time that the cloud took.
     pub fn round_trip(&self) -> Span {
         (self.returned - self.sent) - (self.replied - self.received)
     }
@@ -49,18 +49,18 @@ impl Exchange {
     }
 }
 
-/// An exchange with what else is known of its two ends.
+/// An exchange, with the epochs of the clocks that stamped it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Witnessed {
+pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// From `received` to `replied` by the cloud's monotonic clock, where these two are of its wall clock: a step of that in between shows
-    /// as a difference. Read together with both stamps, or it is `None`: a kernel's stamp is earlier than the program's look at another
-    /// clock by as much as the program was kept waiting.
+    /// Time from `received` to `replied` by the cloud's monotonic clock, where these two stamps are of its wall clock: a step of the wall
+    /// clock in between shows as a difference. `None` unless the monotonic clock was read together with both stamps: a kernel's stamp
+    /// is earlier than the program's reading of another clock by as long as the program waited for the processor.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,
-    /// The cloud's, read after `replied` was stamped; `None` where the peer does not tell, as other
-    /// implementations of the probes' protocol.
+    /// Epoch of the cloud's clock, read after `replied` was stamped; `None` where the peer does not send it, such as another
+    /// implementation of the probes' protocol.
     pub cloud_epoch: Option<u32>,
 }

@@ -39,7 +39,7 @@ mod time;
 pub use band::ProvenSkew;
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
 pub use discipline::Discipline;
-pub use exchange::{Exchange, Witnessed};
+pub use exchange::{Exchange, ExchangeObservation};
 pub use identity::{ClockIdentity, time_namespace};
 pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;

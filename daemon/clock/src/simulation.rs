@@ -2,7 +2,7 @@
 
 use peernet_statistics::SplitMix64;
 
-use crate::{Exchange, RawTime, Span, Witnessed};
+use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
 /// Numbers that look random; the same for the same seed.
 #[derive(Clone, Debug)]
@@ -172,8 +172,13 @@ pub(crate) struct Trip {
 }
 
 impl Trip {
-    pub(crate) fn witnessed(&self) -> Witnessed {
-        Witnessed { exchange: self.exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+    pub(crate) fn observation(&self) -> ExchangeObservation {
+        ExchangeObservation {
+            exchange: self.exchange,
+            cloud_elapsed: None,
+            edge_epoch: 0,
+            cloud_epoch: Some(0),
+        }
     }
 }
 

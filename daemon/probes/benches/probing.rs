@@ -116,8 +116,8 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
         let counting = async {
             while let Some(result) = results.recv().await {
                 match result {
-                    ProbeResult::Answered(witnessed) => {
-                        probed.round_trips.push(witnessed.exchange.round_trip());
+                    ProbeResult::Answered(observation) => {
+                        probed.round_trips.push(observation.exchange.round_trip());
                     }
                     ProbeResult::Refined(_) => probed.refined += 1,
                     ProbeResult::Lost => probed.lost += 1,

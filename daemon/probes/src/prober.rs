@@ -5,7 +5,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use peernet_clock::{MonoTime, RelatedClocks, SharedClock, WallTime, Witnessed};
+use peernet_clock::{MonoTime, RelatedClocks, SharedClock, WallTime, ExchangeObservation};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -54,12 +54,12 @@ pub enum ProbeResult {
     /// It was sent.
     Sent,
     /// Its answer is there.
-    Answered(Witnessed),
+    Answered(ExchangeObservation),
     /// It was answered, but this host's free-running clock was interrupted while it was under way: nothing follows from its stamps.
     /// The clock's epoch since.
     Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
-    Refined(Witnessed),
+    Refined(ExchangeObservation),
     /// No answer within the timeout.
     Lost,
     /// The answer to a probe that was lost arrived after all.

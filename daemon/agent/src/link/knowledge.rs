@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use peernet_clock::{
     Direction, Doubt, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks, Relation, Span, Stamp,
-    Verdict, WallTime, Witnessed,
+    Verdict, WallTime, ExchangeObservation,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -113,15 +113,15 @@ impl Knowledge {
     pub(super) fn judge(
         &mut self,
         network: &NetworkName,
-        witnessed: &Witnessed,
+        observation: &ExchangeObservation,
         [there, back]: [Way; 2],
         now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         let mut news = self.turn(now);
-        let Judged { learned, up, down } = self.told(whose(witnessed), |relation| relation.judge(witnessed));
+        let Judged { learned, up, down } = self.told(whose(observation), |relation| relation.judge(observation));
         // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
-        self.learned(learned, witnessed, now, &mut news);
+        self.learned(learned, observation, now, &mut news);
         self.second.judged(network, Direction::Up, &up, there.bits);
         self.second.judged(network, Direction::Down, &down, back.bits);
         ([up, down], news)
@@ -178,18 +178,18 @@ impl Knowledge {
         match result {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
-            ProbeResult::Answered(witnessed) => {
+            ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
-                if self.learn(witnessed, now, &mut news) {
-                    self.second.round_trip(witnessed.exchange.round_trip());
+                if self.learn(observation, now, &mut news) {
+                    self.second.round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.told((*epoch, None), |relation| relation.edge_stepped(*epoch));
             }
-            ProbeResult::Refined(witnessed) => {
-                self.learn(witnessed, now, &mut news);
+            ProbeResult::Refined(observation) => {
+                self.learn(observation, now, &mut news);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
             // It counts as lost.
@@ -279,9 +279,9 @@ impl Knowledge {
     }
 
     /// Returns whether the exchange is believed.
-    fn learn(&mut self, witnessed: &Witnessed, now: Stamp, news: &mut News) -> bool {
-        let learned = self.told(whose(witnessed), |relation| relation.learn(witnessed));
-        self.learned(learned, witnessed, now, news);
+    fn learn(&mut self, observation: &ExchangeObservation, now: Stamp, news: &mut News) -> bool {
+        let learned = self.told(whose(observation), |relation| relation.learn(observation));
+        self.learned(learned, observation, now, news);
         !matches!(learned, Learned::Refused(_))
     }
 
@@ -300,7 +300,7 @@ impl Knowledge {
         answer
     }
 
-    fn learned(&mut self, learned: Learned, witnessed: &Witnessed, now: Stamp, news: &mut News) {
+    fn learned(&mut self, learned: Learned, observation: &ExchangeObservation, now: Stamp, news: &mut News) {
         self.begin_window(now, news);
         let settings = *self.relation.settings();
         match learned {
@@ -315,14 +315,14 @@ impl Knowledge {
                 news.restart = self.reports.restarted(moved, doubt).or(news.restart.take());
             }
             Learned::Jumped(moved) => {
-                let jump = self.reports.jumped(moved, witnessed.exchange.returned);
+                let jump = self.reports.jumped(moved, observation.exchange.returned);
                 news.jump = jump.or(news.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
         let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
         news.excess = self.reports.proven(excess).or(news.excess.take());
-        self.second.exchanged(&witnessed.exchange, settings.max_drift_ppm);
+        self.second.exchanged(&observation.exchange, settings.max_drift_ppm);
     }
 
     /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
@@ -399,8 +399,8 @@ fn edge_time(now: Stamp, at: WallTime) -> Stamp {
 }
 
 /// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.
-const fn whose(witnessed: &Witnessed) -> (u32, Option<u32>) {
-    (witnessed.edge_epoch, witnessed.cloud_epoch)
+const fn whose(observation: &ExchangeObservation) -> (u32, Option<u32>) {
+    (observation.edge_epoch, observation.cloud_epoch)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::convert::Infallible;
 use std::pin::pin;
 use std::sync::Mutex;
 
-use peernet_clock::{Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, Witnessed};
+use peernet_clock::{Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, ExchangeObservation};
 use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
@@ -111,21 +111,21 @@ impl ReflectorAnswers {
                 probes.answered = probes.answered.saturating_add(1);
                 self.relation.edge_stepped(*epoch);
             }
-            ProbeResult::Answered(witnessed) => {
+            ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
-                self.learn(witnessed);
+                self.learn(observation);
                 if self.trips.len() >= MOST_TRIPS {
                     self.trips.pop_front();
                 }
-                self.trips.push_back(witnessed.exchange.round_trip());
+                self.trips.push_back(observation.exchange.round_trip());
             }
-            ProbeResult::Refined(witnessed) => self.learn(witnessed),
+            ProbeResult::Refined(observation) => self.learn(observation),
         }
     }
 
     /// What is refused shows in the offset, which is stale or contradicts itself then.
-    fn learn(&mut self, witnessed: &Witnessed) {
-        let _ = self.relation.learn(witnessed);
+    fn learn(&mut self, observation: &ExchangeObservation) {
+        let _ = self.relation.learn(observation);
     }
 
     fn round_trip(&self) -> Option<RoundTrip> {
@@ -158,7 +158,7 @@ mod tests {
     /// An exchange at a time with a clock that is `ahead`, over a path of 2 ms there and 1 ms back; milliseconds.
     fn exchange(at: i64, ahead: i64) -> ProbeResult {
         let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
-        ProbeResult::Answered(Witnessed {
+        ProbeResult::Answered(ExchangeObservation {
             exchange: Exchange {
                 sent: raw(at),
                 received: raw(at + ahead + 2),

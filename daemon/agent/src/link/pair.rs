@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use peernet_clock::{
     ClockIdentity, Direction, MonoTime, OneWayDelay, RelatedClocks, Relation, RelationSettings, Span, Stamp,
-    Witnessed,
+    ExchangeObservation,
 };
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
 use peernet_networks::{Exchange, PeerClock, SessionAccepted};
@@ -103,7 +103,7 @@ impl Link {
         let tree = exchange.log.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
         let ways = [Way { raw: raw(tree, up)?, bits: bits[0] }, Way { raw: raw(tree, down)?, bits: bits[1] }];
-        let ([first, second], news) = self.judge(network, exchange.witnessed.as_ref(), ways, arrived);
+        let ([first, second], news) = self.judge(network, exchange.observation.as_ref(), ways, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
         self.tell(news);
@@ -114,15 +114,15 @@ impl Link {
     fn judge(
         &self,
         network: &NetworkName,
-        witnessed: Option<&Witnessed>,
+        observation: Option<&ExchangeObservation>,
         ways: [Way; 2],
         now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         self.pace.note_data(now.mono);
         self.adjust_pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
-        match witnessed {
-            Some(witnessed) => knowledge.judge(network, witnessed, ways, now),
+        match observation {
+            Some(observation) => knowledge.judge(network, observation, ways, now),
             None => knowledge.stepped(network, ways, now),
         }
     }

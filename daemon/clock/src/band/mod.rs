@@ -37,7 +37,7 @@ const RESOLUTION: i64 = 2;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     upper: Point,
-    /// With the sign turned.
+    /// Lower bounds with the opposite sign, so that the same code keeps both.
     lower: Point,
 }
 
@@ -68,9 +68,9 @@ pub(crate) enum Contradiction {
     DriftChange,
 }
 
-/// The interval at a time.
+/// Interval that contains the offset at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Known {
+pub(crate) struct OffsetInterval {
     /// By both assumptions; by the limit of drift alone where no offset fits both.
     pub(crate) interval: Interval,
     /// Whether there is an offset that fits both assumptions and all exchanges.
@@ -87,7 +87,7 @@ pub(crate) struct Band {
     window: i64,
     retention: i64,
     upper: Slots,
-    /// With the sign turned.
+    /// Lower bounds with the opposite sign, so that the same code keeps both.
     lower: Slots,
     /// The newest exchanges, by the time that they returned.
     latest: VecDeque<Bounds>,
@@ -181,22 +181,22 @@ impl Band {
     }
 
     /// The interval at a time; `None` without an exchange.
-    pub(crate) fn interval(&self, at: RawTime) -> Option<Known> {
+    pub(crate) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
         let q = at.nanos();
         let interval = |hi: i64, lo: i64| Interval {
             lo: Span::from_nanos(lo.saturating_neg()),
             hi: Span::from_nanos(hi),
         };
         let (hi, lo) = (self.above(q)?, self.below(q)?);
-        let cones = Known { interval: interval(hi, lo), is_consistent: true };
+        let cones = OffsetInterval { interval: interval(hi, lo), is_consistent: true };
         let Some(change) = self.drift.change else { return Some(cones) };
         let (above, below) =
             self.with_hulls(q, change, |hulls| (hulls.above(q, change), hulls.below(q, change)));
         let (hi, lo) = (above.map_or(hi, |bound| bound.min(hi)), below.map_or(lo, |bound| bound.min(lo)));
         if hi.saturating_add(lo) < 0 {
-            return Some(Known { is_consistent: false, ..cones });
+            return Some(OffsetInterval { is_consistent: false, ..cones });
         }
-        Some(Known { interval: interval(hi, lo), is_consistent: true })
+        Some(OffsetInterval { interval: interval(hi, lo), is_consistent: true })
     }
 
     /// Asks the hulls of the points around a time.

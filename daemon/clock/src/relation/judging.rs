@@ -2,7 +2,7 @@
 
 use super::sources::{Combined, Knowledge};
 use super::{Direction, Judged, Learned, Refusal, Relation};
-use crate::{DelaySource, Exchange, Interval, OneWayDelay, RawTime, Span, Verdict, Witnessed};
+use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
 /// Fewer exchanges than these are too few, however fresh.
 const LEAST_EXCHANGES: u64 = 3;
@@ -10,10 +10,10 @@ const LEAST_EXCHANGES: u64 = 3;
 impl Relation {
     /// An exchange of data finished: learns from it, then judges its two delays. The delays of an exchange that was
     /// refused are `stepped`.
-    pub fn judge(&mut self, witnessed: &Witnessed) -> Judged {
-        let exchange = &witnessed.exchange;
+    pub fn judge(&mut self, observation: &ExchangeObservation) -> Judged {
+        let exchange = &observation.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
-        let learned = self.learn(witnessed);
+        let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let Learned::Refused(why) = learned {
             return Judged {
@@ -114,7 +114,9 @@ impl Relation {
             return Verdict::Inconsistent;
         }
         if in_band
-            && (!fresh || self.windows.exchanges() < LEAST_EXCHANGES || self.contradictions.suspects.any())
+            && (!fresh
+                || self.windows.exchanges() < LEAST_EXCHANGES
+                || !self.contradictions.suspects.is_empty())
         {
             return Verdict::Stale;
         }

@@ -13,7 +13,7 @@ mod types;
 mod windows;
 
 use crate::band::{Bounds, Contradiction, ProvenSkew};
-use crate::{Discipline, Exchange, RawTime, RelatedClocks, Span, WallTime, Witnessed};
+use crate::{Discipline, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
 use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
@@ -131,7 +131,7 @@ impl Relation {
         if self.excess_skew().is_some() {
             return Some(Doubt::Drift);
         }
-        self.contradictions.surprises.doubt(self.windows.current().newest()?)
+        self.contradictions.unannounced_steps.doubt(self.windows.current().newest()?)
     }
 
     /// The proven skew, where it is beyond the limit.
@@ -139,7 +139,7 @@ impl Relation {
         self.windows.current().excess_skew()
     }
 
-    /// Whether there is any.
+    /// Whether an assumption is in doubt.
     pub fn in_doubt(&self) -> bool {
         self.doubt().is_some()
     }
@@ -151,14 +151,14 @@ impl Relation {
             + self.presence.memory_bytes()
     }
 
-    /// An exchange of probes finished.
-    pub fn learn(&mut self, witnessed: &Witnessed) -> Learned {
-        let learned = self.consider(witnessed);
+    /// Learns a finished exchange, unless it is refused.
+    pub fn learn(&mut self, observation: &ExchangeObservation) -> Learned {
+        let learned = self.consider(observation);
         let counts = &mut self.counts;
         match learned {
             Learned::Taken | Learned::Restarted(_) | Learned::Jumped(_) => {
                 counts.taken += 1;
-                self.presence.note(witnessed.exchange.returned);
+                self.presence.note(observation.exchange.returned);
             }
             Learned::Refused(Refusal::Impossible) => counts.impossible += 1,
             Learned::Refused(Refusal::Outlier) => counts.outliers += 1,
@@ -175,7 +175,7 @@ impl Relation {
         }
     }
 
-    /// The peer says that its clock was.
+    /// The peer says that its clock was stepped, or ran faster than the limit.
     pub fn cloud_stepped(&mut self, epoch: u32) {
         if self.steps.cloud_stepped(epoch) {
             self.claims.cloud = None;
@@ -183,19 +183,19 @@ impl Relation {
         }
     }
 
-    fn consider(&mut self, witnessed: &Witnessed) -> Learned {
-        let exchange = &witnessed.exchange;
+    fn consider(&mut self, observation: &ExchangeObservation) -> Learned {
+        let exchange = &observation.exchange;
         if !self.is_possible(exchange) {
             return Learned::Refused(Refusal::Impossible);
         }
         // An exchange that spans a step does not count, but its counters do.
-        let report = self.steps.compare(witnessed);
+        let report = self.steps.compare(observation);
         self.claims.edge.take_if(|_| report.of_edge);
         self.claims.cloud.take_if(|_| report.of_cloud);
         if report.of_edge || report.of_cloud {
             self.restart();
         }
-        if !report.is_current || !is_steady(witnessed) || self.steps.excludes(exchange) {
+        if !report.is_current || !is_steady(observation) || self.steps.excludes(exchange) {
             return Learned::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
@@ -208,7 +208,7 @@ impl Relation {
                 None
             }
             None => {
-                self.contradictions.suspects.hear(&bounds);
+                self.contradictions.suspects.drop_if_refuted(&bounds);
                 self.windows.insert(exchange, &bounds)
             }
         };
@@ -226,15 +226,15 @@ impl Relation {
         }
     }
 
-    /// One more exchange contradicts the window. Returns whether there are enough that agree: they are the window then.
+    /// Adds an exchange that contradicts the window to the suspects. Returns whether they replaced the window: enough of them agree.
     fn replace_window(&mut self, bounds: &Bounds, at: RawTime, contradiction: Contradiction) -> bool {
-        let Some(believed) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
+        let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
             return false;
         };
         self.steps.admit_all();
         self.restart();
-        self.contradictions.surprises.note(at, contradiction);
-        self.windows.restart(believed);
+        self.contradictions.unannounced_steps.record(at, contradiction);
+        self.windows.restart(window);
         true
     }
 
@@ -271,7 +271,7 @@ impl Relation {
 }
 
 /// Whether the cloud's clock moved on like its monotonic clock, where both are known.
-fn is_steady(Witnessed { exchange, cloud_elapsed, .. }: &Witnessed) -> bool {
+fn is_steady(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
     cloud_elapsed.is_none_or(|mono| {
         let limit = STEADY + Span::from_nanos(mono.abs().nanos() / 1_000_000 * STEADY_PPM);
         (exchange.replied - exchange.received - mono).abs() <= limit

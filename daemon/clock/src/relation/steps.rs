@@ -1,6 +1,6 @@
 //! Steps of the two clocks that the hosts report, and the exchanges that were under way during one.
 
-use crate::{Exchange, RawTime, Span, Witnessed};
+use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
 /// A peer's counter of steps that went back is a new process, if so many in a row say so. Before, it is an answer that
 /// was overtaken.
@@ -62,15 +62,15 @@ impl StepTracker {
     }
 
     /// Compares the counters of an exchange with those known.
-    pub(super) fn compare(&mut self, witnessed: &Witnessed) -> StepReport {
-        let returned = witnessed.exchange.returned;
-        let edge = *self.edge.get_or_insert(witnessed.edge_epoch);
-        let of_edge = witnessed.edge_epoch > edge;
+    pub(super) fn compare(&mut self, observation: &ExchangeObservation) -> StepReport {
+        let returned = observation.exchange.returned;
+        let edge = *self.edge.get_or_insert(observation.edge_epoch);
+        let of_edge = observation.edge_epoch > edge;
         if of_edge {
-            self.edge = Some(witnessed.edge_epoch);
+            self.edge = Some(observation.edge_epoch);
             self.barrier = Barrier::Before(returned, EDGE_REACH);
         }
-        let cloud = witnessed.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
+        let cloud = observation.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
         let is_overtaken = cloud.is_some_and(|(told, known)| told < known && !self.is_new_counter(told));
         let mut of_cloud = false;
         if let Some((told, known)) = cloud.filter(|_| !is_overtaken) {
@@ -81,7 +81,7 @@ impl StepTracker {
                 self.barrier = Barrier::Before(returned, CLOUD_REACH);
             }
         }
-        let is_current = witnessed.edge_epoch == edge && cloud.is_none_or(|(told, known)| told == known);
+        let is_current = observation.edge_epoch == edge && cloud.is_none_or(|(told, known)| told == known);
         StepReport { of_edge, of_cloud, is_current }
     }
 

@@ -1,33 +1,33 @@
-//! Exchanges that contradict the band: errors and lies, or the first after a step that nobody announced.
+//! Exchanges that contradict the band: they are wrong, or they are the first after a step that nobody announced.
 
 use super::types::Doubt;
 use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
-/// So many in a row that agree with each other are believed.
-const BELIEVED: u64 = 4;
+/// Number of suspects in agreement that prove an unannounced step.
+const SUSPECTS_FOR_STEP: u64 = 4;
 
-/// A clock that is set twice within such a time, and both times without notice, is not set: it drifts faster than the
-/// limit, or somebody lies. Nothing is believed for as long after the last time.
+/// Longest time between two unannounced steps that are taken for a violated assumption: the clock drifts faster than the
+/// limit, or the peer lies. The doubt lasts as long after the last of them.
 const DOUBT: Span = Span::from_seconds(60);
 
-/// What contradicts the band now, and how often a window began because of it.
+/// Exchanges that contradict the band now, and the steps that earlier ones proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
     pub(super) suspects: Suspects,
-    pub(super) surprises: Surprises,
+    pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// When windows began without notice.
+/// Times of steps that no host announced, and the doubt that follows from several of them.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Surprises {
+pub(super) struct UnannouncedSteps {
     last: Option<(RawTime, Contradiction)>,
     doubt: Option<(RawTime, Doubt)>,
 }
 
-impl Surprises {
-    /// One more.
-    pub(super) fn note(&mut self, at: RawTime, contradiction: Contradiction) {
+impl UnannouncedSteps {
+    /// Records a step. A second one within [`DOUBT`] begins a doubt.
+    pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
         if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= DOUBT) {
             let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
             let doubt = if is_change { Doubt::DriftChange } else { Doubt::Drift };
@@ -36,23 +36,23 @@ impl Surprises {
         self.last = Some((at, contradiction));
     }
 
-    /// What there is to doubt at a time because of too many of them before.
+    /// Returns the assumption that is in doubt at a time because of the steps before it.
     pub(super) fn doubt(&self, at: RawTime) -> Option<Doubt> {
-        // A clock that is set back by more than the doubt lasts must not be doubted until it is there again.
+        // After the edge's clock is set back far, the end of the doubt lies far ahead: the doubt is over then.
         self.doubt.filter(|(until, _)| at < *until && *until - at <= DOUBT + DOUBT).map(|(_, doubt)| doubt)
     }
 }
 
-/// Contradicting exchanges that agree with each other, with nothing against them since.
+/// Exchanges that contradict the band and agree with each other, and that no later exchange refuted.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Suspects {
     band: Option<Band>,
-    /// When they were sent: an answer that came several times is one.
+    /// Times at which they were sent: an answer that arrives twice counts once.
     sent: Vec<RawTime>,
 }
 
 impl Suspects {
-    /// One more that contradicts. Returns the band of all of them when there are enough: a clock was stepped.
+    /// Adds an exchange that contradicts the band. Returns the band of all suspects once they prove a step.
     pub(super) fn add(&mut self, bounds: &Bounds, empty: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
@@ -65,22 +65,23 @@ impl Suspects {
             self.sent.push(bounds.sent());
             band.insert(bounds);
         }
-        if band.exchanges() >= BELIEVED {
+        if band.exchanges() >= SUSPECTS_FOR_STEP {
             return Some(band);
         }
         self.band = Some(band);
         None
     }
 
-    /// One that fits the band. If it does not fit the suspects as well, they were wrong. A wide one that fits both says
-    /// nothing, or a step under load would never be believed.
-    pub(super) fn hear(&mut self, bounds: &Bounds) {
+    /// Drops the suspects if an exchange that fits the band contradicts them.
+    ///
+    /// A wide exchange that fits both refutes nothing: else no step would be recognised under load.
+    pub(super) fn drop_if_refuted(&mut self, bounds: &Bounds) {
         self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
     }
 
-    /// Whether there are any, so that the band is in doubt.
-    pub(super) fn any(&self) -> bool {
-        self.band.is_some()
+    /// Whether no exchange contradicts the band.
+    pub(super) fn is_empty(&self) -> bool {
+        self.band.is_none()
     }
 
     pub(super) fn clear(&mut self) {

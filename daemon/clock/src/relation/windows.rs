@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 
 use super::RelationSettings;
 use super::jumps::{Floor, Suspicion};
-use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, Known};
+use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
-/// Windows before the current one that are kept for questions about their time.
-const MOST_PAST: usize = 16;
-/// They are kept so much longer than exchanges are asked for: no message takes longer.
+/// Largest number of windows before the current one that are kept to judge delays of their time.
+const MAX_PAST: usize = 16;
+/// Time for which past windows are kept beyond `retention`: the longest that a message takes.
 const LONGEST_MESSAGE: Span = Span::from_seconds(60);
 
 /// What the exchanges prove of the offset, window by window.
@@ -30,11 +30,11 @@ pub(super) struct Windows {
 #[derive(Clone, Debug)]
 struct PastWindow {
     band: Band,
-    /// It certainly holds until here.
+    /// Time until which this window certainly holds.
     until: RawTime,
-    /// The next one certainly holds from here on.
+    /// Time from which on the next window certainly holds.
     next_from: RawTime,
-    /// When its first exchange was sent.
+    /// Time at which the first exchange of the next window was sent.
     next_sent: RawTime,
 }
 
@@ -66,35 +66,34 @@ impl Windows {
         &self.current
     }
 
-    /// Returns a window that nothing was learnt in.
+    /// Returns a window without exchanges.
     pub(super) fn empty(&self) -> Band {
         Band::new(self.drift, self.window, self.retention)
     }
 
-    /// Which assumption an exchange contradicts.
+    /// Returns the assumption that an exchange contradicts.
     pub(super) fn contradiction(&self, bounds: &Bounds) -> Option<Contradiction> {
         self.current.contradiction(bounds)
     }
 
-    /// Takes an exchange that contradicts nothing. Returns by how much the offset seems to have jumped before it, if
-    /// a jump is suspected: the exchange is the first of another window then.
+    /// Inserts an exchange that contradicts nothing. Returns by how much the offset seems to have jumped before it, if
+    /// a jump is suspected: the exchange is then the first of a new window.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         if self.past.back().is_some_and(|past| exchange.sent < past.next_sent) {
-            // It was overtaken by the one that showed the jump, and may be of before it.
+            // The exchange that showed the jump overtook this one, which may be from before the jump.
             return None;
         }
         let suspicion = self.floor.suspect(exchange, self.drift.limit);
         if let Some(Suspicion { last_before: (sent, returned), .. }) = suspicion {
             let empty = self.empty();
             let mut band = std::mem::replace(&mut self.current, empty);
-            // What came since may be of after the jump and was too wide to show it.
+            // Exchanges since then may be from after the jump, and too wide to show it.
             band.truncate(returned);
             // The edge's own clock may have jumped back.
             let (until, next_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, until, next_from, next_sent: exchange.sent });
             let start = exchange.returned - self.retention - LONGEST_MESSAGE;
-            while self.past.len() > MOST_PAST || self.past.front().is_some_and(|past| past.next_from < start)
-            {
+            while self.past.len() > MAX_PAST || self.past.front().is_some_and(|past| past.next_from < start) {
                 self.past.pop_front();
             }
             self.floor.clear();
@@ -104,7 +103,7 @@ impl Windows {
         suspicion.map(|suspicion| suspicion.moved)
     }
 
-    /// Begins anew with a window: a clock was stepped.
+    /// Replaces all windows by one, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
         self.past.clear();
@@ -112,8 +111,8 @@ impl Windows {
     }
 
     /// The interval at a time; `None` without an exchange that says anything of it.
-    pub(super) fn interval(&self, at: RawTime) -> Option<Known> {
-        let hull = |one: Known, other: Known| Known {
+    pub(super) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
+        let hull = |one: OffsetInterval, other: OffsetInterval| OffsetInterval {
             interval: one.interval.hull(other.interval),
             is_consistent: one.is_consistent && other.is_consistent,
         };
@@ -121,12 +120,12 @@ impl Windows {
     }
 
     /// The best guess at a time, within the interval of that time.
-    pub(super) fn estimate(&self, at: RawTime, known: Known) -> Span {
+    pub(super) fn estimate(&self, at: RawTime, known: OffsetInterval) -> Span {
         let band = self.bands(at).next().unwrap_or(&self.current);
         band.estimate(at, known.interval)
     }
 
-    /// By how much the offset most likely grows from one time to another one near.
+    /// Returns by how much the offset most likely grows from one time to another one near it.
     pub(super) fn growth(&self, from: RawTime, to: RawTime) -> Span {
         self.current.growth(from, to)
     }

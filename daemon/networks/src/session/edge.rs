@@ -152,7 +152,7 @@ impl Session {
             arrived: None,
             up: None,
             down: None,
-            witnessed: None,
+            observation: None,
         };
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
@@ -192,7 +192,7 @@ impl Session {
         exchange.result = match absorbed {
             Ok(absorbed) => {
                 exchange.down = absorbed.map(|(down, _)| down);
-                exchange.witnessed = absorbed.and_then(|(_, witnessed)| witnessed);
+                exchange.observation = absorbed.and_then(|(_, observation)| observation);
                 result(arrived.reply.outcome, arrived.frames)
             }
             Err(problem) => {

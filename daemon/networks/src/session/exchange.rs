@@ -1,6 +1,6 @@
 //! One request and its answer, on the edge's tree.
 
-use peernet_clock::{RawTime, Span, Stamp, Witnessed};
+use peernet_clock::{RawTime, Span, Stamp, ExchangeObservation};
 use peernet_logger::{
     HostId, HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Tree, TreeError, Unit,
     stage,
@@ -26,7 +26,7 @@ pub struct Exchange {
     /// The four stamps of `upload` and `download`, for the relation of the two clocks: of the edge's free-running clock and, since
     /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), of the cloud's, before that of the cloud's wall clock. `None` when no model
     /// answered, and when either host says that its clock was interrupted meanwhile: nothing follows from such stamps.
-    pub witnessed: Option<Witnessed>,
+    pub observation: Option<ExchangeObservation>,
 }
 
 /// A stamp may be wrong to the unsafe side by the resolution of its clock: up to 53 ns for the counters of arm64,
@@ -132,7 +132,7 @@ pub(crate) fn absorb(
     raw: bool,
     departed: &Departed,
     arrived: &Arrived,
-) -> Result<Option<(NodeId, Option<Witnessed>)>, GrowthError> {
+) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, GrowthError> {
     let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
@@ -163,13 +163,13 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let witnessed = witnessed(departed, raw, there, departure, arrived);
+    let observation = observation(departed, raw, there, departure, arrived);
     log.tree_mut().absorb(growth)?;
     let up = RawStamps { sent: departed.at.raw, received: there.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
-    Ok(Some((download, witnessed)))
+    Ok(Some((download, observation)))
 }
 
 fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
@@ -179,13 +179,13 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
 }
 
 /// The stamps of an exchange. `there` are those of the cloud, `raw` says whether they are of its free-running clock.
-fn witnessed(
+fn observation(
     departed: &Departed,
     raw: bool,
     (received, replied): (RawTime, RawTime),
     departure: Departure,
     arrived: &Arrived,
-) -> Option<Witnessed> {
+) -> Option<ExchangeObservation> {
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
     }
@@ -196,7 +196,7 @@ fn witnessed(
         returned: arrived.at.raw,
         uncertainty: UNCERTAINTY,
     };
-    Some(Witnessed {
+    Some(ExchangeObservation {
         exchange,
         // A free-running clock is not stepped, and may run otherwise than the monotonic one, which is slewed.
         cloud_elapsed: (!raw).then_some(departure.start),

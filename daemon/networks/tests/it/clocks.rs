@@ -132,8 +132,8 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
     assert_eq!(session.clocks(), RelatedClocks::Raw);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
     let (up, down) = transits(&exchange);
-    let witnessed = exchange.witnessed.expect("answered");
-    let stamps = witnessed.exchange;
+    let observation = exchange.observation.expect("answered");
+    let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
     assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
     assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
@@ -145,8 +145,8 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
     let (there, back) =
         (up.received.expect("arrived") - up.sent, down.received.expect("arrived") - down.sent);
     assert!(there >= DAY && back <= Span::ZERO - DAY + Span::from_seconds(60), "{there} {back}");
-    assert_eq!((witnessed.edge_epoch, witnessed.cloud_epoch), (0, Some(0)));
-    assert_eq!(witnessed.cloud_elapsed, None, "nothing to compare");
+    assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
+    assert_eq!(observation.cloud_elapsed, None, "nothing to compare");
 }
 
 #[tokio::test]
@@ -157,8 +157,8 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     assert_eq!(session.clocks(), RelatedClocks::RawToWall);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
     let (up, down) = transits(&exchange);
-    let witnessed = exchange.witnessed.expect("answered");
-    let stamps = witnessed.exchange;
+    let observation = exchange.observation.expect("answered");
+    let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
     assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
     assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
@@ -168,7 +168,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let wide = Span::from_millis(1);
     let offset = Interval { lo: offset.lo + DAY - wide, hi: offset.hi + DAY + wide };
     assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
-    let there = witnessed.cloud_elapsed.expect("read");
+    let there = observation.cloud_elapsed.expect("read");
     assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
 
     let mut now = PeerClock { epoch: 1, ..raw_news() };
@@ -195,11 +195,11 @@ async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does()
         clock.wall.unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.log, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
-        let witnessed = exchange.witnessed.expect("answered");
-        let there = witnessed.exchange.replied - witnessed.exchange.received;
-        let waited = witnessed.exchange.returned - witnessed.exchange.sent;
+        let observation = exchange.observation.expect("answered");
+        let there = observation.exchange.replied - observation.exchange.received;
+        let waited = observation.exchange.returned - observation.exchange.sent;
         if version == 4 {
-            let by_mono = witnessed.cloud_elapsed.expect("read");
+            let by_mono = observation.cloud_elapsed.expect("read");
             assert!(there >= Span::from_seconds(3) + by_mono - Span::from_seconds(1), "{there} {by_mono}");
             assert!(by_mono < waited);
         } else {
@@ -224,11 +224,11 @@ async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
             incoming.reply.send(incoming.log, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok() && exchange.down.is_some());
-            assert_eq!(exchange.witnessed.is_none(), voids, "version {version}: {:?}", exchange.witnessed);
+            assert_eq!(exchange.observation.is_none(), voids, "version {version}: {:?}", exchange.observation);
         }
         let exchange = echo(&mut cloud, &session, "after").await;
         let epoch = moved.epoch.load(Ordering::SeqCst);
-        assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(epoch));
+        assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(epoch));
     }
 }
 
@@ -247,7 +247,7 @@ async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
             incoming.reply.send(incoming.log, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok());
-            let epoch = exchange.witnessed.map(|witnessed| witnessed.edge_epoch);
+            let epoch = exchange.observation.map(|observation| observation.edge_epoch);
             assert_eq!(epoch, (!voids).then_some(1), "version {version}");
         }
     }
@@ -264,14 +264,14 @@ async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_l
         open.push(session.clone());
         clock.slip_after_next_stamp(slips);
         let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
-        assert_eq!(exchange.witnessed, None);
+        assert_eq!(exchange.observation, None);
         let exchange = echo(&mut cloud, &session, "after").await;
-        assert_eq!(exchange.witnessed.expect("answered").cloud_epoch, Some(1));
+        assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(1));
         edge.slip_after_next_stamp(Slips::Raw);
         let exchange = echo(&mut cloud, &session, "moved at the edge").await;
-        assert_eq!((exchange.witnessed, edge.epoch()), (None, 1));
+        assert_eq!((exchange.observation, edge.epoch()), (None, 1));
         let exchange = echo(&mut cloud, &session, "after").await;
-        assert_eq!(exchange.witnessed.expect("answered").edge_epoch, 1);
+        assert_eq!(exchange.observation.expect("answered").edge_epoch, 1);
     }
 }
 
@@ -283,9 +283,9 @@ async fn what_no_model_answered_is_no_exchange() {
     drop(cloud.next_request().await);
     let exchange = within(pending).await.expect("no panic");
     assert!(exchange.arrived.is_some());
-    assert_eq!(exchange.witnessed, None);
+    assert_eq!(exchange.observation, None);
     let exchange = within(session.request(log(), &sample("x"), Duration::ZERO)).await;
-    assert_eq!((exchange.result, exchange.witnessed), (Err(RequestError::Timeout), None));
+    assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout), None));
 }
 
 fn news() -> PeerClock {

@@ -356,5 +356,5 @@ async fn reply_of_version_five_without_raw_stamps_makes_no_sense() {
     let exchange = within(pending).await.expect("no panic");
     let Err(RequestError::Failed(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("no stamps of the cloud's free-running clock"), "{reason}");
-    assert_eq!((exchange.witnessed, session.statistics().malformed_messages), (None, 1));
+    assert_eq!((exchange.observation, session.statistics().malformed_messages), (None, 1));
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use peernet_clock::{
-    Clock, Exchange, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime, Witnessed,
+    Clock, Exchange, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime, ExchangeObservation,
 };
 
 use super::auth::{CODE_BYTES, Key};
@@ -100,7 +100,7 @@ struct Answered {
     /// The reply's own number.
     sequence: u32,
     /// `None` if the edge's clock was interrupted meanwhile.
-    witnessed: Option<Witnessed>,
+    observation: Option<ExchangeObservation>,
 }
 
 /// When a packet came back.
@@ -120,9 +120,9 @@ pub struct Return {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heard {
     /// An earlier exchange, now with the stamp of when its reply really left.
-    pub refined: Option<Witnessed>,
+    pub refined: Option<ExchangeObservation>,
     /// The exchange that it completes; `None` if the edge's clock was interrupted meanwhile: nothing follows from its stamps.
-    pub answered: Option<Witnessed>,
+    pub answered: Option<ExchangeObservation>,
 }
 
 /// What the TLVs of a reply told.
@@ -312,7 +312,7 @@ impl Sending {
         // Between two equal epochs all stamps are of one clock.
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
-            pending.answer = Some(Answered { sequence: reply.sequence, witnessed: None });
+            pending.answer = Some(Answered { sequence: reply.sequence, observation: None });
             return Ok(Heard { refined: None, answered: None });
         }
         let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
@@ -334,8 +334,8 @@ impl Sending {
             uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
         let answered =
-            Witnessed { exchange, cloud_elapsed: None, edge_epoch: returned.epoch, cloud_epoch: there.epoch };
-        pending.answer = Some(Answered { sequence: reply.sequence, witnessed: Some(answered) });
+            ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: returned.epoch, cloud_epoch: there.epoch };
+        pending.answer = Some(Answered { sequence: reply.sequence, observation: Some(answered) });
         let refined = there.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
         });
@@ -405,18 +405,18 @@ fn refine(
     sequence: u32,
     left: RawTime,
     epoch: Option<u32>,
-) -> Option<Witnessed> {
+) -> Option<ExchangeObservation> {
     let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
     let answered = earlier
         .filter_map(|pending| pending.answer.as_mut())
         .find(|answered| answered.sequence == sequence)?;
-    let witnessed = answered.witnessed.as_mut()?;
-    let later = left - witnessed.exchange.replied;
-    if later <= Span::ZERO || later > LONGEST_DEPARTURE || witnessed.cloud_epoch != epoch {
+    let observation = answered.observation.as_mut()?;
+    let later = left - observation.exchange.replied;
+    if later <= Span::ZERO || later > LONGEST_DEPARTURE || observation.cloud_epoch != epoch {
         return None;
     }
-    witnessed.exchange.replied = left;
-    Some(*witnessed)
+    observation.exchange.replied = left;
+    Some(*observation)
 }
 
 /// What the TLVs tell, as far as they may be believed (RFC 8972, section 4).

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
-use peernet_clock::{RelatedClocks, Span, Witnessed};
+use peernet_clock::{RelatedClocks, Span, ExchangeObservation};
 use peernet_probes::stamp::uncertainty;
 use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
 use serde_json::Value;
@@ -172,17 +172,17 @@ async fn answered_by_their_reflector(
     results
 }
 
-fn of_one_clock(witnessed: &Witnessed) {
+fn of_one_clock(observation: &ExchangeObservation) {
     let offset = wall_ahead_of_this_host(Span::ZERO);
-    assert!(witnessed.exchange.bounds().intersection(offset).is_some(), "{witnessed:?} {offset:?}");
-    assert_eq!((witnessed.cloud_epoch, witnessed.exchange.uncertainty), (None, uncertainty::FOREIGN));
+    assert!(observation.exchange.bounds().intersection(offset).is_some(), "{observation:?} {offset:?}");
+    assert_eq!((observation.cloud_epoch, observation.exchange.uncertainty), (None, uncertainty::FOREIGN));
 }
 
 /// Nothing is refused or lost. Their follow-up may repeat the program's stamp: then there is nothing to refine.
 fn is_sound(results: &[ProbeResult]) {
     for result in results {
         match result {
-            ProbeResult::Answered(witnessed) | ProbeResult::Refined(witnessed) => of_one_clock(witnessed),
+            ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => of_one_clock(observation),
             ProbeResult::Sent => {}
             other => panic!("{other:?}"),
         }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_clock::{
     Clock, ClockIdentity, Interval, MonoTime, RawTime, RehearsalDescription, RehearsedClock, RehearsedStep,
-    RelatedClocks, SharedClock, Span, SystemClock, WallTime, Witnessed,
+    RelatedClocks, SharedClock, Span, SystemClock, WallTime, ExchangeObservation,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;
@@ -15,17 +15,17 @@ use crate::support::{
     wall_ahead_of_this_host,
 };
 
-fn answered(result: &ProbeResult) -> Option<Witnessed> {
-    if let ProbeResult::Answered(witnessed) = result { Some(*witnessed) } else { None }
+fn answered(result: &ProbeResult) -> Option<ExchangeObservation> {
+    if let ProbeResult::Answered(observation) = result { Some(*observation) } else { None }
 }
 
-fn refined(result: &ProbeResult) -> Option<Witnessed> {
-    if let ProbeResult::Refined(witnessed) = result { Some(*witnessed) } else { None }
+fn refined(result: &ProbeResult) -> Option<ExchangeObservation> {
+    if let ProbeResult::Refined(observation) = result { Some(*observation) } else { None }
 }
 
 /// On one clock the offset is zero: the bounds must hold it, every time.
-fn holds_zero(witnessed: &Witnessed) -> bool {
-    let Interval { lo, hi } = witnessed.exchange.bounds();
+fn holds_zero(observation: &ExchangeObservation) -> bool {
+    let Interval { lo, hi } = observation.exchange.bounds();
     lo <= Span::ZERO && Span::ZERO <= hi
 }
 
@@ -60,10 +60,10 @@ async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both
         let results = many(config, stamps, with_key).await;
         for result in &results {
             match result {
-                ProbeResult::Answered(witnessed) | ProbeResult::Refined(witnessed) => {
-                    assert!(holds_zero(witnessed), "{stamps:?}: {witnessed:?}");
-                    assert_eq!((witnessed.edge_epoch, witnessed.cloud_epoch), (0, Some(0)));
-                    assert!(witnessed.exchange.round_trip() >= Span::ZERO, "{witnessed:?}");
+                ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
+                    assert!(holds_zero(observation), "{stamps:?}: {observation:?}");
+                    assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
+                    assert!(observation.exchange.round_trip() >= Span::ZERO, "{observation:?}");
                 }
                 ProbeResult::Sent => {}
                 other => panic!("{other:?}"),
@@ -95,7 +95,7 @@ async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_
             .find(|known| known.exchange.sent == better.exchange.sent)
             .expect("answered before it was refined");
         assert!(better.exchange.replied > first.exchange.replied);
-        let as_before = Witnessed {
+        let as_before = ExchangeObservation {
             exchange: peernet_clock::Exchange { replied: first.exchange.replied, ..better.exchange },
             ..better
         };
@@ -131,9 +131,9 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
     let running = Running::start(reflector_config(), cloud);
     let mut probing = Probing::start(prober_config(running.address), 200.0, truth);
     for _ in 0..50 {
-        let (witnessed, _) = probing.until(answered).await;
-        let Interval { lo, hi } = witnessed.exchange.bounds();
-        assert!(lo <= ahead && ahead <= hi, "{witnessed:?}");
+        let (observation, _) = probing.until(answered).await;
+        let Interval { lo, hi } = observation.exchange.bounds();
+        assert!(lo <= ahead && ahead <= hi, "{observation:?}");
     }
     probing.stop().await;
     running.stop().await;
@@ -165,12 +165,12 @@ async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
         let (mut answers, mut corrections) = (0, 0);
         while answers < 300 {
             match probing.next().await {
-                ProbeResult::Answered(witnessed) => {
-                    assert!(holds_zero(&witnessed), "{witnessed:?}");
+                ProbeResult::Answered(observation) => {
+                    assert!(holds_zero(&observation), "{observation:?}");
                     answers += 1;
                 }
-                ProbeResult::Refined(witnessed) => {
-                    assert!(holds_zero(&witnessed), "{witnessed:?}");
+                ProbeResult::Refined(observation) => {
+                    assert!(holds_zero(&observation), "{observation:?}");
                     corrections += 1;
                 }
                 ProbeResult::Sent => {}
@@ -193,8 +193,8 @@ async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
         let mut config = prober_config(target);
         config.padding_bytes = 1000;
         let mut probing = Probing::start(config, 100.0, system_clock("edge"));
-        let (witnessed, _) = probing.until(answered).await;
-        assert!(holds_zero(&witnessed), "{host}: {witnessed:?}");
+        let (observation, _) = probing.until(answered).await;
+        assert!(holds_zero(&observation), "{host}: {observation:?}");
         probing.stop().await;
     }
     running.stop().await;
@@ -338,8 +338,8 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
             let mut config = prober_config(running.address);
             (config.instance, config.clocks) = (Some(INSTANCE), clocks);
             let mut probing = Probing::start(config, 200.0, shown(edge));
-            let holds = |witnessed: &Witnessed| {
-                let bounds = witnessed.exchange.bounds();
+            let holds = |observation: &ExchangeObservation| {
+                let bounds = observation.exchange.bounds();
                 let offset = match clocks {
                     RelatedClocks::Raw => Interval::exactly(Span::ZERO),
                     _ => wall_ahead_of_this_host(cloud),
@@ -350,8 +350,8 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
                 holds(&probing.until(answered).await.0);
             }
             for result in probing.stop().await {
-                if let ProbeResult::Refined(witnessed) = result {
-                    holds(&witnessed);
+                if let ProbeResult::Refined(observation) = result {
+                    holds(&observation);
                 }
             }
             running.stop().await;

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use peernet_clock::{
-    Clock, ClockIdentity, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime, Witnessed,
+    Clock, ClockIdentity, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime, ExchangeObservation,
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};
@@ -107,7 +107,7 @@ impl Pair {
     }
 
     /// The next answer, whose arrival the kernel stamped when the program's clock showed `kernel`.
-    fn stamped(&mut self, kernel: WallTime) -> Witnessed {
+    fn stamped(&mut self, kernel: WallTime) -> ExchangeObservation {
         let (departure, packet) = self.send();
         self.sender.departed(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
         let reply = self.reflect(packet);
@@ -116,7 +116,7 @@ impl Pair {
     }
 }
 
-fn answered(heard: &Heard) -> Witnessed {
+fn answered(heard: &Heard) -> ExchangeObservation {
     heard.answered.expect("no step")
 }
 
@@ -138,7 +138,7 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
         let mut pair = Pair::new(0, with_key);
         let begun = pair.clock.stamp();
         let first = pair.exchange();
-        let Witnessed { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
+        let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
         assert_eq!(exchange.sent, begun.raw);
         assert_eq!(exchange.received, RawTime::of_wall(begun.wall + WAY + pair.ahead));

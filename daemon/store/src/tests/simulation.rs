@@ -3,7 +3,7 @@
 
 use peernet_clock::{
     Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, RelatedClocks, Relation,
-    RelationSettings, Span, WallTime, Witnessed,
+    RelationSettings, Span, WallTime, ExchangeObservation,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
 use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, ProbeCounts};
@@ -99,7 +99,7 @@ impl Simulation {
                 change(self);
             }
             let probe = self.exchange((self.congestion, self.congestion), Span::from_micros(20)).stamps;
-            let learned = self.relation.learn(&self.witnessed(probe));
+            let learned = self.relation.learn(&self.observation(probe));
             self.note(probe, learned);
             self.now += Span::from_millis(37);
             if let Some(run) = run {
@@ -115,7 +115,7 @@ impl Simulation {
         let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
         self.truths.push(delays);
         let number = self.truths.len() as u64;
-        let Judged { learned, up, down } = self.relation.judge(&self.witnessed(stamps));
+        let Judged { learned, up, down } = self.relation.judge(&self.observation(stamps));
         self.note(stamps, learned);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
@@ -154,9 +154,9 @@ impl Simulation {
         Passage { stamps, wall, delays: (up, down) }
     }
 
-    fn witnessed(&self, exchange: Exchange) -> Witnessed {
+    fn observation(&self, exchange: Exchange) -> ExchangeObservation {
         let (edge_epoch, cloud_epoch) = self.epochs;
-        Witnessed { exchange, cloud_elapsed: None, edge_epoch, cloud_epoch: Some(cloud_epoch) }
+        ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch, cloud_epoch: Some(cloud_epoch) }
     }
 
     /// What the edge's clock of the two that are related shows.

@@ -26,7 +26,7 @@ fn told(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
 }
 
 /// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
-fn exchange(sent: i64, ahead: i64) -> Witnessed {
+fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     let exchange = Exchange {
         sent: RawTime::of_wall(at(sent)),
         received: RawTime::of_wall(at(sent + 1 + ahead)),
@@ -34,7 +34,7 @@ fn exchange(sent: i64, ahead: i64) -> Witnessed {
         returned: RawTime::of_wall(at(sent + 4)),
         uncertainty: Span::ZERO,
     };
-    Witnessed { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
+    ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 0, cloud_epoch: Some(0) }
 }
 
 fn knowledge() -> Knowledge {
@@ -116,14 +116,14 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     let before = knowledge.now(&network(), now(250)).window;
     let _ = knowledge.cloud_says(told(1, None), now(250).raw);
     // What was under way when the step was told is not believed, however it looks.
-    let under_way = Witnessed { cloud_epoch: Some(1), ..exchange(300, 3000) };
+    let under_way = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
     let ([up, down], news) = knowledge.judge(&network(), &under_way, WAYS, now(304));
     assert_eq!((up.value, down.value, news.restart), (None, None, None));
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
     let [sample] = &news.samples[..] else { panic!("{news:?}") };
     assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
-    let after = Witnessed { cloud_epoch: Some(1), ..exchange(400, 3000) };
+    let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
     let (_, news) = knowledge.judge(&network(), &after, WAYS, now(404));
     let restart = news.restart.expect("told");
     assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
@@ -136,7 +136,7 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     assert_eq!(news.samples[0].upper, Some(after.exchange));
 
     let _ = knowledge.cloud_says(told(1, None), now(250).raw);
-    let again = Witnessed { cloud_epoch: Some(1), ..exchange(1100, 3000) };
+    let again = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
     assert_eq!(knowledge.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
 }
 
@@ -188,7 +188,7 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
     assert_eq!(knowledge.now(&network(), now(305)).offset, None);
     let news = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
     assert!(news.restart.is_none(), "{news:?}");
-    let after = |millis| Witnessed { edge_epoch: 1, ..exchange(millis, -3000) };
+    let after = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
     // It may have been under way, for all the relation knows.
     let _ = knowledge.judge(&network(), &after(400), WAYS, now(404));
     let (_, news) = knowledge.judge(&network(), &after(500), WAYS, now(504));
@@ -209,7 +209,7 @@ fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     // The cloud is set forward by 5 s; an exchange tells of it before the announcement does.
-    let stepped = |sent| Witnessed { cloud_epoch: Some(1), ..exchange(sent, 5000) };
+    let stepped = |sent| ExchangeObservation { cloud_epoch: Some(1), ..exchange(sent, 5000) };
     let _ = knowledge.judge(&network(), &stepped(30), WAYS, now(34));
     knowledge.edge_says(claim(0), now(0).raw);
     let _ = knowledge.cloud_says(claim(0), now(0).raw);
@@ -418,14 +418,14 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
     let (mut jumps, mut windows) = (Vec::new(), BTreeSet::new());
     for n in 0..60 {
         let sent = n * 100;
-        let mut witnessed = exchange(sent, 0);
+        let mut observation = exchange(sent, 0);
         let moved = Span::from_millis(if (20..40).contains(&n) { 8 } else { 0 });
-        let stamps = &mut witnessed.exchange;
+        let stamps = &mut observation.exchange;
         (stamps.received, stamps.replied) = (stamps.received + moved, stamps.replied + moved);
         // Twelve milliseconds on the way, so that no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
-        let (_, news) = knowledge.judge(&network(), &witnessed, WAYS, now(sent + 9));
+        let (_, news) = knowledge.judge(&network(), &observation, WAYS, now(sent + 9));
         jumps.extend(news.jump);
         assert!(news.restart.is_none() && news.excess.is_none(), "{news:?}");
         windows.insert(knowledge.now(&network(), now(sent + 9)).window);

@@ -19,16 +19,16 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
 
     let world = World { edge: Wall::drifting(Span::ZERO, 40.0), cloud: Wall::drifting(Span::ZERO, 40.0) };
     for trip in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut Dice::new(2)) {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
         assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
     }
     // Set forward while the cloud worked: a delay that is positive and wrong.
-    let mut witnessed = world.trip(6e9, 30e3, 100e3, 30e3).witnessed();
-    witnessed.exchange.replied = witnessed.exchange.replied + Span::from_seconds(1);
-    witnessed.exchange.returned = witnessed.exchange.returned + Span::from_seconds(1);
-    witnessed.cloud_elapsed = Some(Span::from_micros(100));
-    let judged = relation.judge(&witnessed);
+    let mut observation = world.trip(6e9, 30e3, 100e3, 30e3).observation();
+    observation.exchange.replied = observation.exchange.replied + Span::from_seconds(1);
+    observation.exchange.returned = observation.exchange.returned + Span::from_seconds(1);
+    observation.cloud_elapsed = Some(Span::from_micros(100));
+    let judged = relation.judge(&observation);
     assert_eq!((judged.down.verdict, judged.down.value), (Verdict::Stepped, None));
 }
 
@@ -37,7 +37,7 @@ fn exchanges_check_proof_of_one_clock() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
     for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice::new(2)) {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
     }
     let offset = relation.offset(at(5), WallTime::default()).expect("two sources");
@@ -55,7 +55,7 @@ fn pair_is_measured_before_and_after_proof_of_one_clock() {
     for (second, is_proven) in [(11.0, false), (12.0, true), (13.0, false)] {
         relation.set_same_clock(is_proven);
         let trip = world.trip(second * 1e9, 40e3, 100e3, 30e3);
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         sources.push(judged.up.source);
     }
@@ -76,13 +76,13 @@ fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
     let mut relation = acquainted(&world);
     // An image of half a second, so that the interval is not what limits.
     let big = |t: f64| world.trip(t, 500e6, 100e3, 30e3);
-    assert_eq!(relation.judge(&big(10.5e9).witnessed()).up.verdict, Verdict::Ok);
+    assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late = big(40e9);
-    let judged = relation.judge(&late.witnessed());
+    let judged = relation.judge(&late.observation());
     assert_eq!((judged.learned, judged.up.verdict), (Learned::Taken, Verdict::Stale));
     assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
     // Its own exchange is company for the next, and for itself when it is judged again.
-    assert_eq!(relation.judge(&big(42e9).witnessed()).up.verdict, Verdict::Ok);
+    assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);
     let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
     assert_eq!(again.verdict, Verdict::Ok);
     assert_eq!(relation.offset(at(41), WallTime::default()).map(|offset| offset.verdict), Some(Verdict::Ok));
@@ -97,7 +97,7 @@ fn two_exchanges_are_too_few() {
     let world = world(Span::ZERO);
     let mut relation = relation();
     let verdicts: Vec<Verdict> = (0..4)
-        .map(|n| relation.judge(&world.trip(f64::from(n) * 1e8, 500e6, 1e3, 30e3).witnessed()).up.verdict)
+        .map(|n| relation.judge(&world.trip(f64::from(n) * 1e8, 500e6, 1e3, 30e3).observation()).up.verdict)
         .collect();
     assert_eq!(verdicts[..2], [Verdict::Stale, Verdict::Stale]);
     assert!(!verdicts[2..].contains(&Verdict::Stale));
@@ -110,7 +110,7 @@ fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
     let path = Path { up: 40e6, down: 5e6, jitter: 2e6, loss: 0.02, burst: 5e6 };
     let mut last = None;
     for trip in path.trips(&world, (0.0, 20.0), 10.0, &mut Dice::new(8)) {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         last = Some(judged);
     }

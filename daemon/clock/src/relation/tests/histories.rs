@@ -108,7 +108,8 @@ fn delays_of_generated_histories_contain_the_truth() {
         let mut newest_epoch = 0;
         for (n, (trip, epoch)) in history.trips.iter().enumerate() {
             newest_epoch = newest_epoch.max(*epoch);
-            let answer = relation.judge(&Witnessed { cloud_epoch: Some(*epoch), ..trip.witnessed() });
+            let answer =
+                relation.judge(&ExchangeObservation { cloud_epoch: Some(*epoch), ..trip.observation() });
             jumps += u64::from(matches!(answer.learned, Learned::Jumped(_)));
             let is_stepped = answer.learned == Learned::Refused(Refusal::Stepped);
             assert!(is_stepped || !matches!(answer.learned, Learned::Refused(_)), "{seed}: {n}: {answer:?}");

@@ -10,7 +10,7 @@ proptest! {
         let mut relation = acquainted(&world);
         let before = picture(&relation);
         for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
-            let mut lie = world.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).witnessed();
+            let mut lie = world.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
             lie.exchange.received = RawTime::from_nanos(received);
             lie.exchange.replied = RawTime::from_nanos(replied);
             lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
@@ -33,7 +33,7 @@ proptest! {
         ) {
         let [sent, received, replied, returned] = stamps.map(RawTime::from_nanos);
         let uncertainty = Span::from_nanos(uncertainty);
-        let witnessed = Witnessed {
+        let observation = ExchangeObservation {
             exchange: Exchange { sent, received, replied, returned, uncertainty },
             cloud_elapsed: elapsed.map(Span::from_nanos),
             edge_epoch: epoch,
@@ -43,9 +43,9 @@ proptest! {
             let settings = RelationSettings { clocks, ..RelationSettings::default() };
             let mut relation = Relation::new(settings);
             for apart in apart.map(|nanos| Span::from_nanos(i64::from(nanos) << 28)) {
-                let exchange = Exchange { sent: sent + apart, returned: returned + apart, ..witnessed.exchange };
-                relation.judge(&witnessed);
-                relation.judge(&Witnessed { exchange, ..witnessed });
+                let exchange = Exchange { sent: sent + apart, returned: returned + apart, ..observation.exchange };
+                relation.judge(&observation);
+                relation.judge(&ExchangeObservation { exchange, ..observation });
                 relation.delay(Direction::Down, returned, sent);
                 relation.offset(RawTime::from_nanos(at), WallTime::default());
             }
@@ -60,10 +60,10 @@ proptest! {
         let calm = Path { burst: 0.0, ..Path::VETH };
         let mut lies = 0;
         for (n, trip) in calm.trips(&world, (10.0, 30.0), 20.0, &mut dice).iter().enumerate() {
-            honest.learn(&trip.witnessed());
-            lied_to.learn(&trip.witnessed());
+            honest.learn(&trip.observation());
+            lied_to.learn(&trip.observation());
             if n % 4 < 3 {
-                let mut lie = world.trip(trip.ended, 3e4, 1e5, 3e4).witnessed();
+                let mut lie = world.trip(trip.ended, 3e4, 1e5, 3e4).observation();
                 lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
                 lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
                 let learned = lied_to.learn(&lie);
@@ -81,7 +81,7 @@ proptest! {
 fn one_lie_told_often_is_one_lie() {
     let mut relation = acquainted(&world(Span::ZERO));
     let before = picture(&relation);
-    let lie = world(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).witnessed();
+    let lie = world(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
     for _ in 0..20 {
         assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
     }
@@ -95,7 +95,7 @@ fn a_wide_exchange_that_fits_both_does_not_end_a_suspicion() {
     let learned: Vec<Learned> = (0..8)
         .map(|n| {
             let way = if n % 2 == 0 { 3e4 } else { 5e6 };
-            let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).witnessed());
+            let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).observation());
             let trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!trusted || n >= 6, "{n} {judged:?}");
             judged.learned
@@ -109,9 +109,9 @@ fn impossible_exchanges_are_told_apart() {
     let world = world(Span::ZERO);
     let mut relation = acquainted(&world);
     let refused = |edit: fn(&mut Exchange)| {
-        let mut witnessed = world.trip(10e9, 3e4, 1e5, 3e4).witnessed();
-        edit(&mut witnessed.exchange);
-        (relation.learn(&witnessed), relation.counts().impossible)
+        let mut observation = world.trip(10e9, 3e4, 1e5, 3e4).observation();
+        edit(&mut observation.exchange);
+        (relation.learn(&observation), relation.counts().impossible)
     };
     let edits: [fn(&mut Exchange); 5] = [
         |exchange| exchange.replied = exchange.received - Span::from_nanos(1),
@@ -133,7 +133,7 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     let mut relation = acquainted(&honest);
     let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut Dice::new(3));
     for trip in &trips {
-        relation.learn(&trip.witnessed());
+        relation.learn(&trip.observation());
     }
     let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
     assert_eq!((offset.verdict, relation.window()), (Verdict::Ok, 1));
@@ -145,7 +145,7 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     let offset = relation.offset(at(20), WallTime::default()).expect("acquainted");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = lying.trip(20e9, 3e4, 1e5, 3e4);
-    let judged = relation.judge(&trip.witnessed());
+    let judged = relation.judge(&trip.observation());
     assert_eq!((judged.up.verdict, judged.up.value, judged.up.bounds), (Verdict::Inconsistent, None, None));
 }
 
@@ -158,11 +158,11 @@ fn clocks_that_drift_faster_than_the_limit_are_soon_believed_no_more() {
     let trips = calm.trips(&world, (10.0, 40.0), 50.0, &mut dice);
     let (early, late) = trips.split_at(trips.len() / 3);
     for trip in early {
-        relation.judge(&trip.witnessed());
+        relation.judge(&trip.observation());
     }
     assert!(relation.in_doubt(), "{:?}", relation.counts());
     for trip in late {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.value, judged.down.value), (None, None));
         assert!(!matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale));
     }
@@ -176,7 +176,7 @@ fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud };
     let mut relation = relation();
     for trip in Path::VETH.trips(&world, (10.0, 130.0), 20.0, &mut Dice::new(6)) {
-        relation.judge(&trip.witnessed());
+        relation.judge(&trip.observation());
         assert!(!relation.in_doubt());
     }
     assert_eq!(relation.window(), 2);

@@ -29,7 +29,7 @@ fn world(offset: Span) -> World {
 fn acquainted(world: &World) -> Relation {
     let mut relation = relation();
     for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
-        assert_eq!(relation.learn(&trip.witnessed()), Learned::Taken);
+        assert_eq!(relation.learn(&trip.observation()), Learned::Taken);
     }
     relation
 }

@@ -16,7 +16,7 @@ fn asymmetric() -> Relation {
     let path = Path { up: 30e6, down: 20e6, jitter: 1e3, loss: 0.0, burst: 0.0 };
     let mut relation = relation();
     for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
-        relation.learn(&trip.witnessed());
+        relation.learn(&trip.observation());
     }
     relation
 }
@@ -54,7 +54,7 @@ fn claims_that_are_not_trusted_change_nothing() {
     relation.set_disciplines(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
     for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
-        relation.learn(&trip.witnessed());
+        relation.learn(&trip.observation());
     }
     let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
     assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));

@@ -16,7 +16,7 @@ fn cloud_set(by: Span) -> World {
 /// Ten a second until the 10th, then a hundred a second for three seconds; `witness` adds what the hosts know.
 /// Returns how long it took until the first `ok` or `limited` after the step, and the relation. All of those contain
 /// the truth.
-fn survive(world: &World, witness: impl Fn(&Trip) -> Witnessed) -> (Option<f64>, Relation) {
+fn survive(world: &World, witness: impl Fn(&Trip) -> ExchangeObservation) -> (Option<f64>, Relation) {
     let mut relation = acquainted(world);
     let mut recovered = None;
     for trip in Path::VETH.trips(world, (9.95, 13.0), 100.0, &mut Dice::new(6)) {
@@ -40,7 +40,7 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
             let (recovered, relation) = survive(&world, |trip| {
                 let epoch = u32::from(trip.ended >= 10e9);
                 let (edge_epoch, cloud_epoch) = if edge { (epoch, 0) } else { (0, epoch) };
-                Witnessed { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.witnessed() }
+                ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
             assert_eq!(relation.window(), 1);
             // A clock that was set back needs as long to be sure which exchanges began after it.
@@ -55,7 +55,7 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
 fn a_step_that_nobody_noticed_is_believed_after_several_agree() {
     for by in [STEP, -STEP, Span::from_millis(20), Span::from_millis(-20)] {
         for world in [edge_set(by), cloud_set(by)] {
-            let (recovered, relation) = survive(&world, Trip::witnessed);
+            let (recovered, relation) = survive(&world, Trip::observation);
             assert_eq!(relation.counts().restarts, 1, "{by}");
             assert!(recovered.is_some_and(|after| after < 0.5), "{by} {recovered:?}");
         }
@@ -69,7 +69,7 @@ fn the_size_of_a_step_is_told_with_the_first_exchange_after_it() {
     let mut told = Vec::new();
     for trip in Path::VETH.trips(&world, (10.0, 11.0), 50.0, &mut Dice::new(6)) {
         if let Learned::Restarted(by) =
-            relation.learn(&Witnessed { cloud_epoch: Some(1), ..trip.witnessed() })
+            relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
             told.push(by.expect("it was known before"));
         }
@@ -84,9 +84,9 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     let mut relation = acquainted(&world);
     let before = picture(&relation);
     let trip = world.trip(10e9, 300e3, 1e6, 300e3);
-    let spans = |by: i64| Witnessed {
+    let spans = |by: i64| ExchangeObservation {
         cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(by)),
-        ..trip.witnessed()
+        ..trip.observation()
     };
     for by in [60, -60] {
         assert_eq!(relation.learn(&spans(by)), Learned::Refused(Refusal::Stepped));
@@ -96,7 +96,8 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     // A rehearsed clock of 100 ppm through ten seconds.
     let long = world.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
-    let drifted = Witnessed { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.witnessed() };
+    let drifted =
+        ExchangeObservation { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.observation() };
     assert_eq!(relation.learn(&drifted), Learned::Taken);
 }
 
@@ -106,7 +107,11 @@ fn an_exchange_begun_before_the_news_of_a_step_is_refused_though_it_tells_the_ne
     for (world, edge_epoch, cloud_epoch) in
         [(cloud_set(Span::from_micros(-40)), 0, 1), (edge_set(Span::from_micros(40)), 1, 0)]
     {
-        let told = |trip: Trip| Witnessed { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.witnessed() };
+        let told = |trip: Trip| ExchangeObservation {
+            edge_epoch,
+            cloud_epoch: Some(cloud_epoch),
+            ..trip.observation()
+        };
         let mut relation = acquainted(&world);
         let (news, spanning) = (world.trip(10.0001e9, 3e4, 1e4, 3e4), world.trip(9.9999e9, 5e4, 2e5, 5e4));
         assert_eq!(relation.learn(&told(news)), Learned::Refused(Refusal::Stepped));
@@ -124,7 +129,7 @@ fn a_notice_ends_the_window_once() {
     relation.cloud_stepped(1);
     assert_eq!((relation.window(), relation.offset(at(10), WallTime::default())), (1, None));
     relation.cloud_stepped(1);
-    let told = |trip: Trip| Witnessed { cloud_epoch: Some(1), ..trip.witnessed() };
+    let told = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
     // The first may have been under way during the step.
     let first = relation.judge(&told(world.trip(10.1e9, 3e4, 1e5, 3e4)));
     assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
@@ -148,9 +153,9 @@ fn a_notice_ends_the_window_once() {
 fn overtaken_answers_of_an_older_epoch_are_refused_and_a_counter_begun_anew_is_believed() {
     let world = world(Span::ZERO);
     let mut relation = relation();
-    let told = |n: u32, epoch| Witnessed {
+    let told = |n: u32, epoch| ExchangeObservation {
         cloud_epoch: Some(epoch),
-        ..world.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).witnessed()
+        ..world.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
     (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), Learned::Taken));
     for n in 5..20 {

@@ -23,7 +23,7 @@ proptest! {
         let trips = path.trips(&world, (0.0, 60.0), 30.0, &mut dice);
         let mut relation = relation();
         for (count, trip) in trips.iter().enumerate() {
-            let judged = relation.judge(&trip.witnessed());
+            let judged = relation.judge(&trip.observation());
             // Jitter alone looks like a jump once in a while, which makes nothing wrong.
             prop_assert!(matches!(judged.learned, Learned::Taken | Learned::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
@@ -51,7 +51,7 @@ proptest! {
         let trips = Path { loss: 0.3, ..Path::VETH }.trips(&world, (0.0, 60.0), 2.0, &mut dice);
         let settings = RelationSettings { clocks: RelatedClocks::Wall, retention: length, ..RelationSettings::default() };
         let mut relation = Relation::new(settings);
-        let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.witnessed())).collect();
+        let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.observation())).collect();
         for (trip, first) in trips.iter().zip(first) {
             let exchange = &trip.exchange;
             let up = relation.delay(Direction::Up, exchange.sent, exchange.received);
@@ -83,7 +83,7 @@ proptest! {
             let alone = relation.difference(Direction::Up, up.0, up.1);
             prop_assert_eq!(alone.bounds, both[0].bounds);
             prop_assert_eq!(relation.counts(), counts, "nothing is learnt");
-            relation.learn(&trip.witnessed());
+            relation.learn(&trip.observation());
         }
     }
 }
@@ -97,7 +97,7 @@ fn of_ten_thousand_iterations_all_contain_the_truth_and_the_mean_error_is_small(
         let mut relation = relation();
         let (mut errors, mut judged) = (0.0, 0u32);
         for trip in Path::VETH.trips(&world, (0.0, 100.0), 100.0, &mut Dice::new(4)) {
-            let Judged { up, down, .. } = relation.judge(&trip.witnessed());
+            let Judged { up, down, .. } = relation.judge(&trip.observation());
             for (delay, truth) in [(up, trip.up), (down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e6;
@@ -116,7 +116,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
     for n in 0..20 {
         // Ten seconds on the cloud: its clock runs 500 µs ahead meanwhile, the way there and back takes 60.
         let trip = world.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         assert_eq!(judged.learned, Learned::Taken);
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
     }
@@ -128,9 +128,9 @@ fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 50.0) };
     let mut relation = relation();
     for n in 0..100 {
-        relation.learn(&world.trip(f64::from(n) * 1e8, 500.0, 1e3, 500.0).witnessed());
+        relation.learn(&world.trip(f64::from(n) * 1e8, 500.0, 1e3, 500.0).observation());
     }
-    let judged = relation.judge(&world.trip(10e9, 5e9, 1e3, 5e9).witnessed());
+    let judged = relation.judge(&world.trip(10e9, 5e9, 1e3, 5e9).observation());
     for delay in [judged.up, judged.down] {
         let bounds = delay.bounds.expect("acquainted");
         assert!(bounds.contains(Span::from_seconds(5)), "{delay:?}");

@@ -31,7 +31,7 @@ fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, e
     let mut relation = Relation::new(settings);
     let mut seen = Seen::default();
     for trip in path.trips(world, (0.0, end), hz, &mut Dice::new(12)) {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         let after = trip.ended / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             seen.judged += 1;
@@ -136,7 +136,7 @@ fn path_that_becomes_shorter_is_no_jump() {
     let (mut dice, mut widths) = (Dice::new(4), Vec::new());
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&world, seconds, 20.0, &mut dice) {
-            let judged = relation.judge(&trip.witnessed());
+            let judged = relation.judge(&trip.observation());
             assert_eq!(judged.learned, Learned::Taken);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
@@ -185,7 +185,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
         let route = if n % 2 == 0 { there } else { back };
         let seconds = (f64::from(n) * 5.0, f64::from(n + 1) * 5.0);
         for trip in route.trips(&world, seconds, 10.0, &mut dice) {
-            let judged = relation.judge(&trip.witnessed());
+            let judged = relation.judge(&trip.observation());
             jumps += u32::from(matches!(judged.learned, Learned::Jumped(_)));
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
@@ -209,7 +209,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
     let mut relation = Relation::new(settings);
     let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice::new(5));
-    trips.iter().for_each(|trip| _ = relation.learn(&trip.witnessed()));
+    trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
     assert_eq!(relation.window(), 1);
     let mut hulls = 0;
     for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.ended)) {
@@ -235,10 +235,10 @@ fn exchange_that_did_not_show_the_jump_bounds_no_delay_before_it() {
     let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)), ..world };
     let mut relation = Relation::new(free_running(200.0));
     let near = |t: f64| world.trip(t * 1e9, 20e6, 1e5, 20e6);
-    (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).witnessed()));
+    (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
     let waited = world.trip(30.02e9, 60e6, 1e5, 20e6);
-    assert_eq!(relation.learn(&waited.witnessed()), Learned::Taken);
-    assert!(matches!(relation.learn(&near(30.1).witnessed()), Learned::Jumped(_)));
+    assert_eq!(relation.learn(&waited.observation()), Learned::Taken);
+    assert!(matches!(relation.learn(&near(30.1).observation()), Learned::Jumped(_)));
     let before = near(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
     assert!(contains(&delay, before.up), "{delay:?}");

@@ -7,7 +7,7 @@ fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, 
     let mut relation = Relation::new(settings);
     let (mut widths, mut errors) = (Vec::new(), 0.0);
     for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice::new(9)) {
-        let judged = relation.judge(&trip.witnessed());
+        let judged = relation.judge(&trip.observation());
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             if trip.ended > 20e9 {
                 widths.push(delay.bounds.expect("bounds").width().seconds() * 1e3);
