@@ -2,8 +2,8 @@
 //! what is stored was judged by the same code that judges it again.
 
 use peernet_clock::{
-    Discipline, Exchange, Interval, Judged, Learned, OneWayDelay, RawTime, RelatedClocks, Relation,
-    RelationSettings, Span, WallTime, ExchangeObservation,
+    Discipline, Exchange, ExchangeObservation, Interval, Judged, Learned, OneWayDelay, RawTime,
+    RelatedClocks, Relation, RelationSettings, Span, WallTime,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
 use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, ProbeCounts};

@@ -49,21 +49,21 @@ const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
 pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection, now: WallTime) {
     tables(report, connection).await;
     let answer = sqlx::query_as(STREAMS).fetch_all(&mut *connection).await;
-    report.streams = report.or_problem("the streams", answer);
+    report.streams = report.value_or_problem("the streams", answer);
     let answer = sqlx::query_as(GAPS).fetch_all(&mut *connection).await;
-    report.gaps = report.or_problem("the gaps", answer);
+    report.gaps = report.value_or_problem("the gaps", answer);
     let answer = sqlx::query_as(QUARANTINE).fetch_all(&mut *connection).await;
-    report.quarantine = report.or_problem("the quarantine", answer);
+    report.quarantine = report.value_or_problem("the quarantine", answer);
     let answer = sqlx::query_as(ROLLUPS).fetch_all(&mut *connection).await;
-    report.rollups = report.or_problem("the roll-ups", answer);
+    report.rollups = report.value_or_problem("the roll-ups", answer);
     let answer =
         sqlx::query_as(OPEN_RUNS).bind((now - SILENT).unix_nanos()).fetch_all(&mut *connection).await;
-    let open: Vec<OpenRun> = report.or_problem("the open runs", answer);
+    let open: Vec<OpenRun> = report.value_or_problem("the open runs", answer);
     report.open_runs = open;
     let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
-    let trimmed: Vec<(String, i64)> = report.or_problem("what retention did", answer);
+    let trimmed: Vec<(String, i64)> = report.value_or_problem("what retention did", answer);
     let answer = sqlx::query_as(DELETED).fetch_optional(&mut *connection).await;
-    let deleted: Option<(String, String)> = report.or_problem("what retention deleted last", answer);
+    let deleted: Option<(String, String)> = report.value_or_problem("what retention deleted last", answer);
     if let Some((at, text)) = deleted {
         report.notice(
             format!("retention {text}, within an hour from {at} UTC"),
@@ -71,7 +71,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
         );
     }
     let answer = sqlx::query_scalar(DEBTS).fetch_one(connection).await;
-    let debts: i64 = report.or_problem("what is left of the last update", answer);
+    let debts: i64 = report.value_or_problem("what is left of the last update", answer);
     judge(report, &trimmed, debts);
 }
 
@@ -79,11 +79,11 @@ async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
     for table in SMALL {
         let statement = format!("SELECT count(*) FROM {table}");
         let answer = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&mut *connection).await;
-        let rows: i64 = report.or_problem(&format!("the table {table}"), answer);
+        let rows: i64 = report.value_or_problem(&format!("the table {table}"), answer);
         report.tables.push(TableRows { table, rows: count(rows), estimated: false });
     }
     let answer = sqlx::query_as(STORED).fetch_one(connection).await;
-    let (iterations, nodes): (i64, i64) = report.or_problem("the iterations", answer);
+    let (iterations, nodes): (i64, i64) = report.value_or_problem("the iterations", answer);
     for (table, rows) in [("iteration", iterations), ("node", nodes)] {
         report.tables.push(TableRows { table, rows: count(rows), estimated: true });
     }

@@ -21,24 +21,24 @@ use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
 use crate::integrity::{PageCheck, has_table_list, remembered};
 
-/// A disk with less room is as good as full.
-const LITTLE_ROOM: u64 = 512 << 20;
-/// A log beside the database that is larger is not being taken over.
-const LARGE_LOG: u64 = 512 << 20;
-/// What to do about a damaged file.
+/// Free bytes of the disk below which the report names a problem.
+const MIN_FREE_BYTES: u64 = 512 << 20;
+/// Bytes of the write-ahead log above which SQLite is probably kept from carrying it over into the database.
+const LARGE_WAL_BYTES: u64 = 512 << 20;
+/// Advice for a damaged file.
 const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages what can be read and keeps the \
                       damaged file; or restore the newest backup. Agents send what they still have in their spools";
-/// What to do about one in which no row can be found.
+/// Advice for a damaged file in which no row can be found.
 const RESTORE: &str = "stop the aggregator and put the newest backup in its place: without the file's header and its list of tables no \
                        row can be found. Agents send what they still have in their spools";
 
 /// Why a database cannot be examined at all.
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
-    /// There is none.
+    /// The file does not exist.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
-    /// Beside it is the log of another one.
+    /// The log beside the database belongs to another database.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// It cannot be opened.
@@ -51,7 +51,7 @@ pub enum DoctorError {
     },
 }
 
-/// How to examine.
+/// Settings of an examination.
 #[derive(Clone, Copy, Debug)]
 pub struct Examination {
     /// Whether indexes are compared with their tables and references followed, too: takes several times as long.
@@ -60,7 +60,7 @@ pub struct Examination {
     pub now: WallTime,
 }
 
-/// Looks at everything there is to see. Reads the whole file once, beside a running aggregator if there is one.
+/// Examines a database. Reads the whole file once; an aggregator may be running on it.
 ///
 /// # Errors
 /// When there is no such file or it cannot be opened. What is wrong within it stands in the report.
@@ -78,7 +78,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     // Before SQLite has it open: see `PageFile`.
     refuse_foreign_log_of(database)?;
-    report.malformed_pages(database);
+    report.find_malformed_pages(database);
     let opened = async {
         let mut connection = reading(database).connect().await?;
         let contents = Contents::of(&mut connection).await?;
@@ -86,16 +86,16 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     };
     match opened.await {
         Ok((mut connection, Contents::Database)) => {
-            report.sizes(&mut connection, database).await;
-            report.check(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
-            report.earlier_damage(database);
-            if report.tables_are_known(&mut connection).await {
+            report.check_sizes(&mut connection, database).await;
+            report.check_integrity(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
+            report.report_recorded_damage(database);
+            if report.has_current_schema(&mut connection).await {
                 contents::read(&mut report, &mut connection, how.now).await;
             }
             let _ = connection.close().await;
         }
         Ok((mut connection, contents)) => {
-            report.sizes(&mut connection, database).await;
+            report.check_sizes(&mut connection, database).await;
             let what = contents.instead_of_database().unwrap_or_default();
             let advice = if contents == Contents::Spool {
                 "look at it with `peernetd doctor --spool FILE`"
@@ -106,7 +106,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
             let _ = connection.close().await;
         }
         Err(error) if is_damage(&error) => {
-            report.lengths(database);
+            report.read_lengths(database);
             report.problem(format!("it is damaged, or no database: {error}"), report.remedy());
         }
         Err(error) => return Err(cannot_open(error)),
@@ -120,7 +120,7 @@ impl Report {
         self.findings.iter().all(|finding| finding.severity != Severity::Problem)
     }
 
-    /// What to do about damage.
+    /// Returns the advice for damage.
     const fn remedy(&self) -> &'static str {
         if self.integrity.has_table_list { REPAIR } else { RESTORE }
     }
@@ -133,8 +133,8 @@ impl Report {
         self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
     }
 
-    /// The rows of an answer; none, and a finding, where the file cannot give one.
-    fn or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
+    /// Returns the value of an answer; of a failed query, the default value, and adds a problem.
+    fn value_or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
         answer.unwrap_or_else(|error| {
             if is_damage(&error) {
                 self.problem(format!("it is damaged: cannot read {what}: {error}"), self.remedy());
@@ -148,15 +148,16 @@ impl Report {
         })
     }
 
-    async fn sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
+    /// Reads the sizes of the file, its log and its disk, and reports those that are a problem.
+    async fn check_sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
         let answer = sqlx::query_scalar(
             "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
         );
         let answer: Result<i64, _> = answer.fetch_one(connection).await;
-        let free = self.or_problem("the file's size", answer);
+        let free = self.value_or_problem("the file's size", answer);
         self.file.free_bytes = count(free);
-        self.lengths(database);
-        if self.file.disk_free_bytes < LITTLE_ROOM {
+        self.read_lengths(database);
+        if self.file.disk_free_bytes < MIN_FREE_BYTES {
             let megabytes = self.file.disk_free_bytes >> 20;
             self.problem(
                 format!("its disk has only {megabytes} MiB of room"),
@@ -164,7 +165,7 @@ impl Report {
                  ([aggregator.retention]) keeps the file small",
             );
         }
-        if self.file.wal_bytes > LARGE_LOG {
+        if self.file.wal_bytes > LARGE_WAL_BYTES {
             let megabytes = self.file.wal_bytes >> 20;
             self.notice(
                 format!("the log beside it has {megabytes} MiB"),
@@ -173,8 +174,8 @@ impl Report {
         }
     }
 
-    /// What the file system says, whatever is in the file.
-    fn lengths(&mut self, database: &Path) {
+    /// Reads the lengths of the files and the free space from the file system.
+    fn read_lengths(&mut self, database: &Path) {
         let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
         let mut log =
             std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
@@ -186,16 +187,16 @@ impl Report {
         }
     }
 
-    /// Looks at the pages themselves. Whether a malformed one is in use is for SQLite to tell.
-    fn malformed_pages(&mut self, database: &Path) {
+    /// Looks for malformed pages without SQLite, which alone knows whether such a page is in use.
+    fn find_malformed_pages(&mut self, database: &Path) {
         match PageCheck::of(database) {
             Ok(pages) => self.malformed_pages = pages,
             Err(error) => self.problem(format!("its pages cannot be read: {error}"), self.remedy()),
         }
     }
 
-    /// What an aggregator found.
-    fn earlier_damage(&mut self, database: &Path) {
+    /// Reports damage that an aggregator has recorded beside the file.
+    fn report_recorded_damage(&mut self, database: &Path) {
         match remembered(database) {
             Ok(Some(what)) if self.is_healthy() => self.notice(
                 format!("the aggregator found it damaged ({what}), and it is not, or no longer"),
@@ -209,7 +210,8 @@ impl Report {
         }
     }
 
-    async fn check(&mut self, connection: &mut SqliteConnection, full: bool) {
+    /// Runs SQLite's own checks: the quick one, and the full one if it is wanted and the quick one found nothing.
+    async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
         // The second takes several times as long, and finds in damaged trees nothing that the first does not.
         let before = self.findings.len();
@@ -218,7 +220,7 @@ impl Report {
             let Some(pragma) = pragma.filter(|_| unharmed) else { continue };
             let answer: Result<Vec<String>, _> =
                 sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
-            let said = self.or_problem("the whole file", answer);
+            let said = self.value_or_problem("the whole file", answer);
             self.integrity.problems = said.into_iter().filter(|line| line != "ok").collect();
         }
         if full && self.findings.len() == before {
@@ -226,7 +228,7 @@ impl Report {
                 "SELECT \"table\", parent, count(*) FROM pragma_foreign_key_check GROUP BY 1, 2",
             );
             let answer: Result<Vec<(String, String, i64)>, _> = answer.fetch_all(connection).await;
-            let lost = self.or_problem("references between tables", answer);
+            let lost = self.value_or_problem("references between tables", answer);
             let lines = lost.into_iter().map(|(table, parent, rows)| {
                 format!("{rows} rows of {table} refer to rows of {parent} that are not there")
             });
@@ -246,8 +248,8 @@ impl Report {
         }
     }
 
-    /// Whether this program knows what the tables mean.
-    async fn tables_are_known(&mut self, connection: &mut SqliteConnection) -> bool {
+    /// Compares the schema's version with that of this program. Returns whether they are the same.
+    async fn has_current_schema(&mut self, connection: &mut SqliteConnection) -> bool {
         let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");
         let answer: Result<(Option<i64>, Option<bool>), _> = answer.fetch_one(connection).await;

@@ -1,6 +1,6 @@
 //! A damaged database: all that can be read of it, in a new file that takes its place.
 
-mod mend;
+mod reconcile;
 mod rows;
 mod tree;
 
@@ -17,7 +17,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
-use self::mend::Mending;
+use self::reconcile::Reconciliation;
 use self::rows::{CopiedTable, Table, Value, values};
 use self::tree::{Item, Walk};
 use super::{BUSY, free_bytes};
@@ -105,7 +105,7 @@ pub struct Repaired {
     pub damaged: PathBuf,
     /// What became of each table, by name.
     pub tables: Vec<SalvagedTable>,
-    /// Iterations that are lost, as far as the counters of their runs and holes between their numbers tell.
+    /// Iterations that are lost, as far as the counters of their runs and missing numbers tell.
     pub lost_iterations: u64,
     /// Whether the log beside the database could not be taken over: what was stored last is missing.
     pub without_log: bool,
@@ -314,13 +314,14 @@ async fn fill(
     }
     progress("what refers to each other");
     let now_ns = now.unix_nanos();
-    let lost = Mending { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
+    let lost = Reconciliation { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "trigger") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
     sqlx::query("COMMIT").execute(&mut *connection).await?;
-    let lacks = |table: &str| tables.get(table).is_some_and(|table: &CopiedTable| !table.holes.is_empty());
-    if lacks("rollup") || lacks("verdict_count") {
+    let has_unreadable =
+        |table: &str| tables.get(table).is_some_and(|table: &CopiedTable| !table.unreadable.is_empty());
+    if has_unreadable("rollup") || has_unreadable("verdict_count") {
         progress("statistics from the nodes");
         rebuild(connection, None, |_| {}).await?;
     }
@@ -329,7 +330,7 @@ async fn fill(
         let statement = AssertSqlSafe(format!("SELECT count(*) FROM \"{table}\""));
         let rows: i64 = sqlx::query_scalar(statement).fetch_one(&mut *connection).await?;
         let rows = u64::try_from(rows).unwrap_or(0);
-        salvaged.push(SalvagedTable { table, rows, unreadable: copied.holes.len() as u64 });
+        salvaged.push(SalvagedTable { table, rows, unreadable: copied.unreadable.len() as u64 });
     }
     Ok((salvaged, lost))
 }

@@ -55,17 +55,19 @@ struct Row {
     values: Vec<Value>,
 }
 
-/// What stands on both sides of something that could not be read: the first three columns of the rows' keys.
+/// Rows that could not be read, between two that could.
+///
+/// Both ends are the first three columns of a row's key; `None` at an end of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Hole {
+pub(super) struct UnreadableRange {
     pub(super) before: Option<[i64; 3]>,
     pub(super) after: Option<[i64; 3]>,
 }
 
-/// What became of a table.
+/// Result of copying a table.
 #[derive(Debug, Default)]
 pub(super) struct CopiedTable {
-    pub(super) holes: Vec<Hole>,
+    pub(super) unreadable: Vec<UnreadableRange>,
 }
 
 #[derive(sqlx::FromRow)]
@@ -125,14 +127,14 @@ impl Table {
     ) -> Result<CopiedTable, sqlx::Error> {
         let mut copied = CopiedTable::default();
         let Some(root) = root else {
-            copied.holes.push(Hole { before: None, after: None });
+            copied.unreadable.push(UnreadableRange { before: None, after: None });
             return Ok(copied);
         };
         let most = MOST_VALUES / self.columns.len() - KEPT_BACK;
         let mut rows: Vec<Row> = Vec::new();
         // The last row that was written.
         let mut written = None;
-        let mut in_hole = false;
+        let mut in_unreadable = false;
         for item in Walk::from(file, root, self.has_rowids) {
             let row = match item {
                 Item::Row(rowid, record) => self.decode(&record, rowid),
@@ -146,17 +148,17 @@ impl Table {
             }
             let before = rows.last().or(written.as_ref()).map(|row| self.key(row));
             let Some(row) = row.filter(|_| is_ordered) else {
-                match copied.holes.last_mut().filter(|_| in_hole) {
-                    Some(hole) => hole.before = before,
-                    None => copied.holes.push(Hole { before, after: None }),
+                match copied.unreadable.last_mut().filter(|_| in_unreadable) {
+                    Some(range) => range.before = before,
+                    None => copied.unreadable.push(UnreadableRange { before, after: None }),
                 }
-                in_hole = true;
+                in_unreadable = true;
                 continue;
             };
-            if std::mem::take(&mut in_hole)
-                && let Some(hole) = copied.holes.last_mut()
+            if std::mem::take(&mut in_unreadable)
+                && let Some(range) = copied.unreadable.last_mut()
             {
-                hole.after = Some(self.key(&row));
+                range.after = Some(self.key(&row));
             }
             rows.push(row);
             if rows.len() == most + KEPT_BACK {

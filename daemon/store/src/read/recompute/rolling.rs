@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, Interval, RawTime, RelatedClocks, Relation, RelationSettings, Span,
-    ExchangeObservation,
+    DelaySource, Discipline, Exchange, ExchangeObservation, Interval, RawTime, RelatedClocks, Relation,
+    RelationSettings, Span,
 };
 use sqlx::FromRow;
 
@@ -144,7 +144,12 @@ impl Rolling {
         // In the order of time: a jump that nobody noticed lies between two of them.
         exchanges.sort_by_key(|exchange| exchange.map(|exchange| exchange.sent));
         for exchange in exchanges.into_iter().flatten() {
-            relation.learn(&ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: 1, cloud_epoch: Some(1) });
+            relation.learn(&ExchangeObservation {
+                exchange,
+                cloud_elapsed: None,
+                edge_epoch: 1,
+                cloud_epoch: Some(1),
+            });
         }
         self.claims.push_back((RawTime::from_nanos(row.time_ns), row.claim()?));
         Ok(())

@@ -1,13 +1,13 @@
-//! Makes the salvaged rows agree with each other, and records what is lost.
+//! Makes the salvaged rows agree with each other, and records lost iterations as gaps.
 
 use std::collections::{BTreeMap, HashMap};
 
 use sqlx::{AssertSqlSafe, FromRow, SqliteConnection};
 
-use super::rows::{CopiedTable, Hole};
+use super::rows::{CopiedTable, UnreadableRange};
 use crate::write::UNKNOWN;
 
-/// Reason of the gaps.
+/// Reason that the gaps give.
 const REASON: &str = "the database was damaged, and its repair could not read these rows";
 
 /// A random id in SQL.
@@ -17,8 +17,8 @@ const RANDOM_ID: &str = "lower(hex(randomblob(4)) || '-' || hex(randomblob(2)) |
 /// Tables in which an iteration has rows of its tree.
 const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
-/// Rows that refer to rows that are lost: they are deleted. A host whose stream is lost is asked what it still has, as
-/// after a restored backup.
+/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost is asked for
+/// what it still has, as after a restored backup.
 const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
@@ -29,8 +29,8 @@ const ORPHANS: [(&str, &str); 7] = [
     ("connection_sample", "link NOT IN (SELECT id FROM link)"),
 ];
 
-/// What the salvaged tables lack.
-pub(super) struct Mending<'a> {
+/// Reconciliation of the salvaged tables with each other.
+pub(super) struct Reconciliation<'a> {
     pub(super) connection: &'a mut SqliteConnection,
     pub(super) tables: &'a BTreeMap<String, CopiedTable>,
     pub(super) now_ns: i64,
@@ -38,28 +38,28 @@ pub(super) struct Mending<'a> {
 
 /// A run with iterations that are lost.
 #[derive(Debug, FromRow)]
-struct Lacking {
+struct IncompleteRun {
     number: i64,
     host: i64,
     pipeline: String,
     from_ns: i64,
     to_ns: i64,
-    /// Iterations that retention has deleted are below.
+    /// Number of the last iteration that retention has deleted; 0 for none.
     nodes_from: i64,
     counted: i64,
     stored: i64,
     /// Numbers between the first stored iteration that retention left and the last that are not stored.
-    holes: i64,
+    missing_numbers: i64,
     /// Events in the gaps that the run has already.
     known: i64,
 }
 
-/// ?1 run. Stored numbers rise from 1, or from what retention has left.
+/// Statement that reads an [`IncompleteRun`]; ?1 is its number. Iterations are numbered from 1, or from the first that retention left.
 const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from, \
      run.warm_up + run.ok + run.failed + run.lost + run.timeout AS counted, \
      (SELECT count(*) FROM iteration WHERE run = ?1) AS stored, \
      (SELECT coalesce(max(number) - min(number) + 1 - count(*), 0) FROM iteration \
-         WHERE run = ?1 AND number > run.nodes_from) AS holes, \
+         WHERE run = ?1 AND number > run.nodes_from) AS missing_numbers, \
      (SELECT coalesce(sum(count), 0) FROM gap WHERE run = ?1) AS known, \
      coalesce((SELECT started_ns FROM iteration AS it WHERE run = ?1 AND NOT EXISTS \
          (SELECT 1 FROM iteration WHERE run = ?1 AND number = it.number + 1) \
@@ -71,36 +71,38 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
          ORDER BY number DESC LIMIT 1), run.last_iteration_ns, run.started_ns), run.started_ns) AS to_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
-impl Mending<'_> {
-    /// Does all of it, and returns how many iterations are lost, as far as that can be known.
+impl Reconciliation<'_> {
+    /// Reconciles all tables. Returns the number of lost iterations, as far as it can be known.
     pub(super) async fn run(mut self) -> Result<i64, sqlx::Error> {
-        if self.lacks(&["host", "pipeline", "run", "link"]) {
-            self.references().await?;
+        if self.has_unreadable(&["host", "pipeline", "run", "link"]) {
+            self.restore_references().await?;
             self.execute(
                 "UPDATE host SET (gaps, missing) = (SELECT count(*), coalesce(sum(count), 0) FROM gap WHERE gap.host = host.id)",
             )
             .await?;
         }
-        if self.lacks(&["name"]) {
-            self.names().await?;
+        if self.has_unreadable(&["name"]) {
+            self.restore_names().await?;
         }
         let mut lost = 0;
-        let torn = self.torn_trees().await?;
-        if torn > 0 || self.lacks(&["iteration", "node", "transit", "anchor", "run"]) {
-            self.trees().await?;
-            lost = self.gaps().await?;
+        let torn = self.delete_torn_trees().await?;
+        if torn > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
+            self.delete_incomplete_trees().await?;
+            lost = self.record_gaps().await?;
         }
-        if torn > 0 || self.lacks(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"]) {
-            self.count_nodes().await?;
+        if torn > 0
+            || self.has_unreadable(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"])
+        {
+            self.recount_nodes().await?;
         }
-        if self.lacks(&["arrival", "storage_clock", "retained", "run", "link"]) {
-            self.retention().await?;
+        if self.has_unreadable(&["arrival", "storage_clock", "retained", "run", "link"]) {
+            self.restart_retention().await?;
         }
         Ok(lost)
     }
 
-    /// What is not known to have an end to its keeping has it as if it had just arrived.
-    async fn retention(&mut self) -> Result<(), sqlx::Error> {
+    /// Restarts the retention period of rows whose arrival time is lost, as if they had just arrived.
+    async fn restart_retention(&mut self) -> Result<(), sqlx::Error> {
         if self.tables.contains_key("retained") {
             self.execute(
                 "INSERT OR IGNORE INTO retained (kind, run) \
@@ -109,14 +111,14 @@ impl Mending<'_> {
             .await?;
         }
         if self.tables.contains_key("arrival") {
-            // The storage clock does not go back behind what it has shown.
+            // The storage clock must not go back behind a time that it has shown.
             self.execute(
                 "UPDATE storage_clock SET elapsed_ns = max(elapsed_ns, 1000000000 * max( \
                  (SELECT coalesce(max(to_s), 0) FROM arrival), (SELECT coalesce(max(arriving_from_s), 0) FROM run), \
                  (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
             )
             .await?;
-            // Rows from then on go before this one.
+            // These entries cover all rows and are before all others: rows that a later entry covers belong to that entry.
             self.execute(
                 "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
                  SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \
@@ -129,12 +131,13 @@ impl Mending<'_> {
         Ok(())
     }
 
-    fn lacks(&self, tables: &[&str]) -> bool {
-        tables.iter().any(|table| !self.holes(table).is_empty())
+    /// Whether rows of one of these tables could not be read.
+    fn has_unreadable(&self, tables: &[&str]) -> bool {
+        tables.iter().any(|table| !self.unreadable_in(table).is_empty())
     }
 
-    fn holes(&self, table: &str) -> &[Hole] {
-        self.tables.get(table).map_or(&[], |table| &table.holes)
+    fn unreadable_in(&self, table: &str) -> &[UnreadableRange] {
+        self.tables.get(table).map_or(&[], |table| &table.unreadable)
     }
 
     async fn execute(&mut self, sql: &str) -> Result<u64, sqlx::Error> {
@@ -142,9 +145,10 @@ impl Mending<'_> {
         Ok(done.rows_affected())
     }
 
-    /// Stands in for lost rows that measurements refer to; other rows that refer to lost ones are deleted. A run of a host
-    /// that is not known gets another id: what its agent still sends of it begins a run of its own.
-    async fn references(&mut self) -> Result<(), sqlx::Error> {
+    /// Inserts substitutes for lost rows that measurements refer to, and deletes other rows that refer to lost ones.
+    ///
+    /// A run of an unknown host gets another id: events that its agent still sends begin a run of their own.
+    async fn restore_references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
         let tables = self.tables;
         for (table, orphaned) in ORPHANS.into_iter().filter(|(table, _)| tables.contains_key(*table)) {
@@ -179,8 +183,8 @@ impl Mending<'_> {
         Ok(())
     }
 
-    /// A number that comes to mean another name would make old values look like what they are not.
-    async fn names(&mut self) -> Result<(), sqlx::Error> {
+    /// Inserts substitutes for lost names: a number that is given to another name would change the meaning of old values.
+    async fn restore_names(&mut self) -> Result<(), sqlx::Error> {
         self.execute(
             "INSERT INTO name (id, text, kind, custom, unit) SELECT name, 'lost-name-' || name, 'value', 0, '' FROM \
              (SELECT DISTINCT name FROM node UNION SELECT DISTINCT name FROM rollup UNION SELECT DISTINCT name FROM verdict_count) \
@@ -192,8 +196,8 @@ impl Mending<'_> {
 
     /// Deletes the iterations whose nodes are not numbered from 0 without a gap, and returns how many.
     ///
-    /// A row whose key was overwritten may still look like a row, of another tree: no hole shows that it is missing.
-    async fn torn_trees(&mut self) -> Result<u64, sqlx::Error> {
+    /// A row whose key was overwritten may still look like a row of another tree: no unreadable range shows that it is missing.
+    async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
         self.execute(
             "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
              HAVING count(*) <> max(node) + 1)",
@@ -201,12 +205,12 @@ impl Mending<'_> {
         .await
     }
 
-    /// An iteration is there with all of its tree or not at all.
-    async fn trees(&mut self) -> Result<(), sqlx::Error> {
+    /// Deletes the iterations of which rows of the tree could not be read, and rows of trees without their iteration.
+    async fn delete_incomplete_trees(&mut self) -> Result<(), sqlx::Error> {
         for table in TREES {
-            for Hole { before, after } in self.holes(table).to_vec() {
+            for UnreadableRange { before, after } in self.unreadable_in(table).to_vec() {
                 let (from_run, from) = before.map_or((i64::MIN, 0), |[run, iteration, _]| (run, iteration));
-                // A tree of which the root was read after the hole is whole.
+                // A tree whose root was read after the range is complete.
                 let (to_run, to) = match after {
                     Some([run, iteration, 0]) => (run, iteration - 1),
                     Some([run, iteration, _]) => (run, iteration),
@@ -221,7 +225,7 @@ impl Mending<'_> {
                     .await?;
             }
         }
-        if self.lacks(&["run"]) {
+        if self.has_unreadable(&["run"]) {
             self.execute("DELETE FROM iteration WHERE run NOT IN (SELECT number FROM run)").await?;
         }
         for table in TREES {
@@ -234,41 +238,44 @@ impl Mending<'_> {
         Ok(())
     }
 
-    /// What is lost of each run becomes a gap, and no longer counts as stored.
-    async fn gaps(&mut self) -> Result<i64, sqlx::Error> {
+    /// Records the lost iterations of each run as a gap; they no longer count as stored. Returns their number.
+    async fn record_gaps(&mut self) -> Result<i64, sqlx::Error> {
         let runs: Vec<i64> = sqlx::query_scalar("SELECT number FROM run ORDER BY number")
             .fetch_all(&mut *self.connection)
             .await?;
         let mut all = 0;
         for run in runs {
-            let run: Lacking = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
+            let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
             let whole = run.nodes_from == 0;
-            // The run's own counters were stored with its iterations. Of one that retention has begun to delete, and of one
-            // that was made anew, only holes between the numbers tell.
-            let lost =
-                if whole && run.counted > 0 { run.counted - run.stored } else { run.holes - run.known };
-            if lost > 0 || (!whole && self.has_hole_within(run.number)) {
+            // The run's own counters were stored with its iterations. For a run of which retention has deleted iterations, and
+            // for one that was made anew, only the missing numbers tell how many are lost.
+            let lost = if whole && run.counted > 0 {
+                run.counted - run.stored
+            } else {
+                run.missing_numbers - run.known
+            };
+            if lost > 0 || (!whole && self.has_unreadable_within(run.number)) {
                 let lost = lost.max(0);
                 all += lost;
-                self.gap(&run, lost).await?;
+                self.insert_gap(&run, lost).await?;
             }
             if whole && run.counted != run.stored {
-                self.count_again(run.number).await?;
+                self.recount_iterations(run.number).await?;
             }
         }
         Ok(all)
     }
 
-    /// Whether something of that run, and of no other, could not be read.
-    fn has_hole_within(&self, run: i64) -> bool {
-        let within = |hole: &Hole| {
-            hole.before.is_some_and(|[before, ..]| before == run)
-                && hole.after.is_some_and(|[after, ..]| after == run)
+    /// Whether there is an unreadable range between rows of that run.
+    fn has_unreadable_within(&self, run: i64) -> bool {
+        let within = |range: &UnreadableRange| {
+            range.before.is_some_and(|[before, ..]| before == run)
+                && range.after.is_some_and(|[after, ..]| after == run)
         };
-        ["iteration", "node"].iter().any(|table| self.holes(table).iter().any(within))
+        ["iteration", "node"].iter().any(|table| self.unreadable_in(table).iter().any(within))
     }
 
-    async fn gap(&mut self, run: &Lacking, lost: i64) -> Result<(), sqlx::Error> {
+    async fn insert_gap(&mut self, run: &IncompleteRun, lost: i64) -> Result<(), sqlx::Error> {
         sqlx::query(
             "INSERT INTO gap (host, pipeline, run, from_ns, to_ns, count, reason) VALUES (?, ?, ?, ?, ?, ?, ?)",
         )
@@ -291,7 +298,7 @@ impl Mending<'_> {
         Ok(())
     }
 
-    async fn count_again(&mut self, run: i64) -> Result<(), sqlx::Error> {
+    async fn recount_iterations(&mut self, run: i64) -> Result<(), sqlx::Error> {
         sqlx::query(
             "UPDATE run SET (warm_up, ok, failed, lost, timeout) = (SELECT coalesce(sum(warm_up <> 0), 0), \
              coalesce(sum(warm_up = 0 AND outcome = 0), 0), coalesce(sum(warm_up = 0 AND outcome = 1), 0), \
@@ -304,8 +311,8 @@ impl Mending<'_> {
         Ok(())
     }
 
-    /// Nodes of hosts of which retention has deleted nothing.
-    async fn count_nodes(&mut self) -> Result<(), sqlx::Error> {
+    /// Counts the nodes of each host again, unless retention has deleted some of them.
+    async fn recount_nodes(&mut self) -> Result<(), sqlx::Error> {
         let runs: Vec<(i64, i64, i64)> = sqlx::query_as(
             "SELECT pipeline.host, run.number, run.nodes_from FROM run JOIN pipeline ON pipeline.id = run.pipeline",
         )
