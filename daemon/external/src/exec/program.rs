@@ -158,7 +158,7 @@ fn exchange(
 ) -> Result<Reply, ExchangeError> {
     // What was written before it was asked would be taken for the reply, and every reply after it be the wrong one.
     if process.has_more() {
-        return Err(ExchangeError::Unasked(shown(&process.glimpse())));
+        return Err(ExchangeError::Unasked(shown(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();

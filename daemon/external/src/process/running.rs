@@ -11,7 +11,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use rustix::process::{PidfdFlags, Signal, pidfd_open};
 
 use super::group::Group;
-use super::pipe::{self, Broken, Reader, Wait};
+use super::pipe::{self, PipeError, Reader, Wait};
 use super::voice::Listening;
 use super::{Ended, Fault, Launch, ProcessError};
 
@@ -89,9 +89,9 @@ impl Process {
                 let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
                 pipe::write(input, parts, &mut self.output, wait)
             }
-            None => Err(Broken::Closed(None)),
+            None => Err(PipeError::Closed(None)),
         };
-        result.map_err(|broken| self.explain(broken))
+        result.map_err(|error| self.explain(error))
     }
 
     /// Exactly `length` bytes from its standard output.
@@ -100,7 +100,7 @@ impl Process {
     /// When it has ended, or does not send it all until the given moment.
     pub fn read_exact(&mut self, length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
-        self.output.exact(length, wait).map_err(|broken| self.explain(broken))
+        self.output.read_exact(length, wait).map_err(|error| self.explain(error))
     }
 
     /// The next line of its standard output without its end, of at most `most` bytes.
@@ -109,18 +109,18 @@ impl Process {
     /// When it has ended, sends a longer line, or none until the given moment.
     pub fn read_line(&mut self, most: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
-        self.output.until(b'\n', most, wait).map_err(|broken| self.explain(broken))
+        self.output.read_until(b'\n', most, wait).map_err(|error| self.explain(error))
     }
 
     /// Whether it has written something that nobody has read yet.
     pub fn has_more(&self) -> bool {
-        self.output.holds_something()
+        self.output.has_more()
     }
 
-    /// What it has written of its next line, as far as it is there: for messages.
-    pub fn glimpse(&mut self) -> String {
+    /// Returns what the process has written of its next line, without waiting for more: for messages.
+    pub fn peek_line(&mut self) -> String {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), self.clock.mono());
-        String::from_utf8_lossy(self.output.glimpse(wait)).into_owned()
+        String::from_utf8_lossy(self.output.peek_line(wait)).into_owned()
     }
 
     /// Kills it and its group.
@@ -143,9 +143,9 @@ impl Process {
         self.ended()
     }
 
-    /// What a broken pipe means: asks a process that closed it how it ended.
-    fn explain(&mut self, broken: Broken) -> ProcessError {
-        broken.known().unwrap_or_else(|fault| {
+    /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
+    fn explain(&mut self, error: PipeError) -> ProcessError {
+        error.into_process_error().unwrap_or_else(|fault| {
             // One that ends closes its pipes as well: that is worth telling only of one that goes on.
             let goes_on = !self.ends_within(GOING);
             self.input = None;
@@ -165,7 +165,7 @@ impl Process {
     /// Waits for its end without taking its status. Where the kernel cannot tell, it gets no grace.
     fn ends_within(&self, patience: Span) -> bool {
         let until = self.clock.mono() + patience;
-        self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).is_over()
+        self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).wait_for_exit()
     }
 
     /// Kills what is left of it and its group; `fault` is what it did before.
