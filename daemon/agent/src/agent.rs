@@ -18,7 +18,7 @@ use tokio_util::task::TaskTracker;
 
 use crate::argument_key::argument_key;
 use crate::check::{Problem, check, remarks};
-use crate::conditions::Places;
+use crate::conditions::InspectionSettings;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
 use crate::feed::Tap;
@@ -137,7 +137,7 @@ async fn start(
         incidents: incidents.clone(),
     };
     let links = Links::new(near, &config.clock, probes.clone());
-    let places = Arc::new(Places::of(&config));
+    let inspection = Arc::new(InspectionSettings::of(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { feed, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
@@ -160,14 +160,14 @@ async fn start(
         links: links.clone(),
         observed: observed.clone(),
         fingerprints,
-        places: Arc::clone(&places),
+        inspection: Arc::clone(&inspection),
     };
     let board = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
     let live = LiveSources { board, metrics, links, clock: host_clock.clone() };
     let (count, served) = watch::channel(Served::default());
     if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
-        let context = ServeContext { host, incidents, bank, observed, own: host_clock, places };
+        let context = ServeContext { host, incidents, bank, observed, own: host_clock, inspection };
         start_serving(&mut tasks, io.handle(), pipelines, |ended| {
             serve::run(endpoints, context, count, ended)
         });

@@ -1,24 +1,27 @@
-//! Room on the disks that are written to.
+//! Free space of the disks to which a run writes.
 
 use std::path::Path;
 
 use peernet_stream::Grade;
 
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
-const SCARCE_BYTES: u64 = 1 << 30;
-const NONE_BYTES: u64 = 100 << 20;
+/// Free bytes below which the space is doubtful.
+const DOUBTFUL_BELOW_BYTES: u64 = 1 << 30;
+/// Free bytes below which the space is bad.
+const BAD_BELOW_BYTES: u64 = 100 << 20;
 
-/// Room where the run writes. Where the folder is not there yet, the one above it tells.
-pub(super) fn free(places: &Places) -> Vec<Finding> {
-    places.folders.iter().map(|(purpose, folder)| of(purpose, folder)).collect()
+/// Judges the free space of every folder to which the run writes.
+pub(super) fn free_space(settings: &InspectionSettings) -> Vec<Finding> {
+    settings.folders.iter().map(|(purpose, folder)| free_space_of(purpose, folder)).collect()
 }
 
-pub(super) fn of(purpose: &str, folder: &Path) -> Finding {
+/// Judges the free space of a folder, or of its nearest parent that exists.
+pub(super) fn free_space_of(purpose: &str, folder: &Path) -> Finding {
     const ABOUT: &str = "free disk";
-    let there =
+    let paths =
         folder.ancestors().map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
-    let Some(disk) = there.into_iter().find_map(|path| rustix::fs::statvfs(path).ok()) else {
+    let Some(disk) = paths.into_iter().find_map(|path| rustix::fs::statvfs(path).ok()) else {
         return Finding::unknown(
             ABOUT,
             format!("{} for the {purpose} cannot be looked at", folder.display()),
@@ -28,8 +31,8 @@ pub(super) fn of(purpose: &str, folder: &Path) -> Finding {
     let found = format!("{:.1} GiB for the {purpose}", free as f64 / f64::from(1 << 30));
     let advice = format!("make room at {}", folder.display());
     match free {
-        ..NONE_BYTES => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        NONE_BYTES..SCARCE_BYTES => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
-        SCARCE_BYTES.. => Finding::good(ABOUT, found),
+        ..BAD_BELOW_BYTES => Finding::worse(ABOUT, Grade::Bad, found, advice),
+        BAD_BELOW_BYTES..DOUBTFUL_BELOW_BYTES => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        DOUBTFUL_BELOW_BYTES.. => Finding::good(ABOUT, found),
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use peernet_stream::Grade;
 
 use super::files::{processors, text, value};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "CPU governor";
 const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupower frequency-set -g performance` \
@@ -14,10 +14,10 @@ const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupowe
 
 /// The governors of all processors (Linux documentation, admin-guide/pm/cpufreq). One that follows the load makes the
 /// same work take longer after a pause than in a busy loop: latency then depends on the rate.
-pub(super) fn governor(places: &Places) -> Option<Finding> {
+pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut governors = BTreeMap::<String, u32>::new();
     let mut fixed = true;
-    for processor in processors(&places.sys) {
+    for processor in processors(&settings.sys) {
         let folder = processor.join("cpufreq");
         let Some(governor) = text(&folder.join("scaling_governor")) else { continue };
         *governors.entry(governor).or_default() += 1;

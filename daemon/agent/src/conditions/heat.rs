@@ -1,27 +1,27 @@
-//! Whether the processor is slowed down, or was, because it is too hot or short of power.
+//! Slowdown of the processor by heat or by too little power, now and since the host was started.
 
 use std::path::Path;
 
 use peernet_stream::Grade;
 
 use super::files::{entries, processors, text, value};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
 const COOL: &str = "cool the host or lower its load, wait, and repeat the run";
 const WATCH: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
                      its cooling";
-/// Below a trip point by so many degrees it is near.
+/// Distance below a trip point within which a temperature counts as near it, °C.
 const NEAR_CELSIUS: f64 = 5.0;
-/// Kinds of cooling devices that slow down what computes: x86, Arm, Jetson.
+/// Beginnings of the types of cooling devices that slow down processors: x86, Arm, Jetson.
 const SLOWING: [&str; 6] = ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
-/// Everything that slows the host down now is bad; what did so since it was started is to be watched.
-pub(super) fn throttling(places: &Places) -> Vec<Finding> {
-    let sys = &places.sys;
+/// Judges all signs of throttling: one that is active now is bad, one since the host was started is doubtful.
+pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
+    let sys = &settings.sys;
     let mut known = false;
     let mut found = Vec::new();
-    for look in [slowed, hot, undervolted, counted] {
+    for look in [active_cooling_devices, zones_near_trip_point, firmware_flags, throttle_counters] {
         if let Some(findings) = look(sys) {
             known = true;
             found.extend(findings);
@@ -36,8 +36,9 @@ pub(super) fn throttling(places: &Places) -> Vec<Finding> {
     }
 }
 
-/// Cooling devices at work (kernel documentation, driver-api/thermal/sysfs-api); a Jetson's alerts are such devices too.
-fn slowed(sys: &Path) -> Option<Vec<Finding>> {
+/// Finds cooling devices that are active (kernel documentation, driver-api/thermal/sysfs-api); a Jetson's alerts are such
+/// devices too.
+fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     let devices = entries(&sys.join("class/thermal"), "cooling_device");
     let mut known = false;
     let mut active = Vec::new();
@@ -60,8 +61,8 @@ fn slowed(sys: &Path) -> Option<Vec<Finding>> {
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
 
-/// Thermal zones at or near a point from which on the kernel slows the host down.
-fn hot(sys: &Path) -> Option<Vec<Finding>> {
+/// Finds thermal zones at or near a trip point, from which on the kernel slows the host down.
+fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
     let mut known = false;
     let mut found = Vec::new();
     for zone in entries(&sys.join("class/thermal"), "thermal_zone") {
@@ -86,9 +87,9 @@ fn hot(sys: &Path) -> Option<Vec<Finding>> {
     known.then_some(found)
 }
 
-/// A Raspberry Pi's firmware: bits 0 to 3 are now, 16 to 19 since it was started (documentation of `vcgencmd
-/// get_throttled`).
-fn undervolted(sys: &Path) -> Option<Vec<Finding>> {
+/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 hold now, bits 16 to 19 since the board was started (documentation
+/// of `vcgencmd get_throttled`).
+fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let bits = text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
     let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;
     let named = |shift: u32| {
@@ -108,8 +109,8 @@ fn undervolted(sys: &Path) -> Option<Vec<Finding>> {
     })
 }
 
-/// Counters since the start: Intel's per core and package, Tegra's of over-current events.
-fn counted(sys: &Path) -> Option<Vec<Finding>> {
+/// Reads the counters since the host was started: Intel's per core and package, Tegra's of over-current events.
+fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let cores = processors(sys).into_iter().map(|processor| processor.join("thermal_throttle"));
     let counters = cores
         .flat_map(|folder| ["core_throttle_count", "package_throttle_count"].map(|name| folder.join(name)));

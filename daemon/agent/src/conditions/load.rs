@@ -1,4 +1,4 @@
-//! Who else wants the processors.
+//! Load of other processes, containers and virtual machines on the processors.
 
 use std::thread;
 use std::time::Duration;
@@ -6,37 +6,39 @@ use std::time::Duration;
 use peernet_stream::Grade;
 
 use super::files::{entries, processors, text};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
+/// Pause between two counts of the threads.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(8);
-/// Threads of others that want to run, per processor: from here on the run is disturbed now and then …
+/// Runnable threads of others per processor from which on the run is disturbed now and then.
 const DISTURBED: f64 = 0.25;
-/// … and from here on it has to share every processor.
+/// Runnable threads of others per processor from which on the run shares every processor.
 const SHARED: f64 = 1.0;
-/// Share of time taken by the host below, since this one was started.
-const STEAL_NOTED: f64 = 0.01;
+/// Share of steal time since this host was started from which on it is doubtful.
+const STEAL_DOUBTFUL: f64 = 0.01;
+/// Share of steal time since this host was started from which on it is bad.
 const STEAL_BAD: f64 = 0.05;
 
-/// Threads that run or wait for a processor, without those of this process.
+/// Judges the number of runnable threads of other processes.
 ///
-/// The count of the moment (proc_loadavg(5)), a few times, because the usual averages still show what ended a minute
-/// ago: the run before this one.
-pub(super) fn competing(places: &Places) -> Finding {
+/// It is the mean of a few counts (proc_loadavg(5)): the usual load averages still show what ended a minute ago, such as the
+/// run before this one.
+pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
-    let looks = places.looks.max(1);
+    let looks = settings.looks.max(1);
     for nth in 0..looks {
         if nth > 0 {
             thread::sleep(BETWEEN_LOOKS);
         }
-        let Some(running) = runnable(places) else {
+        let Some(running) = runnable_threads(settings) else {
             return Finding::unknown(ABOUT, "the kernel does not tell how many threads want to run");
         };
-        sum += running.saturating_sub(own(places));
+        sum += running.saturating_sub(own_threads(settings));
     }
     let others = f64::from(sum) / f64::from(looks);
-    let cores = processors(&places.sys).len().max(1) as f64;
-    let pressure = pressure(places).map_or_else(String::new, |percent| {
+    let cores = processors(&settings.sys).len().max(1) as f64;
+    let pressure = pressure(settings).map_or_else(String::new, |percent| {
         format!("; within the last 10 s something had to wait for a processor {percent:.0} % of the time")
     });
     let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
@@ -48,15 +50,15 @@ pub(super) fn competing(places: &Places) -> Finding {
     }
 }
 
-/// All threads of the host that run or want to.
-fn runnable(places: &Places) -> Option<u32> {
-    let averages = text(&places.proc.join("loadavg"))?;
+/// Number of runnable threads of the whole host.
+fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
+    let averages = text(&settings.proc.join("loadavg"))?;
     averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
 }
 
-/// Those of this process (proc_pid_stat(5): the state is the field behind the name in parentheses).
-fn own(places: &Places) -> u32 {
-    let threads = entries(&places.proc.join("self/task"), "").into_iter();
+/// Number of runnable threads of this process (proc_pid_stat(5): the state is the field behind the name in parentheses).
+fn own_threads(settings: &InspectionSettings) -> u32 {
+    let threads = entries(&settings.proc.join("self/task"), "").into_iter();
     let runs = |path: &std::path::PathBuf| {
         text(&path.join("stat")).is_some_and(|stat| {
             stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
@@ -65,19 +67,19 @@ fn own(places: &Places) -> u32 {
     u32::try_from(threads.filter(runs).count()).unwrap_or(u32::MAX)
 }
 
-/// Per cent of the last 10 s in which some thread had to wait (kernel documentation, accounting/psi).
-fn pressure(places: &Places) -> Option<f64> {
-    let pressure = text(&places.proc.join("pressure/cpu"))?;
+/// Percentage of the last 10 s in which some thread waited for a processor (kernel documentation, accounting/psi).
+fn pressure(settings: &InspectionSettings) -> Option<f64> {
+    let pressure = text(&settings.proc.join("pressure/cpu"))?;
     let some = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
     some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
 }
 
-/// A container's share of the processors (cgroup v2, `cpu.max`): at its end the kernel stops the process until the next
+/// Judges the CPU quota of a container (cgroup v2, `cpu.max`): once it is used up the kernel stops the process until the next
 /// period, which looks like a slow model.
-pub(super) fn quota(places: &Places) -> Option<Finding> {
-    let own = text(&places.proc.join("self/cgroup"))?;
+pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
+    let own = text(&settings.proc.join("self/cgroup"))?;
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
-    let max = text(&places.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
+    let max = text(&settings.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
     (period > 0.0).then(|| {
@@ -94,9 +96,9 @@ pub(super) fn quota(places: &Places) -> Option<Finding> {
     })
 }
 
-/// What the machine below gave to others (proc_stat(5)); `None` where nothing is below.
-pub(super) fn stolen(places: &Places) -> Option<Finding> {
-    let stat = text(&places.proc.join("stat"))?;
+/// Judges the steal time, which the hypervisor gave to others (proc_stat(5)); `None` where there is none.
+pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
+    let stat = text(&settings.proc.join("stat"))?;
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
     let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
     // Guest time is in user time already.
@@ -111,7 +113,7 @@ pub(super) fn stolen(places: &Places) -> Option<Finding> {
     let about = "stolen time";
     Some(match share {
         share if share >= STEAL_BAD => Finding::worse(about, Grade::Bad, found, advice),
-        share if share >= STEAL_NOTED => Finding::worse(about, Grade::Doubtful, found, advice),
+        share if share >= STEAL_DOUBTFUL => Finding::worse(about, Grade::Doubtful, found, advice),
         _ => Finding::good(about, found),
     })
 }

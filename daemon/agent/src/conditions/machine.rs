@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::files::{entries, text};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
 /// Names in the control groups of a container's processes. They are seen where the container has no namespace of control
 /// groups of its own.
@@ -37,11 +37,11 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
 
 /// A virtual machine shares its hardware with others that it cannot see: nothing speaks against it, but what is not seen
 /// is not known either.
-pub(super) fn kind(places: &Places) -> Finding {
+pub(super) fn kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
-    let products = products(&places.sys);
+    let products = products(&settings.sys);
     let product = if products.is_empty() { String::new() } else { format!(" ({})", products.join(" ")) };
-    match (is_virtual(places, &products), container(places)) {
+    match (is_virtual(settings, &products), container(settings)) {
         (Some(true), _) => Finding::unknown(
             ABOUT,
             format!("a virtual machine{product}: what else its hardware does cannot be seen from inside"),
@@ -65,14 +65,14 @@ fn products(sys: &Path) -> Vec<String> {
 }
 
 /// Returns whether the host is a virtual machine; `None` where nothing tells, as on ARM servers.
-fn is_virtual(places: &Places, products: &[String]) -> Option<bool> {
+fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool> {
     // Amazon rents whole machines, too.
     let is_whole = products.iter().any(|name| name.ends_with(".metal"));
     let is_named =
         products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
-    let has_hypervisor = text(&places.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
-    let by_processor = processor_flag(&places.proc);
-    let by_tree = device_tree_is_virtual(&places.proc.join("device-tree"));
+    let has_hypervisor = text(&settings.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
+    let by_processor = processor_flag(&settings.proc);
+    let by_tree = device_tree_is_virtual(&settings.proc.join("device-tree"));
     let signs = [by_processor, by_tree];
     if has_hypervisor || (is_named && !is_whole) || signs.contains(&Some(true)) {
         return Some(true);
@@ -97,14 +97,14 @@ fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
 }
 
 /// The container manager, where the host is a container.
-fn container(places: &Places) -> Option<String> {
-    let named = text(&places.root.join("run/systemd/container")).filter(|name| !name.is_empty());
+fn container(settings: &InspectionSettings) -> Option<String> {
+    let named = text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
     let marked = || {
-        let found = MARKS.iter().find(|(file, _)| places.root.join(file).exists());
+        let found = MARKS.iter().find(|(file, _)| settings.root.join(file).exists());
         found.map(|(_, manager)| (*manager).to_owned())
     };
     named.or_else(marked).or_else(|| {
-        let groups = text(&places.proc.join("self/cgroup"))?;
+        let groups = text(&settings.proc.join("self/cgroup"))?;
         // `0::/system.slice/docker-1f0c.scope`
         let parts = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
         let mut parts = parts.flat_map(|path| path.split('/'));

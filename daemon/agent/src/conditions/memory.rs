@@ -3,15 +3,15 @@
 use peernet_stream::Grade;
 
 use super::files::{keyed, text};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
 /// Share of the memory's size that may lie in the swap unnoticed: pages that nobody asks for end there.
 const NOTED: f64 = 0.05;
 
 /// Swap in use; what lies there is read back from the disk when it is needed.
-pub(super) fn swap(places: &Places) -> Option<Finding> {
+pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     const ABOUT: &str = "swap";
-    let info = text(&places.proc.join("meminfo"))?;
+    let info = text(&settings.proc.join("meminfo"))?;
     let (total, free) = (keyed(&info, "SwapTotal")?, keyed(&info, "SwapFree")?);
     let memory = keyed(&info, "MemTotal").filter(|kib| *kib > 0)?;
     if total == 0 {

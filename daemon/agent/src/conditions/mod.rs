@@ -1,6 +1,6 @@
-//! What is found of this host before a run: what can make its figures say something else than they seem to.
+//! Conditions of this host that are inspected before a run, because they can distort its measurements.
 //!
-//! One file per subject, each a question to the kernel's files. What cannot be found out says so: nothing is assumed.
+//! Each subject has one file, which reads the kernel's files. A condition that cannot be found out is reported as unknown.
 //! `docs/trust.md` gives the thresholds and where they come from.
 
 mod disk;
@@ -21,12 +21,12 @@ use peernet_stream::{Condition, Grade};
 
 use crate::config::AgentConfig;
 
-/// Longest that a run waits for what is found of its host.
-const PATIENCE: Duration = Duration::from_millis(500);
+/// Longest time that a run waits for the conditions of its host.
+const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Where to look: the system's roots, so that tests can point at trees of their own.
+/// Settings of an inspection: what is looked at, and below which roots, so that tests can use trees of their own.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Places {
+pub struct InspectionSettings {
     /// sysfs.
     pub sys: PathBuf,
     /// procfs.
@@ -39,11 +39,11 @@ pub struct Places {
     pub iw: Vec<PathBuf>,
     /// Whether the run uses a network: without one, wireless interfaces do not matter.
     pub network: bool,
-    /// How often it is looked which threads compete; 8 ms pass between two looks. At least 1.
+    /// Number of counts of the competing threads, at least 1; 8 ms pass between two counts.
     pub looks: u32,
 }
 
-impl Default for Places {
+impl Default for InspectionSettings {
     fn default() -> Self {
         Self {
             sys: Self::SYSFS.into(),
@@ -57,11 +57,11 @@ impl Default for Places {
     }
 }
 
-impl Places {
+impl InspectionSettings {
     /// Where Linux mounts sysfs.
     pub(crate) const SYSFS: &str = "/sys";
 
-    /// Those of this host, with what an agent of that configuration writes to.
+    /// Returns the settings for this host, with the folders to which an agent of that configuration writes.
     pub(crate) fn of(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
         let folders = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
@@ -69,36 +69,36 @@ impl Places {
     }
 }
 
-/// Looks whether there is room for something at a path, which need not be there yet.
-pub fn room(purpose: &str, path: &Path, host: &str) -> Condition {
-    disk::of(purpose, path).of(host)
+/// Judges the free space at a path, which need not exist yet.
+pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
+    disk::free_space_of(purpose, path).of(host)
 }
 
-/// Looks at the host, which is called `host`. Blocks, for less than 50 ms on most hosts.
-pub fn look(places: &Places, host: &str) -> Vec<Condition> {
+/// Inspects the host that is called `host`. Blocks, for less than 50 ms on most hosts.
+pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition> {
     let mut found = Vec::new();
-    found.extend(frequency::governor(places));
-    found.extend(heat::throttling(places));
-    found.push(load::competing(places));
-    found.extend(load::quota(places));
-    found.extend(load::stolen(places));
-    found.extend(memory::swap(places));
-    found.extend(disk::free(places));
-    if places.network {
-        found.extend(wireless::power_save(places));
+    found.extend(frequency::governor(settings));
+    found.extend(heat::throttling(settings));
+    found.push(load::competing_threads(settings));
+    found.extend(load::cpu_quota(settings));
+    found.extend(load::steal_time(settings));
+    found.extend(memory::swap(settings));
+    found.extend(disk::free_space(settings));
+    if settings.network {
+        found.extend(wireless::power_save(settings));
     }
-    found.push(machine::kind(places));
+    found.push(machine::kind(settings));
     found.into_iter().map(|finding| finding.of(host)).collect()
 }
 
-/// The same without blocking. A host that does not answer in time says so.
-pub(crate) async fn look_soon(places: Places, host: String) -> Vec<Condition> {
+/// Inspects the host without blocking. If that takes too long, the only condition returned says so.
+pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
-    let looking = tokio::task::spawn_blocking(move || look(&places, &name));
-    let why = match tokio::time::timeout(PATIENCE, looking).await {
+    let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
+    let why = match tokio::time::timeout(TIMEOUT, inspection).await {
         Ok(Ok(found)) => return found,
         Ok(Err(_)) => "looking at the host panicked; the log says where".to_owned(),
-        Err(_) => format!("the host did not answer within {} ms", PATIENCE.as_millis()),
+        Err(_) => format!("the host did not answer within {} ms", TIMEOUT.as_millis()),
     };
     vec![Finding::unknown("host", why).of(&host)]
 }

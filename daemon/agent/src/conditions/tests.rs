@@ -24,9 +24,9 @@ impl Board {
         fs::write(path, format!("{text}\n")).expect("written");
     }
 
-    fn places(&self) -> Places {
+    fn settings(&self) -> InspectionSettings {
         let at = |name: &str| self.0.path().join(name);
-        Places {
+        InspectionSettings {
             sys: at("sys"),
             proc: at("proc"),
             root: at("root"),
@@ -39,7 +39,9 @@ impl Board {
 
     /// What is said of a subject.
     fn about(&self, subject: &str) -> Vec<(Grade, String)> {
-        let found = look(&self.places(), "robot").into_iter().filter(|condition| condition.about == subject);
+        let found = inspect_host(&self.settings(), "robot")
+            .into_iter()
+            .filter(|condition| condition.about == subject);
         found.map(|condition| (condition.grade, condition.found)).collect()
     }
 
@@ -53,7 +55,7 @@ impl Board {
 #[test]
 fn a_bare_tree_claims_nothing() {
     let board = Board(tempfile::tempdir().expect("a folder"));
-    let found = look(&board.places(), "robot");
+    let found = inspect_host(&board.settings(), "robot");
     assert!(found.iter().all(|condition| condition.grade <= Grade::Unknown), "{found:?}");
     assert!(found.iter().all(|condition| condition.host == "robot"), "{found:?}");
     assert!(board.about("Wi-Fi power save").is_empty() && board.about("swap").is_empty());
@@ -245,9 +247,9 @@ fn swap_counts_against_the_memory_it_stands_for() {
 #[test]
 fn a_disk_is_looked_at_where_the_folder_will_be() {
     let board = Board::new();
-    let mut places = board.places();
-    places.folders = vec![("results".to_owned(), board.0.path().join("not/yet/there"))];
-    let found = look(&places, "robot");
+    let mut settings = board.settings();
+    settings.folders = vec![("results".to_owned(), board.0.path().join("not/yet/there"))];
+    let found = inspect_host(&settings, "robot");
     let disk = found.iter().find(|condition| condition.about == "free disk").expect("looked at");
     assert!(disk.found.contains("GiB for the results"), "{disk:?}");
     assert!(disk.grade != Grade::Unknown, "{disk:?}");
@@ -289,13 +291,13 @@ fn wireless_interfaces_that_are_up_are_asked() {
         let (grade, found) = board.only("Wi-Fi power save");
         assert!(grade == expected && found.contains("wlan0"), "{prints}: {grade:?} {found}");
     }
-    let local = Places { network: false, ..board.places() };
-    assert!(look(&local, "robot").iter().all(|condition| condition.about != "Wi-Fi power save"));
+    let local = InspectionSettings { network: false, ..board.settings() };
+    assert!(inspect_host(&local, "robot").iter().all(|condition| condition.about != "Wi-Fi power save"));
 }
 
 #[tokio::test]
 async fn this_host_is_looked_at() {
-    let found = look_soon(Places::default(), "here".to_owned()).await;
+    let found = inspect_host_in_time(InspectionSettings::default(), "here".to_owned()).await;
     for subject in ["CPU governor", "thermal throttling", "competing load", "machine"] {
         assert!(found.iter().any(|condition| condition.about == subject), "{subject}: {found:?}");
     }

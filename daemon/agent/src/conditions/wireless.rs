@@ -7,7 +7,7 @@ use peernet_networks::is_wireless;
 use peernet_stream::Grade;
 
 use super::files::{entries, text};
-use super::{Finding, Places};
+use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "Wi-Fi power save";
 
@@ -15,16 +15,16 @@ const ABOUT: &str = "Wi-Fi power save";
 /// apart, and what arrives meanwhile waits at the access point (IEEE 802.11-2020, 11.2).
 ///
 /// Only nl80211 tells; `iw` asks it. Where `iw` is missing nothing is claimed.
-pub(super) fn power_save(places: &Places) -> Vec<Finding> {
+pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
     let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
     let interfaces =
-        entries(&places.sys.join("class/net"), "").into_iter().filter(|path| is_wireless(path)).filter(up);
-    interfaces.map(|path| of(places, &path)).collect()
+        entries(&settings.sys.join("class/net"), "").into_iter().filter(|path| is_wireless(path)).filter(up);
+    interfaces.map(|path| of(settings, &path)).collect()
 }
 
-fn of(places: &Places, interface: &Path) -> Finding {
+fn of(settings: &InspectionSettings, interface: &Path) -> Finding {
     let name = interface.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    match places.iw.iter().find_map(|iw| ask(iw, &name)).as_deref() {
+    match settings.iw.iter().find_map(|iw| ask(iw, &name)).as_deref() {
         Some("Power save: off") => Finding::good(ABOUT, format!("off on {name}")),
         Some("Power save: on") => Finding::worse(
             ABOUT,

@@ -32,7 +32,7 @@ use tokio::sync::watch::Sender;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
-use crate::conditions::Places;
+use crate::conditions::InspectionSettings;
 use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
@@ -54,7 +54,7 @@ pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
         text: "not asked yet".to_owned(),
         epoch: clock.wall_epoch(),
         rehearsal: clock.rehearsal().cloned(),
-        raw: Some(raw_clock(clock, Clocksource::below(Path::new(Places::SYSFS)).name())),
+        raw: Some(raw_clock(clock, Clocksource::below(Path::new(InspectionSettings::SYSFS)).name())),
     }
 }
 
@@ -80,7 +80,7 @@ pub(crate) async fn run(
     publish: Sender<PeerClock>,
     stop: CancellationToken,
 ) {
-    let clocksource = Clocksource::below(Path::new(Places::SYSFS));
+    let clocksource = Clocksource::below(Path::new(InspectionSettings::SYSFS));
     let vmclock = Vmclock::below(Path::new("/dev"));
     let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
     let looking = async {

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks, Relation, Span, Stamp,
-    Verdict, WallTime, ExchangeObservation,
+    Direction, Doubt, ExchangeObservation, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks,
+    Relation, Span, Stamp, Verdict, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -118,7 +118,8 @@ impl Knowledge {
         now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         let mut news = self.turn(now);
-        let Judged { learned, up, down } = self.told(whose(observation), |relation| relation.judge(observation));
+        let Judged { learned, up, down } =
+            self.told(whose(observation), |relation| relation.judge(observation));
         // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
         self.learned(learned, observation, now, &mut news);

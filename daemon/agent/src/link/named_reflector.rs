@@ -6,7 +6,9 @@ use std::convert::Infallible;
 use std::pin::pin;
 use std::sync::Mutex;
 
-use peernet_clock::{Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp, ExchangeObservation};
+use peernet_clock::{
+    ExchangeObservation, Interval, Offset, RelatedClocks, Relation, RelationSettings, Span, Stamp,
+};
 use peernet_logger::Slug;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};

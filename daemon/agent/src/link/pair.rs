@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use peernet_clock::{
-    ClockIdentity, Direction, MonoTime, OneWayDelay, RelatedClocks, Relation, RelationSettings, Span, Stamp,
-    ExchangeObservation,
+    ClockIdentity, Direction, ExchangeObservation, MonoTime, OneWayDelay, RelatedClocks, Relation,
+    RelationSettings, Span, Stamp,
 };
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
 use peernet_networks::{Exchange, PeerClock, SessionAccepted};

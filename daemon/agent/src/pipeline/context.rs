@@ -5,7 +5,7 @@ use std::sync::Arc;
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 
-use crate::conditions::Places;
+use crate::conditions::InspectionSettings;
 use crate::host::{EventSinks, Host};
 use crate::link::Links;
 use crate::observed::ObservedPipelines;
@@ -23,5 +23,5 @@ pub(crate) struct PipelineContext {
     /// Key of the fingerprints of programs' arguments.
     pub(crate) fingerprints: FingerprintKey,
     /// Paths in /proc and /sys that show what can disturb a run.
-    pub(crate) places: Arc<Places>,
+    pub(crate) inspection: Arc<InspectionSettings>,
 }

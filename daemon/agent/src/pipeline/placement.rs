@@ -14,7 +14,7 @@ use peernet_stream::{Condition, Outcome, Placement as Description, PlacementKind
 use tokio::sync::{oneshot, watch};
 
 use super::context::PipelineContext;
-use crate::conditions::{Places, look_soon};
+use crate::conditions::{InspectionSettings, inspect_host_in_time};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::link::{Attached, Crossing};
 use crate::same_clock::ClockSocket;
@@ -230,9 +230,13 @@ pub(super) async fn conditions(
     context: &PipelineContext,
     warm: bool,
 ) -> Vec<Condition> {
-    let looks = if warm { 1 } else { context.places.looks };
-    let places = Places { network: peer.is_some(), looks, ..Places::clone(&context.places) };
-    let mut found = look_soon(places, context.host.name.to_string()).await;
+    let looks = if warm { 1 } else { context.inspection.looks };
+    let settings = InspectionSettings {
+        network: peer.is_some(),
+        looks,
+        ..InspectionSettings::clone(&context.inspection)
+    };
+    let mut found = inspect_host_in_time(settings, context.host.name.to_string()).await;
     found.extend_from_slice(peer.unwrap_or_default());
     found
 }

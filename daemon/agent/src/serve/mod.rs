@@ -33,7 +33,7 @@ use tokio_util::task::AbortOnDropHandle;
 use self::asked::Asked;
 use self::listeners::Listeners;
 use self::service::{Refusal, Service};
-use crate::conditions::Places;
+use crate::conditions::InspectionSettings;
 use crate::host::Host;
 use crate::incidents::{Concerning, Incidents, remark};
 use crate::observed::ObservedPipelines;
@@ -52,7 +52,7 @@ pub(crate) struct ServeContext {
     /// What is known of this host's own clock.
     pub(crate) own: watch::Receiver<PeerClock>,
     /// Paths in /proc and /sys that show what can disturb a run.
-    pub(crate) places: Arc<Places>,
+    pub(crate) inspection: Arc<InspectionSettings>,
 }
 
 /// Why serving ended before it was told to.
@@ -192,7 +192,7 @@ fn prepare(wish: OpenRequest, listener: usize, context: &ServeContext) -> Loaded
 
 /// What a peer is told of this host before a session.
 fn conditions(context: &ServeContext) -> Vec<Condition> {
-    let mut found = crate::conditions::look(&context.places, context.host.name.as_str());
+    let mut found = crate::conditions::inspect_host(&context.inspection, context.host.name.as_str());
     found.truncate(MAX_CONDITIONS);
     found
 }

@@ -83,7 +83,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     home.house(&mut config)?;
     let ready = Ready::new(config)?;
     let mut results = Results::begin(order)?;
-    let room = conditions::room("results", results.path(), "");
+    let room = conditions::free_space("results", results.path(), "");
     let mut taking = Taking::new(pipeline, order.patience(), results.writer()?, ready.clock.clone(), watcher);
     let watched = ready.watch(&mut taking);
     let (Watched { ended, name, missed }, taken) = match (watched, taking.finish()) {

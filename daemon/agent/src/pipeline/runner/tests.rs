@@ -94,7 +94,7 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
         fingerprints: FingerprintKey::new([0; 32]),
         links: Links::new(near, &config.clock, probes),
         observed: crate::observed::ObservedPipelines::default(),
-        places: Arc::default(),
+        inspection: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::intended(&pipeline.placement);
