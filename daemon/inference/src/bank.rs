@@ -6,7 +6,7 @@ mod shelf;
 mod stock;
 
 pub use config::BankConfig;
-pub use folders::{Folders, Found, INSTALLED};
+pub use folders::{INSTALLED, ModelFolders, ModelOnDisk};
 
 use std::collections::HashSet;
 use std::fmt;

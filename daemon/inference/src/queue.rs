@@ -1,11 +1,12 @@
-//! The bounded queue between a pool and its threads.
+//! Bounded queue between a pool and its threads.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Many in, many out, first come first served, never more than `capacity` waiting.
+/// Bounded first-in first-out queue with several producers and consumers.
 ///
-/// A thread that already waits for work counts as a free place: what it takes at once does not wait.
+/// At most `capacity` items wait. A consumer that is idle takes an item at once, so that each idle consumer allows one more item:
+/// channels of the standard library and of tokio cannot count them.
 pub(crate) struct Queue<T> {
     capacity: usize,
     state: Mutex<State<T>>,
@@ -18,7 +19,7 @@ struct State<T> {
     closed: bool,
 }
 
-/// Why something was not taken.
+/// Reason that an item was not added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rejection {
     Full,
@@ -35,12 +36,15 @@ impl<T> Queue<T> {
         self.capacity
     }
 
-    /// How many wait now.
+    /// Returns the number of waiting items.
     pub(crate) fn len(&self) -> usize {
         self.lock().waiting.len()
     }
 
-    /// Adds at the end, or gives back at once.
+    /// Adds an item at the end; never waits.
+    ///
+    /// # Errors
+    /// When the queue is full or closed; returns the item.
     pub(crate) fn push(&self, item: T) -> Result<(), (T, Rejection)> {
         let mut state = self.lock();
         if state.closed {
@@ -55,7 +59,7 @@ impl<T> Queue<T> {
         Ok(())
     }
 
-    /// Waits for the next; `None` once the queue is closed.
+    /// Waits for the next item; returns `None` once the queue is closed.
     pub(crate) fn pop(&self) -> Option<T> {
         let mut state = self.lock();
         state.idle += 1;
@@ -66,7 +70,7 @@ impl<T> Queue<T> {
         if state.closed { None } else { state.waiting.pop_front() }
     }
 
-    /// Lets all who wait go, and gives back what nobody took.
+    /// Closes the queue: wakes all consumers, and returns the items that none of them took.
     pub(crate) fn close(&self) -> VecDeque<T> {
         let mut state = self.lock();
         state.closed = true;
@@ -76,7 +80,7 @@ impl<T> Queue<T> {
         left
     }
 
-    /// Nothing in here can panic half-way, so that a poisoned lock still guards a whole state.
+    /// Locks the state. No code here panics while it holds the lock, so that the state behind a poisoned lock is consistent.
     fn lock(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -89,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bound_holds_and_order_is_kept() {
+    fn full_queue_rejects_item_and_keeps_order() {
         let queue = Queue::new(2);
         assert_eq!((queue.push('a'), queue.push('b')), (Ok(()), Ok(())));
         assert_eq!(queue.push('c'), Err(('c', Rejection::Full)));
@@ -97,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn closing_wakes_who_waits_and_gives_back_the_rest() {
+    fn closing_wakes_consumers_and_returns_waiting_items() {
         let queue = Arc::new(Queue::<char>::new(4));
         let waiting = std::thread::spawn({
             let queue = Arc::clone(&queue);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use peernet_clock::SharedClock;
-use peernet_inference::bank::Found;
+use peernet_inference::bank::ModelOnDisk;
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, PixelFormat, Sample};
 use peernet_sensors::{SensorConfig, SensorKind};
@@ -23,7 +23,7 @@ pub(super) struct Input {
 impl Input {
     /// The pictures of a file or folder, else the model's own, with their labels; `None` when it has none.
     pub(super) fn pictures(
-        found: &Found,
+        found: &ModelOnDisk,
         given: Option<&Path>,
         clock: &SharedClock,
     ) -> Result<Option<Self>, Failure> {

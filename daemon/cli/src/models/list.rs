@@ -2,7 +2,7 @@
 
 use crate::exit::Failure;
 use crate::output::{complain, say};
-use peernet_inference::bank::Found;
+use peernet_inference::bank::ModelOnDisk;
 use peernet_report::table::text;
 use peernet_sample::printable_line;
 use serde_json::{Value, json};
@@ -30,7 +30,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     if found.is_empty() {
-        let places: Vec<String> = folders.places().iter().map(|place| place.display().to_string()).collect();
+        let places: Vec<String> = folders.paths().iter().map(|place| place.display().to_string()).collect();
         say(format_args!(
             "no model in {}; export one with models/export_torchvision.py, or name a folder with --models-dir",
             places.join(", ")
@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-fn row(found: &Found) -> Vec<String> {
+fn row(found: &ModelOnDisk) -> Vec<String> {
     let (task, input, version) = match &found.card {
         Ok(card) => (card.task.clone(), card.input.clone(), card.version.clone()),
         Err(_) => Default::default(),
@@ -56,7 +56,7 @@ fn row(found: &Found) -> Vec<String> {
 }
 
 /// What keeps the model from being used.
-fn wrong(found: &Found) -> Option<String> {
+fn wrong(found: &ModelOnDisk) -> Option<String> {
     match (&found.card, &found.hidden_by) {
         // The parser of TOML speaks in several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
@@ -66,11 +66,11 @@ fn wrong(found: &Found) -> Option<String> {
 }
 
 /// Bytes of `model.onnx`.
-fn size(found: &Found) -> Option<u64> {
+fn size(found: &ModelOnDisk) -> Option<u64> {
     std::fs::metadata(found.folder.join("model.onnx")).ok().map(|known| known.len())
 }
 
-fn object(found: &Found) -> Value {
+fn object(found: &ModelOnDisk) -> Value {
     json!({
         "model": found.name.to_string(),
         "folder": found.folder.display().to_string(),
@@ -82,7 +82,7 @@ fn object(found: &Found) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use peernet_inference::bank::Folders;
+    use peernet_inference::bank::ModelFolders;
 
     use super::*;
 
@@ -92,7 +92,7 @@ mod tests {
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")
             .expect("written");
-        let found = Folders::of([models.path().to_owned()]).list();
+        let found = ModelFolders::of([models.path().to_owned()]).list();
         let row = row(&found[0]);
         assert_eq!((row[0].as_str(), row.len()), ("torn_card", 7));
         assert!(row[6].contains("model.toml") && !row[6].contains('\n'), "{row:?}");

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
-use peernet_inference::bank::{Folders, Found};
+use peernet_inference::bank::{ModelFolders, ModelOnDisk};
 use peernet_inference::{CardSummary, LoadError};
 
 /// What `peernet models` can be told.
@@ -56,14 +56,14 @@ struct Places {
 }
 
 impl Places {
-    fn folders(&self) -> Result<Folders, Failure> {
+    fn folders(&self) -> Result<ModelFolders, Failure> {
         if let Some(folder) = self.models_dir.iter().find(|folder| !folder.is_dir()) {
             return Err(Failure::new(Exit::NoInput, anyhow!("there is no folder {}", folder.display())));
         }
-        Ok(Folders::search(&self.models_dir))
+        Ok(ModelFolders::search(&self.models_dir))
     }
 
-    fn find(&self, name: &str) -> Result<Found, Failure> {
+    fn find(&self, name: &str) -> Result<ModelOnDisk, Failure> {
         self.folders()?.find(name).map_err(failure)
     }
 }
@@ -78,7 +78,7 @@ struct Wanted {
 }
 
 impl Wanted {
-    fn find(&self) -> Result<Found, Failure> {
+    fn find(&self) -> Result<ModelOnDisk, Failure> {
         self.places.find(&self.name)
     }
 }

@@ -6,7 +6,7 @@ use std::sync::mpsc::sync_channel;
 use crate::clock;
 use crate::exit::{Exit, Failure};
 use peernet_clock::{ClockIdentity, SharedClock};
-use peernet_inference::bank::Found;
+use peernet_inference::bank::ModelOnDisk;
 use peernet_inference::{Bank, BankConfig, InferenceError, Job, OnnxRuntimeConfig, Pool};
 use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::Sample;
@@ -33,7 +33,7 @@ pub(super) struct Running {
 
 impl Running {
     /// Loads the model, which runs it on zeros once.
-    pub(super) fn load(found: &Found, options: &Options) -> Result<Self, Failure> {
+    pub(super) fn load(found: &ModelOnDisk, options: &Options) -> Result<Self, Failure> {
         let clock =
             clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
         let settings = BankConfig { intra_threads: options.intra_threads, ..BankConfig::default() };

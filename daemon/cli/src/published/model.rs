@@ -4,7 +4,7 @@ use crate::clock;
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_clock::{ClockIdentity, SharedClock};
-use peernet_inference::bank::Folders;
+use peernet_inference::bank::ModelFolders;
 use peernet_inference::{Bank, LoadError, ModelConfig, OnnxRuntimeConfig, SharedKeys};
 use peernet_logger::Slug;
 
@@ -45,7 +45,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         Some(command) => ModelConfig::program(shared(program_of(command)), command),
         None if wanted.contains("::") => ModelConfig::python_object(shared(wanted), wanted, arguments.pickle),
         None => {
-            let found = Folders::search(&arguments.models_dir).find(wanted);
+            let found = ModelFolders::search(&arguments.models_dir).find(wanted);
             let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;
             found.configuration(device)
         }

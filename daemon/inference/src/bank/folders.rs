@@ -1,4 +1,4 @@
-//! Folders of models on disk.
+//! Folders in which models are searched.
 
 use std::collections::HashSet;
 use std::io::ErrorKind;
@@ -10,77 +10,80 @@ use super::BankConfig;
 use crate::model::onnx::{self, CardSummary};
 use crate::{LoadError, ModelConfig};
 
-/// Where the package and `peernet models` look for models by default.
+/// Default folder of the package and of `peernet models`.
 pub const INSTALLED: &str = "/var/lib/peernet/models";
 
-/// The variable with further folders, separated by colons.
+/// Environment variable with further folders, separated by colons.
 const VARIABLE: &str = "PEERNET_MODELS";
 
 /// Folders that hold one folder per model, in the order in which they are searched.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Folders(Vec<PathBuf>);
+pub struct ModelFolders(Vec<PathBuf>);
 
 /// A model on disk.
 #[derive(Debug)]
-pub struct Found {
-    /// Its name: that of its folder.
+pub struct ModelOnDisk {
+    /// Name of the model: that of its folder.
     pub name: Slug,
     /// The folder with `model.onnx` and its card `model.toml`.
     pub folder: PathBuf,
-    /// What the card says, or what is wrong with the model as far as that shows without loading it.
+    /// Summary of the card, or the error of the model that shows without loading it.
     pub card: Result<CardSummary, LoadError>,
-    /// The folder of another model of this name, which is searched first.
+    /// Folder of another model of this name, which takes precedence because its folder is searched first.
     pub hidden_by: Option<PathBuf>,
 }
 
-impl Folders {
-    /// The folders of the command line: `extra`, then those of `PEERNET_MODELS`, [`INSTALLED`] and `models`.
+impl ModelFolders {
+    /// Returns the folders that the command line searches: `extra`, then those of `PEERNET_MODELS`, [`INSTALLED`] and `models`.
     pub fn search(extra: &[PathBuf]) -> Self {
         let variable = std::env::var_os(VARIABLE).unwrap_or_default();
         let named = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());
         Self::of(extra.iter().cloned().chain(named).chain([INSTALLED.into(), "models".into()]))
     }
 
-    /// These folders; one that comes again by another path counts once.
+    /// Creates the list of these folders. A folder that occurs again, perhaps by another path, is left out.
     pub fn of(folders: impl IntoIterator<Item = PathBuf>) -> Self {
         let mut seen = HashSet::new();
         let new = |folder: &PathBuf| seen.insert(folder.canonicalize().unwrap_or_else(|_| folder.clone()));
         Self(folders.into_iter().filter(new).collect())
     }
 
-    /// The folders in order, whether they exist or not.
-    pub fn places(&self) -> &[PathBuf] {
+    /// Returns the folders in order; some may not exist.
+    pub fn paths(&self) -> &[PathBuf] {
         &self.0
     }
 
-    /// All models, folder by folder, each by name. A folder that is not there has none.
-    pub fn list(&self) -> Vec<Found> {
-        let mut models: Vec<Found> = Vec::new();
+    /// Lists all models, folder by folder, and by name within each. A folder that does not exist has none.
+    pub fn list(&self) -> Vec<ModelOnDisk> {
+        let mut models: Vec<ModelOnDisk> = Vec::new();
         for place in &self.0 {
             let mut names = names(place).unwrap_or_default();
             names.sort();
             for name in names {
                 let first = models.iter().find(|model| model.name == name && model.hidden_by.is_none());
                 let hidden_by = first.map(|model| model.folder.clone());
-                models.push(Found { hidden_by, ..Found::at(name.clone(), place.join(name.as_str())) });
+                models.push(ModelOnDisk {
+                    hidden_by,
+                    ..ModelOnDisk::at(name.clone(), place.join(name.as_str()))
+                });
             }
         }
         models
     }
 
-    /// The model of this name, or in this folder if the name contains a slash.
+    /// Finds the model of this name, or in this folder if the name contains a slash.
     ///
     /// # Errors
-    /// When there is none. A model with an error is returned as well; its card holds the error.
-    pub fn find(&self, name: &str) -> Result<Found, LoadError> {
+    /// When there is no such model. A model with an error is returned as well; its card holds the error.
+    pub fn find(&self, name: &str) -> Result<ModelOnDisk, LoadError> {
         if name.contains('/') {
-            return Found::in_folder(Path::new(name));
+            return ModelOnDisk::in_folder(Path::new(name));
         }
         let slug: Option<Slug> = name.parse().ok();
         let mut places =
             self.0.iter().filter_map(|place| Some((slug.clone()?, place.join(slug.as_ref()?.as_str()))));
         if let Some((name, folder)) = places.find(|(_, folder)| is_model(folder)) {
-            return Ok(Found::at(name, folder));
+            return Ok(ModelOnDisk::at(name, folder));
         }
         let names = self.0.iter().flat_map(|place| names(place).unwrap_or_default());
         let mut known: Vec<String> = names.map(|name| name.to_string()).collect();
@@ -90,7 +93,7 @@ impl Folders {
         Err(LoadError::NotFound { name: name.to_owned(), looked: self.0.clone(), known })
     }
 
-    /// The folders that are there and cannot be read.
+    /// Returns an error for each folder that exists and cannot be read.
     pub fn check(&self) -> Vec<LoadError> {
         let unreadable = |place: &PathBuf| match names(place) {
             Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -102,7 +105,7 @@ impl Folders {
     }
 }
 
-impl Found {
+impl ModelOnDisk {
     fn at(name: Slug, folder: PathBuf) -> Self {
         let card = onnx::summarise(&folder);
         Self { name, folder, card, hidden_by: None }
@@ -119,12 +122,13 @@ impl Found {
         Ok(Self::at(name, folder))
     }
 
-    /// The model on this device with one worker, as a `[[model]]` would have it; every other key at its default.
+    /// Returns the configuration of this model on a device with one worker, like that of a `[[model]]` table; every other key has its
+    /// default.
     pub fn configuration(&self, device: &str) -> ModelConfig {
         BankConfig::default().model(&self.name, &self.folder, device)
     }
 
-    /// SHA-256 of `model.onnx`, in hexadecimal.
+    /// Computes the SHA-256 of `model.onnx`, in hexadecimal.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -137,12 +141,12 @@ fn is_model(folder: &Path) -> bool {
     [onnx::MODEL, onnx::CARD].iter().any(|file| folder.join(file).exists())
 }
 
-/// The names of the models in a folder.
+/// Reads the names of the models in a folder.
 fn names(place: &Path) -> std::io::Result<Vec<Slug>> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(place)? {
         let entry = entry?;
-        // Folders whose names are no slugs are skipped.
+        // A folder whose name is not a slug is skipped.
         if let Some(Ok(name)) = entry.file_name().to_str().map(str::parse)
             && is_model(&entry.path())
         {

@@ -6,19 +6,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use peernet_logger::Slug;
 
 use super::shelf::{Shelf, Stamp};
-use super::{BankConfig, Folders};
+use super::{BankConfig, ModelFolders};
 use crate::LoadError;
 
 pub(super) struct Stock {
     config: BankConfig,
-    folders: Folders,
+    folders: ModelFolders,
     /// The one that was asked for longest ago comes first.
     shelves: Mutex<Vec<Arc<Shelf>>>,
 }
 
 impl Stock {
     pub(super) fn new(config: BankConfig) -> Self {
-        let folders = Folders::of(config.folders.iter().cloned());
+        let folders = ModelFolders::of(config.folders.iter().cloned());
         Self { config, folders, shelves: Mutex::default() }
     }
 

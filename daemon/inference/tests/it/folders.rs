@@ -5,7 +5,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use peernet_inference::bank::Folders;
+use peernet_inference::bank::ModelFolders;
 use peernet_inference::{Bank, BankConfig, LoadError, MODEL_HASH, OnnxRuntimeConfig};
 
 use super::{clock, demo, slug};
@@ -39,7 +39,7 @@ fn models_are_found_by_name_in_the_order_of_the_folders_and_by_path() {
     put(&second, "-no-name");
     fs::create_dir(second.join("torn")).expect("made");
     fs::write(second.join("torn/model.toml"), "name = 7").expect("written");
-    let folders = Folders::of([first, root.path().join("nowhere"), second.clone(), second]);
+    let folders = ModelFolders::of([first, root.path().join("nowhere"), second.clone(), second]);
 
     let listed: Vec<(String, bool, bool)> = folders
         .list()
@@ -196,7 +196,7 @@ fn a_card_that_is_no_card_holds_up_nobody_and_is_told_to_nobody_else() {
     std::fs::write(folder("long").join("model.toml"), vec![b'#'; 2 << 20]).expect("writable");
     std::fs::write(folder("secret").join("model.toml"), "root:x:0:0:root").expect("writable");
 
-    let found = Folders::of([place.path().to_owned()]).list();
+    let found = ModelFolders::of([place.path().to_owned()]).list();
     let reasons: Vec<_> =
         found.iter().map(|found| found.card.as_ref().expect_err("no card").to_string()).collect();
     assert_eq!(found.len(), 3, "{reasons:?}");

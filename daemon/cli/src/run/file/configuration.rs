@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use peernet_agent::AgentConfig;
 use peernet_agent::config::{Limit, PlacementConfig, WarmUp};
-use peernet_inference::bank::Folders;
+use peernet_inference::bank::ModelFolders;
 use peernet_report::record::NetworkConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -142,7 +142,7 @@ fn read(
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
     let mut agent: AgentConfig = typed(document).map_err(ConfigurationError::Agent)?;
     if !has_bank {
-        agent.bank.folders = Folders::search(models).places().to_vec();
+        agent.bank.folders = ModelFolders::search(models).paths().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
     if experiment.users.get() > 1 && agent.spool.file.is_some() {
