@@ -5,7 +5,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use peernet_clock::{MonoTime, RelatedClocks, SharedClock, WallTime, ExchangeObservation};
+use peernet_clock::{ExchangeObservation, MonoTime, RelatedClocks, SharedClock, WallTime};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 

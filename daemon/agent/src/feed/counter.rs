@@ -1,13 +1,13 @@
-//! The number of events, where it outlives a process that is killed.
+//! Count of the events, kept in a file that outlives a killed process.
 //!
-//! Between the moment at which an event is handed in and the commit of its batch, only this process knows of it. So each
-//! event is counted first, in a file in shared memory: the next process compares it with what the spool says of itself, and
-//! reports the difference as a gap.
+//! Between the moment at which an event is handed in and the commit of its batch, only this process knows of it. Therefore each
+//! event is counted first, in a file in shared memory: the next process compares the count with the spool, and reports the
+//! difference as a gap.
 //!
-//! The file is in `/dev/shm` and not beside the spool, because a write to a disk waits for that disk now and then, and
-//! measuring must not. It names the spool that it belongs to, and the process that counts in it holds it locked: a copy of the spool
-//! leaves it alone, and one whose spool is gone can be told. Nor is it mapped: a write that fails is an error then, and not the end of the process. After a restart
-//! of the machine the file is gone, and nothing is claimed.
+//! The file is in `/dev/shm` and not beside the spool, because a write to a disk sometimes waits for that disk, which would
+//! disturb the measurements. It names the spool that it belongs to, and the process that counts in it holds a lock on it: so a copy of
+//! the spool does not use it, and a file whose spool is gone is recognised. It is not mapped, so that a failed write is an error and
+//! does not end the process. After a restart of the machine the file is gone, and no gap is reported.
 
 mod abandoned;
 mod owner;
@@ -32,13 +32,13 @@ use uuid::Uuid;
 
 use self::owner::OWNER_BYTES;
 
-/// Where files are that lie in memory.
+/// Folder of the file system in memory.
 const SHARED_MEMORY: &str = "/dev/shm";
-/// `f_type` of such a file system (statfs(2)).
+/// `f_type` of a file system in memory (statfs(2)).
 const TMPFS_MAGIC: i64 = 0x0102_1994;
-/// How the file begins.
+/// First bytes of the file.
 const MAGIC: &[u8; 8] = b"PNcount3";
-/// How a file of an earlier version begins, which names no spool.
+/// First bytes of a file of an earlier version, which names no spool.
 const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 /// Bytes of the head, and of the record of each run behind it. None crosses the border of a page.
 const RECORD: usize = 128;
@@ -55,16 +55,17 @@ const SENT_BYTES: usize = 40;
 const OWNER: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
 const FILE_BYTES: usize = OWNER + OWNER_BYTES;
 
-/// Counts events as they are handed in; clones are the same. Without a file it counts nothing.
+/// Counter of the events that are handed in. Clones share the count; without a file nothing is counted.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct EventCounter(Option<Arc<Mutex<Counting>>>);
+pub(crate) struct EventCounter(Option<Arc<Mutex<CountFile>>>);
 
+/// The open file, and the counts in it.
 #[derive(Debug)]
-struct Counting {
+struct CountFile {
     file: File,
     name: String,
     all: u64,
-    /// Place and number of events of each run under way.
+    /// Record and number of events of each run under way.
     runs: BTreeMap<RunId, (usize, u64)>,
     free: Vec<usize>,
     sent: Option<SentUnspooled>,
@@ -83,7 +84,7 @@ impl EventCounter {
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
         let file = create_file(&name)?;
-        // All of it now: memory that is full later is no trouble of ours.
+        // Written in full now, so that later writes need no more memory and cannot fail for lack of it.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         let owner = owner.encoded();
@@ -91,11 +92,11 @@ impl EventCounter {
         file.write_all_at(&bytes, 0)?;
         let free = (1..=MOST_COUNTED_RUNS).rev().collect();
         let counting =
-            Counting { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
+            CountFile { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(counting)))))
     }
 
-    /// The name of the file, by which the next process finds it.
+    /// Returns the name of the file, by which the next process finds it.
     pub(crate) fn name(&self) -> Option<String> {
         self.counting().map(|counting| counting.name.clone())
     }
@@ -108,8 +109,8 @@ impl EventCounter {
         }
     }
 
-    /// Notes a batch that is about to be sent and is not in the spool.
-    pub(crate) fn sent_unspooled(&self, sent: SentUnspooled) {
+    /// Records a batch that is about to be sent and is not in the spool.
+    pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
         if let Some(mut counting) = self.counting().filter(|counting| counting.sent != Some(sent)) {
             counting.sent = Some(sent);
             let SentUnspooled { process, number, taken, told, events } = sent;
@@ -120,8 +121,8 @@ impl EventCounter {
         }
     }
 
-    /// A run has ended, and the spool accounts for so many of its events: when these are all, its place is free. Returns
-    /// whether it is.
+    /// Frees the record of an ended run if the spool accounts for all of its events, which are `events`. Returns whether the record
+    /// is free.
     pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
         let Some(mut counting) = self.counting() else { return true };
         let Some((place, counted)) = counting.runs.get(&run).copied() else { return true };
@@ -132,16 +133,16 @@ impl EventCounter {
         counted == events
     }
 
-    /// Makes the file anew when somebody has deleted it.
-    pub(crate) fn keep(&self) {
+    /// Makes the file anew if it was deleted.
+    pub(crate) fn recreate_if_deleted(&self) {
         if let Some(mut counting) = self.counting() {
-            let kept = counting.keep();
-            counting.check(kept);
+            let written = counting.recreate_if_deleted();
+            counting.check(written);
         }
     }
 
-    /// All events that were counted; `None` when they are not.
-    pub(crate) fn all(&self) -> Option<u64> {
+    /// Returns the number of all events; `None` if they are not counted.
+    pub(crate) fn total(&self) -> Option<u64> {
         self.counting().map(|counting| counting.all)
     }
 
@@ -152,16 +153,16 @@ impl EventCounter {
         }
     }
 
-    fn counting(&self) -> Option<MutexGuard<'_, Counting>> {
+    fn counting(&self) -> Option<MutexGuard<'_, CountFile>> {
         self.0.as_ref().map(|counting| counting.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl Counting {
+impl CountFile {
     fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
         self.all += 1;
         let numbers = [self.all.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
-        // One write for each event: the larger of the numbers of all events is the true one.
+        // Each event is one write, so the number of all events is in several records: the largest one holds.
         let Some(run) = run else { return self.file.write_all_at(&numbers, HEAD_ALL) };
         if let Some((place, events)) = self.runs.get_mut(&run) {
             *events += 1;
@@ -184,7 +185,7 @@ impl Counting {
         Ok(())
     }
 
-    fn keep(&mut self) -> io::Result<()> {
+    fn recreate_if_deleted(&mut self) -> io::Result<()> {
         if self.failed || self.file.metadata()?.nlink() > 0 {
             return Ok(());
         }
@@ -200,6 +201,7 @@ impl Counting {
         Ok(())
     }
 
+    /// Logs the first failed write.
     fn check(&mut self, written: io::Result<()>) {
         if let Err(error) = written
             && !std::mem::replace(&mut self.failed, true)
@@ -213,8 +215,8 @@ impl Counting {
     }
 }
 
-/// An empty file that this process holds locked, before anything is in it: a whole file that nobody has locked is one of a process that
-/// has ended.
+/// Creates an empty file and locks it before anything is written: a complete file without a lock belongs to a process that has
+/// ended.
 fn create_file(name: &str) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
     let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
@@ -222,9 +224,9 @@ fn create_file(name: &str) -> io::Result<File> {
     Ok(file)
 }
 
-/// A file of this name in shared memory, if it is one of this user.
+/// Opens the file of this name in shared memory, if it belongs to this user.
 fn open_own(name: &str) -> Option<File> {
-    // A FIFO that somebody put there would keep its reader waiting.
+    // Opening a FIFO that somebody put there must not block.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
@@ -232,8 +234,8 @@ fn open_own(name: &str) -> Option<File> {
     (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(file)
 }
 
-/// The spool that a file of counts belongs to; `None` for any other file, and for one of an earlier version.
-fn owner(file: &File) -> Option<CountOwner> {
+/// Reads which spool a file of counts belongs to; `None` for any other file, and for one of an earlier version.
+fn read_owner(file: &File) -> Option<CountOwner> {
     let (mut magic, mut owner) = ([0; MAGIC.len()], [0; OWNER_BYTES]);
     file.read_exact_at(&mut magic, 0).ok()?;
     if magic != *MAGIC {
@@ -243,17 +245,18 @@ fn owner(file: &File) -> Option<CountOwner> {
     CountOwner::decoded(&owner)
 }
 
-/// Says whether the file of this name counts for another spool than this one.
-pub(crate) fn is_of_another(name: &str, own: &CountOwner) -> bool {
-    open_own(name).and_then(|file| owner(&file)).is_some_and(|owner| !owner.is_same_file(own))
+/// Whether the file of this name belongs to another spool than this one.
+pub(crate) fn belongs_to_another_spool(name: &str, own: &CountOwner) -> bool {
+    open_own(name).and_then(|file| read_owner(&file)).is_some_and(|owner| !owner.is_same_file(own))
 }
 
-/// What an earlier process counted for this spool in the file of this name; `None` when there is none of ours.
+/// Reads what an earlier process counted for this spool in the file of this name; `None` if the file is missing or belongs to
+/// another spool.
 pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let file = open_own(name)?;
     let mut bytes = vec![0; OWNER];
     file.read_exact_at(&mut bytes, 0).ok()?;
-    let is_ours = match owner(&file) {
+    let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(own),
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };

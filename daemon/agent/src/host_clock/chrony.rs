@@ -4,7 +4,7 @@ use std::fmt;
 
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
-use super::claim::{Answer, Claim, GROWTH_PPM};
+use super::claim::{Claim, GROWTH_PPM, SourceReport};
 
 /// The reference id of a chronyd that follows nothing but its own clock (`local`).
 const LOCAL: &str = "7F7F0101";
@@ -72,7 +72,7 @@ impl Tracking {
     /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. As the sign
     /// of the first term is known, the interval needs to reach from the estimate to zero only, towards which chrony
     /// slews the clock, and by the other two beyond both.
-    pub(super) fn answer(&self, at: MonoTime) -> Answer {
+    pub(super) fn answer(&self, at: MonoTime) -> SourceReport {
         let claim = (self.synchronised && !self.local).then(|| Claim {
             at,
             error: Interval {
@@ -86,13 +86,13 @@ impl Tracking {
             Self { local: true, .. } => "chrony, following nothing but its own clock".to_owned(),
             Self { stratum, reference, .. } => format!("chrony, stratum {stratum}, to {reference}"),
         };
-        Answer { source: DelaySource::Chrony, claim, text }
+        SourceReport { source: DelaySource::Chrony, claim, text }
     }
 }
 
 /// chrony claims nothing; `reason` says why.
-pub(super) fn silent(reason: &impl fmt::Display) -> Answer {
-    Answer { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
+pub(super) fn silent(reason: &impl fmt::Display) -> SourceReport {
+    SourceReport { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
 /// Whether what chrony says is worth anything: after the clock was disturbed it goes on saying what it measured
@@ -140,7 +140,7 @@ mod tests {
     const OWN_CLOCK: &str = "7F7F0101,,10,1795179451.641823310,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n";
     const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
 
-    fn answer(line: &str) -> Answer {
+    fn answer(line: &str) -> SourceReport {
         Tracking::parse(line).expect("chronyc printed it").answer(MonoTime::from_nanos(0))
     }
 

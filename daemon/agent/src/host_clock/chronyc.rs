@@ -9,7 +9,7 @@ use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::process::Command;
 
 use super::chrony::{Tracking, TrackingError, Trust, silent};
-use super::claim::Answer;
+use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
 /// How long `chronyc` may take; it gives up after some seconds by itself when nobody answers.
@@ -54,7 +54,7 @@ impl Chronyc {
     }
 
     /// What chrony says now; `None` when there is no chrony on this host.
-    pub(super) async fn ask(&mut self) -> Option<Answer> {
+    pub(super) async fn ask(&mut self) -> Option<SourceReport> {
         match self.track().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
@@ -71,7 +71,7 @@ impl Chronyc {
         }
     }
 
-    async fn track(&mut self) -> Result<Answer, ChronycError> {
+    async fn track(&mut self) -> Result<SourceReport, ChronycError> {
         let at = self.clock.mono();
         let command = || self.command.clone();
         let printed = tokio::time::timeout(PATIENCE, self.print()).await;

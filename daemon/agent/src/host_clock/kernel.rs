@@ -4,18 +4,18 @@ use std::io;
 
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
-use super::claim::{Answer, Claim, GROWTH_PPM};
+use super::claim::{Claim, GROWTH_PPM, SourceReport};
 use super::timex::{self, Timex};
 
 /// The kernel adds so many microseconds to its bound each second (`MAXFREQ`) until a daemon sets it anew.
 const KERNEL_GROWTH_US: i64 = 500;
 
 /// Asks the kernel.
-pub(super) fn ask(now: MonoTime) -> Answer {
+pub(super) fn ask(now: MonoTime) -> SourceReport {
     answer(timex::read(), now)
 }
 
-fn answer(state: io::Result<Timex>, now: MonoTime) -> Answer {
+fn answer(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     let (bound, text) = match state {
         Err(error) => (None, format!("kernel: adjtimex: {error}")),
         Ok(state) => judge(state),
@@ -25,7 +25,7 @@ fn answer(state: io::Result<Timex>, now: MonoTime) -> Answer {
         error: Interval { lo: -bound, hi: bound },
         growth_ppm: GROWTH_PPM,
     });
-    Answer { source: DelaySource::Kernel, claim, text }
+    SourceReport { source: DelaySource::Kernel, claim, text }
 }
 
 /// The bound of the error, and the state in words.

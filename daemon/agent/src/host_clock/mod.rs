@@ -13,13 +13,13 @@ mod chronyc;
 mod claim;
 mod clocksource;
 mod kernel;
+mod monitor;
 mod rehearsed;
 mod sources;
 #[cfg(test)]
 mod tests;
 mod timex;
 mod vmclock;
-mod watch;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -36,9 +36,9 @@ use crate::conditions::InspectionSettings;
 use crate::config::{ClockConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 pub(crate) use clocksource::Clocksource;
+use monitor::HostClockMonitor;
 use sources::Sources;
 use vmclock::Vmclock;
-use watch::Watchman;
 
 /// How often the clocks are looked at.
 const LOOK: Duration = Duration::from_millis(100);
@@ -69,8 +69,9 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
     RawClock { epoch: clock.epoch(), wall_ahead: clock.wall_ahead(), clocksource }
 }
 
-/// Watches over the clocks until it is told to stop. What is known goes to `publish`, which begins with
-/// [`not_asked_yet`]: a new epoch within a tenth of a second, with it the end of all claims; claims every
+/// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with [`not_asked_yet`].
+///
+/// A new epoch is published within a tenth of a second and ends all claims. Claims are published every
 /// `discipline_interval_s`, and once a second where a rehearsal makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
@@ -82,16 +83,15 @@ pub(crate) async fn run(
 ) {
     let clocksource = Clocksource::below(Path::new(InspectionSettings::SYSFS));
     let vmclock = Vmclock::below(Path::new("/dev"));
-    let mut watchman = Watchman::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
+    let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
     let looking = async {
         let mut ticks = interval(LOOK);
         let mut looks = 0_u32;
         loop {
             ticks.tick().await;
-            watchman.look(&incidents);
+            monitor.look(&incidents);
             looks = looks.wrapping_add(1);
-            let (wall_epoch, raw) =
-                (clock.wall_epoch(), raw_clock(&clock, watchman.clocksource().to_owned()));
+            let (wall_epoch, raw) = (clock.wall_epoch(), raw_clock(&clock, monitor.clocksource().to_owned()));
             publish.send_if_modified(|known| {
                 let is_disturbed = known.epoch != wall_epoch
                     || known.raw.as_ref().is_none_or(|known| known.epoch != raw.epoch);

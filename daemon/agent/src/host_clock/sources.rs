@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, Span};
 
 use super::chronyc::{Chronyc, PATIENCE};
-use super::claim::{Summary, merge};
+use super::claim::{Summary, combine};
 use super::{kernel, rehearsed};
 use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
 
@@ -21,7 +21,7 @@ pub(super) struct Sources {
     truth: SharedClock,
     period: Duration,
     claims: Claims,
-    contradictory: bool,
+    is_contradictory: bool,
 }
 
 #[derive(Debug)]
@@ -55,7 +55,7 @@ impl Sources {
                 chronyc: asked(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
-        Self { clock, truth, period, claims, contradictory: false }
+        Self { clock, truth, period, claims, is_contradictory: false }
     }
 
     /// How often to ask.
@@ -74,24 +74,24 @@ impl Sources {
                     .rehearsal()
                     .map(|description| rehearsed::exactly(description, self.truth.wall(), ahead)),
                 text: "rehearsed, claims its error exactly".to_owned(),
-                contradictory: false,
+                is_contradictory: false,
             },
             Claims::Daemons { kernel, chronyc } => {
-                let mut answers = Vec::new();
+                let mut reports = Vec::new();
                 if let Some(chronyc) = chronyc {
-                    answers.extend(chronyc.ask().await);
+                    reports.extend(chronyc.ask().await);
                 }
                 let now = self.clock.mono();
                 if *kernel {
-                    answers.push(kernel::ask(now));
+                    reports.push(kernel::ask(now));
                 }
-                merge(&answers, now + ahead)
+                combine(&reports, now + ahead)
             }
         };
-        if summary.contradictory && !self.contradictory {
+        if summary.is_contradictory && !self.is_contradictory {
             tracing::warn!("this host's clock: {}", summary.text);
         }
-        self.contradictory = summary.contradictory;
+        self.is_contradictory = summary.is_contradictory;
         summary
     }
 }

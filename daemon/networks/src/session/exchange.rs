@@ -1,6 +1,6 @@
 //! One request and its answer, on the edge's tree.
 
-use peernet_clock::{RawTime, Span, Stamp, ExchangeObservation};
+use peernet_clock::{ExchangeObservation, RawTime, Span, Stamp};
 use peernet_logger::{
     HostId, HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Tree, TreeError, Unit,
     stage,

@@ -224,7 +224,12 @@ async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
             incoming.reply.send(incoming.log, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok() && exchange.down.is_some());
-            assert_eq!(exchange.observation.is_none(), voids, "version {version}: {:?}", exchange.observation);
+            assert_eq!(
+                exchange.observation.is_none(),
+                voids,
+                "version {version}: {:?}",
+                exchange.observation
+            );
         }
         let exchange = echo(&mut cloud, &session, "after").await;
         let epoch = moved.epoch.load(Ordering::SeqCst);

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use peernet_clock::{
-    Clock, Exchange, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime, ExchangeObservation,
+    Clock, Exchange, ExchangeObservation, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime,
 };
 
 use super::auth::{CODE_BYTES, Key};
@@ -333,8 +333,12 @@ impl Sending {
             returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
             uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
-        let answered =
-            ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch: returned.epoch, cloud_epoch: there.epoch };
+        let answered = ExchangeObservation {
+            exchange,
+            cloud_elapsed: None,
+            edge_epoch: returned.epoch,
+            cloud_epoch: there.epoch,
+        };
         pending.answer = Some(Answered { sequence: reply.sequence, observation: Some(answered) });
         let refined = there.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
-use peernet_clock::{RelatedClocks, Span, ExchangeObservation};
+use peernet_clock::{ExchangeObservation, RelatedClocks, Span};
 use peernet_probes::stamp::uncertainty;
 use peernet_probes::{Key, ProbeResult, ReflectorConfig, Stamps};
 use serde_json::Value;
@@ -182,7 +182,9 @@ fn of_one_clock(observation: &ExchangeObservation) {
 fn is_sound(results: &[ProbeResult]) {
     for result in results {
         match result {
-            ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => of_one_clock(observation),
+            ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
+                of_one_clock(observation)
+            }
             ProbeResult::Sent => {}
             other => panic!("{other:?}"),
         }

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockIdentity, Interval, MonoTime, RawTime, RehearsalDescription, RehearsedClock, RehearsedStep,
-    RelatedClocks, SharedClock, Span, SystemClock, WallTime, ExchangeObservation,
+    Clock, ClockIdentity, ExchangeObservation, Interval, MonoTime, RawTime, RehearsalDescription,
+    RehearsedClock, RehearsedStep, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;

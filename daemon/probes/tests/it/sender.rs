@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use peernet_clock::{
-    Clock, ClockIdentity, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime, ExchangeObservation,
+    Clock, ClockIdentity, ExchangeObservation, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime,
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, Reflecting};

@@ -1,14 +1,15 @@
-//! Files of counts that no spool needs any more.
+//! Removal of files of counts that no spool needs any more.
 
 use std::fs::{self, File};
 use std::path::Path;
 
 use uuid::Uuid;
 
-use super::{CountOwner, SHARED_MEMORY, open_own, owner, remove};
+use super::{CountOwner, SHARED_MEMORY, open_own, read_owner, remove};
 
-/// Removes the files of counts in which no process counts, and whose spool is gone or is `own`, which needs those named in `needed` only.
-/// A file that does not say which spool it belongs to stays.
+/// Removes files of counts in which no process counts any more, and whose spool is gone or is `own`.
+///
+/// Files named in `needed`, which `own` still needs, stay; so does a file that does not say which spool it belongs to.
 pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     let entries = match fs::read_dir(SHARED_MEMORY) {
         Ok(entries) => entries,
@@ -19,7 +20,7 @@ pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     };
     let mut removed = 0_u64;
     for name in entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()) {
-        if is_name(&name)
+        if is_count_file_name(&name)
             && !needed.contains(&name.as_str())
             && open_own(&name).is_some_and(|file| is_abandoned(&file, own))
         {
@@ -32,13 +33,14 @@ pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     }
 }
 
-/// Says whether a file has a name of ours.
-fn is_name(name: &str) -> bool {
+/// Whether a name is that of a file of counts.
+fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
     id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()
 }
 
-/// Says whether nobody counts in a file, and no later process can need it. It is locked as long as it is looked at.
+/// Whether no process counts in a file and none can need it later. The file is locked during the check.
 fn is_abandoned(file: &File, own: &CountOwner) -> bool {
-    file.try_lock().is_ok() && owner(file).is_some_and(|owner| owner.is_same_file(own) || owner.is_gone())
+    file.try_lock().is_ok()
+        && read_owner(file).is_some_and(|owner| owner.is_same_file(own) || owner.is_gone())
 }

@@ -30,7 +30,7 @@ fn another_process_reads_what_was_counted() {
     counter.count(line.as_ref(), Some(second), at(7));
     let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
     let slots = MOST_SENT_UNSPOOLED as u64;
-    (1..=slots + 1).for_each(|number| counter.sent_unspooled(sent(number)));
+    (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
     let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
     let mut counted = read(&name, &owner).expect("readable");
@@ -53,7 +53,7 @@ fn deleted_file_is_made_again() {
     let (name, run) = (counter.name().expect("a file"), RunId::random());
     counter.count(None, Some(run), at(1));
     remove(&name);
-    counter.keep();
+    counter.recreate_if_deleted();
     counter.count(None, Some(run), at(2));
     let counted = read(&name, &owner).expect("is there");
     assert_eq!((counted.all, counted.runs[0].events), (2, 2));

@@ -80,22 +80,22 @@ impl EventIntake {
 
     /// Notes a batch that is sent without being in the spool, where it outlives the process.
     pub(super) fn note_sent_unspooled(&self, sent: SentUnspooled) {
-        self.exit.counter.sent_unspooled(sent);
+        self.exit.counter.record_sent_unspooled(sent);
     }
 
     /// Makes the counter's file anew when somebody has deleted it.
     pub(super) fn keep_counter(&self) {
-        self.exit.counter.keep();
+        self.exit.counter.recreate_if_deleted();
     }
 
     /// Whether the events are counted where the count outlives the process.
     pub(super) fn is_counted(&self) -> bool {
-        self.exit.counter.all().is_some()
+        self.exit.counter.total().is_some()
     }
 
     /// Removes the counter if all that it counted is settled.
     pub(super) fn remove_counter(&self, settled: u64) {
-        if self.exit.counter.all() == Some(settled) {
+        if self.exit.counter.total() == Some(settled) {
             self.exit.counter.remove();
         }
     }

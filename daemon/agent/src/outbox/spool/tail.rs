@@ -118,7 +118,7 @@ pub(super) async fn begin(
         sqlx::query_as("SELECT counter, counted, taken, counted_ns FROM stream WHERE id = 1")
             .fetch_one(&mut *connection)
             .await?;
-    if before.counter.take_if(|name| counter::is_of_another(name, own)).is_some() {
+    if before.counter.take_if(|name| counter::belongs_to_another_spool(name, own)).is_some() {
         tracing::warn!(
             "the spool is the copy of another one, to which the count of handed-in events belongs: what the agent that wrote the \
              spool lost is reported by the other one"

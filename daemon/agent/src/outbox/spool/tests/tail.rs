@@ -67,7 +67,7 @@ async fn what_was_sent_without_the_spool_stays_open_until_it_is_resolved() {
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
         .await
         .expect("appends");
-    counter.sent_unspooled(SentUnspooled { process: 7, number: 3, taken: 8, told: 0, events: 8 });
+    counter.record_sent_unspooled(SentUnspooled { process: 7, number: 3, taken: 8, told: 0, events: 8 });
     drop((file, counter));
 
     let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");

@@ -1,0 +1,287 @@
+//! Monitor of the host's clocks: detects steps, slews, sleeps and other disturbances.
+
+use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
+use peernet_stream::IncidentKind;
+
+use super::{Clocksource, Vmclock};
+use crate::incidents::{Concerning, Incidents, far_in_words};
+
+/// Shortest time between two incidents about a slew: a clock whose rate is wrong disturbs every look.
+const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
+
+/// Consequence of a disturbance of the wall clock.
+const WALL_CONSEQUENCE: &str =
+    "delays are measured by the free-running clock and do not change; claims about the wall clock are void";
+/// Consequence of a disturbance of the free-running clock.
+const RAW_CONSEQUENCE: &str = "delays of that moment are left out";
+
+/// Monitor of a host's clocks, which reports every disturbance as an incident.
+#[derive(Debug)]
+pub(super) struct HostClockMonitor {
+    clock: SharedClock,
+    watch: Watch,
+    max_drift_ppm: f64,
+    wall_epoch: u32,
+    slew_reported: Option<MonoTime>,
+    clocksource: Clocksource,
+    /// Name of the clocksource at the last look.
+    clocksource_name: String,
+    vmclock: Vmclock,
+}
+
+impl HostClockMonitor {
+    pub(super) fn new(
+        max_drift_ppm: f64,
+        clock: SharedClock,
+        clocksource: Clocksource,
+        vmclock: Vmclock,
+    ) -> Self {
+        let (watch, wall_epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
+        let clocksource_name = clocksource.name();
+        Self {
+            clock,
+            watch,
+            max_drift_ppm,
+            wall_epoch,
+            slew_reported: None,
+            clocksource,
+            clocksource_name,
+            vmclock,
+        }
+    }
+
+    /// Returns the name of the clocksource from which the kernel read the time at the last look.
+    pub(super) fn clocksource(&self) -> &str {
+        &self.clocksource_name
+    }
+
+    /// Looks at all clocks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the wall clock was disturbed, and
+    /// [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running one was.
+    pub(super) fn look(&mut self, incidents: &Incidents) {
+        let readings = self.clock.readings();
+        let disturbances = self.watch.look(readings);
+        // The clock itself notices a step, but no slew. After a sleep, claims from before it no longer hold.
+        if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
+            self.clock.begin_wall_epoch();
+        }
+        let wall_epoch = self.clock.wall_epoch();
+        // The clock may have noticed a step that is too small for the watch.
+        let unseen = (wall_epoch != self.wall_epoch && disturbances.is_empty())
+            .then(|| self.clock.last_step())
+            .flatten();
+        self.wall_epoch = wall_epoch;
+        let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
+        let mut texts: Vec<String> = all.filter_map(|odd| self.describe(odd, readings.mono)).collect();
+        texts.extend(self.look_at_clocksource());
+        texts.extend(self.look_at_vmclock());
+        for text in texts {
+            incidents.report(IncidentKind::ClockStep, Concerning::default(), text);
+        }
+    }
+
+    /// Begins new epochs after a change of clocksource: its rate differs, and the kernel does not tell how well it joined the two.
+    fn look_at_clocksource(&mut self) -> Option<String> {
+        let name = self.clocksource.name();
+        if name == self.clocksource_name {
+            return None;
+        }
+        self.begin_epochs();
+        let before = std::mem::replace(&mut self.clocksource_name, name);
+        Some(format!(
+            "this host's clocksource changed from {before} to {}; {RAW_CONSEQUENCE}",
+            self.clocksource_name
+        ))
+    }
+
+    /// Begins new epochs after a disruption that the hypervisor announces, which no clock of the machine itself can show.
+    fn look_at_vmclock(&mut self) -> Option<String> {
+        let device = self.vmclock.disrupted()?.display().to_string();
+        self.begin_epochs();
+        Some(format!(
+            "the hypervisor disrupted this host's clocks, by the word of {device}, as when a virtual machine is paused or moved; \
+             {RAW_CONSEQUENCE}"
+        ))
+    }
+
+    /// Begins a new epoch of both clocks: older stamps cannot be compared with new ones.
+    fn begin_epochs(&mut self) {
+        self.clock.begin_epoch();
+        self.clock.begin_wall_epoch();
+        self.wall_epoch = self.clock.wall_epoch();
+    }
+
+    /// Describes a disturbance; `None` for a slew soon after the last one that was described.
+    fn describe(&mut self, disturbance: Disturbance, now: MonoTime) -> Option<String> {
+        match disturbance {
+            Disturbance::Step(by) => {
+                let direction = if by.is_negative() { "back" } else { "forward" };
+                Some(format!(
+                    "this host's wall clock was set {direction} by {}; {WALL_CONSEQUENCE}",
+                    far_in_words(by)
+                ))
+            }
+            Disturbance::Slew(ppm) => {
+                let due = self.slew_reported.is_none_or(|reported| now - reported >= SLEW_REPORT_INTERVAL);
+                due.then(|| {
+                    self.slew_reported = Some(now);
+                    let direction = if ppm < 0.0 { "slower" } else { "faster" };
+                    format!(
+                        "this host's wall clock runs {:.0} ppm {direction} than it should, with clock.max_drift_ppm = {}; \
+                         {WALL_CONSEQUENCE}",
+                        ppm.abs(),
+                        self.max_drift_ppm
+                    )
+                })
+            }
+            Disturbance::Suspend(slept) => {
+                Some(format!("this host slept for {:.3} s; {RAW_CONSEQUENCE}", slept.seconds()))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, ManualClock, RehearsalDescription, RehearsedClock, WallTime};
+    use peernet_stream::Event;
+    use tokio::sync::mpsc;
+
+    use super::super::vmclock::tests::{disrupt, make};
+    use super::*;
+    use crate::feed::{Feed, Tap};
+
+    /// A monitor with a clock that the test moves and that drifts.
+    struct ClockTestbed {
+        manual: Arc<ManualClock>,
+        clock: SharedClock,
+        monitor: HostClockMonitor,
+        incidents: Incidents,
+        events: mpsc::Receiver<Event>,
+        /// Root of its sysfs.
+        sys: tempfile::TempDir,
+        /// Its vmclock device.
+        vmclock: File,
+    }
+
+    impl ClockTestbed {
+        fn new(drift_ppm: f64) -> Self {
+            let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
+            let identity = ClockIdentity::new("boot", "clock");
+            let manual = Arc::new(ManualClock::new(since, identity.clone()));
+            let drifts = RehearsalDescription { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
+            let inner = Arc::clone(&manual) as SharedClock;
+            let clock: SharedClock = Arc::new(RehearsedClock::new(inner, identity, drifts));
+            let (listener, events) = mpsc::channel(100);
+            let feed = Feed::nowhere().tapped(Some(Tap::new(listener)));
+            let incidents = Incidents::new(Arc::clone(&clock), feed);
+            let sys = tempfile::tempdir().expect("a folder");
+            let clocksource = Clocksource::below(sys.path());
+            let vmclock = make(sys.path(), 7);
+            let mut monitor =
+                HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::below(sys.path()));
+            monitor.look(&incidents);
+            Self { manual, clock, monitor, incidents, events, sys, vmclock }
+        }
+
+        /// Looks ten times a second.
+        fn look_for(&mut self, seconds: usize) {
+            for _ in 0..seconds * 10 {
+                self.manual.advance(Span::from_millis(100));
+                self.monitor.look(&self.incidents);
+            }
+        }
+
+        fn reported(&mut self) -> Vec<String> {
+            let mut texts = Vec::new();
+            while let Ok(Event::Incident(incident)) = self.events.try_recv() {
+                assert_eq!(incident.kind, IncidentKind::ClockStep);
+                texts.push(incident.text);
+            }
+            texts
+        }
+    }
+
+    #[test]
+    fn step_is_reported_with_direction_and_size() {
+        let mut testbed = ClockTestbed::new(40.0);
+        testbed.look_for(1);
+        assert!(testbed.reported().is_empty());
+        for (by, words) in [
+            (Span::from_seconds(3), "forward by 3.000 s"),
+            (Span::from_millis(-250), "back by 0.250 s"),
+            (Span::from_micros(30), "forward by 0.030 ms"),
+        ] {
+            let before = testbed.clock.wall_epoch();
+            testbed.manual.step_wall(by);
+            testbed.look_for(1);
+            let reported = testbed.reported();
+            assert!(matches!(&reported[..], [text] if text.contains(words)), "{words}: {reported:?}");
+            assert_eq!(testbed.clock.wall_epoch(), before + 1, "one step, one epoch");
+        }
+    }
+
+    #[test]
+    fn drift_within_limit_is_not_reported() {
+        let mut testbed = ClockTestbed::new(40.0);
+        testbed.look_for(60);
+        assert_eq!((testbed.reported().len(), testbed.clock.wall_epoch()), (0, 0));
+    }
+
+    #[test]
+    fn slew_begins_epochs_and_is_reported_once_a_minute() {
+        let mut testbed = ClockTestbed::new(0.0);
+        let slewed = |testbed: &mut ClockTestbed, seconds: i64| {
+            for _ in 0..seconds * 10 {
+                testbed.manual.slew_wall(Span::from_micros(-25));
+                testbed.manual.advance(Span::from_millis(100));
+                testbed.monitor.look(&testbed.incidents);
+            }
+        };
+        slewed(&mut testbed, 50);
+        let reported = testbed.reported();
+        assert!(
+            matches!(&reported[..], [text] if text.contains("ppm slower than it should")),
+            "{reported:?}"
+        );
+        assert!(testbed.clock.wall_epoch() > 5, "{}", testbed.clock.wall_epoch());
+        slewed(&mut testbed, 60);
+        assert_eq!(testbed.reported().len(), 1);
+        assert_eq!(testbed.clock.epoch(), 0, "the free-running clock went on");
+    }
+
+    #[test]
+    fn sleep_and_another_clocksource_interrupt_free_running_clock() {
+        let mut testbed = ClockTestbed::new(0.0);
+        testbed.manual.sleep(Span::from_seconds(7));
+        testbed.look_for(1);
+        let reported = testbed.reported();
+        assert!(matches!(&reported[..], [text] if text.contains("slept for 7.000 s")), "{reported:?}");
+        assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));
+
+        let file = testbed.sys.path().join("devices/system/clocksource/clocksource0/current_clocksource");
+        std::fs::create_dir_all(file.parent().expect("it has one")).expect("made");
+        std::fs::write(&file, "hpet\n").expect("written");
+        testbed.look_for(1);
+        let reported = testbed.reported();
+        assert!(matches!(&reported[..], [text] if text.contains("changed from  to hpet")), "{reported:?}");
+        assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (2, 2));
+    }
+
+    #[test]
+    fn disruption_by_hypervisor_begins_new_epoch_of_both_clocks() {
+        let mut testbed = ClockTestbed::new(0.0);
+        testbed.look_for(1);
+        assert!(testbed.reported().is_empty());
+        disrupt(&testbed.vmclock, 0, 8);
+        testbed.look_for(1);
+        let reported = testbed.reported();
+        assert!(
+            matches!(&reported[..], [text] if text.contains("the hypervisor disrupted") && text.contains("vmclock0")),
+            "{reported:?}"
+        );
+        assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));
+    }
+}
