@@ -23,7 +23,7 @@ pub mod order;
 mod passage;
 pub mod record;
 pub mod rows;
-mod run_evidence;
+mod run_trust_input;
 pub mod sensor_study;
 pub mod summary;
 pub mod table;

@@ -7,7 +7,7 @@ use peernet_statistics::number::counted;
 use crate::accuracy::UnknownLabels;
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::run_evidence::cut_short;
+use crate::run_trust_input::cut_short;
 
 /// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
 pub const NO_RECORD: &str =

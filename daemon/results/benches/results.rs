@@ -12,7 +12,7 @@ use peernet_report::loaded::Loaded;
 use peernet_report::record::RunRecord;
 use peernet_report::rows::{Row, Rows};
 use peernet_report::summary::Summary;
-use peernet_report::trust::{Evidence, Report};
+use peernet_report::trust::{Report, TrustInput};
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Iteration, Outcome};
 
@@ -39,7 +39,7 @@ fn main() {
             writer.end().expect("writable");
         });
         timed("summary", &mut || drop(black_box(Summary::of(&rows))));
-        timed("trust report", &mut || drop(black_box(Report::of(&Evidence::of_rows(&rows, &[])))));
+        timed("trust report", &mut || drop(black_box(Report::of(&TrustInput::of_rows(&rows, &[])))));
         timed("run.json, summary.*, check", &mut || {
             folder.finish(&RunRecord::default(), &rows).expect("writable");
         });

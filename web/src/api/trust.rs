@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_report::trust::{Report, Sentence as Known};
+use peernet_report::trust::{Finding, Report};
 use serde::Serialize;
 use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
@@ -17,7 +17,7 @@ use crate::view::trust;
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(one))
+    OpenApiRouter::new().routes(routes!(get))
 }
 
 /// "Can I publish this run?": what was seen before, during and after it, in sentences, the most harmful first.
@@ -25,7 +25,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     (status = 200, body = Trust),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-async fn one(
+async fn get(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
 ) -> Result<Json<Trust>, WebError> {
@@ -60,7 +60,7 @@ pub(crate) struct Sentence {
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
-        let sentence = |sentence: &Known| Sentence {
+        let sentence = |sentence: &Finding| Sentence {
             about: sentence.about.clone(),
             grade: word(sentence.grade),
             text: sentence.text.clone(),

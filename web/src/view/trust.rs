@@ -4,7 +4,8 @@ use peernet_logger::{Name, stage};
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
 use peernet_report::rows::LATENESS;
 use peernet_report::trust::{
-    Came, Clocks, Counts, Course, Early, Evidence, Limits, Load, Missing, Publish, Report, Restarts, Starts,
+    Clocks, Counts, EndedEarly, Finding, Limits, Load, Missing, Progress, Publish, Report, Restarts, Starts,
+    TimeSeries, TrustInput,
 };
 use peernet_store::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
 use peernet_stream::{EndReason, Grade};
@@ -13,16 +14,16 @@ use serde::Deserialize;
 use super::accuracy;
 use super::chip::{Chip, Tone};
 
-/// Most buckets that a run's course is read in.
+/// Largest number of buckets in which a run's time series is read.
 const BUCKETS: usize = 120;
 
 /// The answer as a page shows it.
 pub(crate) struct Trust {
     pub chip: Chip,
     pub answer: String,
-    /// What speaks against it or is to be said, the most harmful first.
+    /// Findings that speak against publishing or must be mentioned, the most harmful first.
     pub remarks: Vec<Line>,
-    /// What is as it should be, or could not be found out.
+    /// Findings that are good or unknown.
     pub rest: Vec<Line>,
 }
 
@@ -33,12 +34,14 @@ pub(crate) struct Line {
     pub advice: String,
 }
 
-/// Reads what a report rests on beside what the run's page has read anyway: the total, a sensor's alone where nothing
-/// else is there. The stages are asked only where the total moved: over a day they are tens of thousands of rows.
+/// Reads the time series for a report: that of the total, or that of sensing for a run of a sensor alone.
+///
+/// The stages are read only if the total has moved: over a day they are tens of thousands of rows.
 pub(crate) async fn courses(store: &Store, run: i64) -> Result<Vec<StageCourse>, StoreError> {
     let mut found = store.course(run, &[stage::TOTAL], BUCKETS).await?;
-    let moved =
-        |course: &StageCourse| Course::of_summaries(&course.buckets).is_some_and(|course| course.has_moved());
+    let moved = |course: &StageCourse| {
+        TimeSeries::of_summaries(&course.buckets).is_some_and(|course| course.has_moved())
+    };
     if found.is_empty() {
         found = store.course(run, &[stage::SENSING], BUCKETS).await?;
     } else if found.iter().any(moved) {
@@ -49,7 +52,7 @@ pub(crate) async fn courses(store: &Store, run: i64) -> Result<Vec<StageCourse>,
 
 /// Judges a stored run.
 pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> Report {
-    let RunStatistics { stages, bounds, .. } = known;
+    let RunStatistics { stages: statistics, bounds, .. } = known;
     let counts = Counts {
         ok: run.summary.counts.ok,
         failed: run.summary.counts.failed,
@@ -57,22 +60,23 @@ pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCou
         timeout: run.summary.counts.timeout,
         warm_up: run.summary.warm_up,
     };
-    let figures = |name: &Name| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-    let mut of: Vec<(String, Course)> = courses
+    let figures =
+        |name: &Name| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+    let mut stages: Vec<(String, TimeSeries)> = courses
         .iter()
-        .filter_map(|course| Some((course.stage.to_string(), Course::of_summaries(&course.buckets)?)))
+        .filter_map(|course| Some((course.stage.to_string(), TimeSeries::of_summaries(&course.buckets)?)))
         .collect();
-    let at = of.iter().position(|(name, _)| name == stage::TOTAL.as_str());
-    let total = at.map(|at| of.remove(at).1);
+    let total =
+        stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|at| stages.remove(at).1);
     let sensing =
-        || of.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, course)| course.clone());
-    // Written by the agent itself; one of another version may order in other ways, of which nothing can be said.
+        || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
+    // An agent of another version may write the configuration in another form: the report then knows no limit and no rate.
     let configured: Option<Configured> = toml::from_str(&run.configuration).ok();
-    let evidence = Evidence {
+    let input = TrustInput {
         conditions: run.conditions.clone(),
         counts,
         open: run.summary.ended.is_none(),
-        early: configured.and_then(|configured| early(run, &counts, configured.limit)),
+        ended_early: configured.and_then(|configured| ended_early(run, &counts, configured.limit)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
             made_hz: made_hz(run, &counts),
@@ -103,24 +107,24 @@ pub(crate) fn report(run: &RunDetail, known: &RunStatistics, courses: &[StageCou
                 half_width: bound.half_width.map(|width| width.p50),
             })
             .collect(),
-        stages: of,
+        stages,
         accuracy: ACCURACIES
             .into_iter()
             .filter_map(|name| {
-                let scores = stages.iter().find(|stage| stage.stage == *name)?.figures;
+                let scores = statistics.iter().find(|stage| stage.stage == *name)?.figures;
                 Some((name.to_owned(), accuracy::of(&scores, counts.ok)?))
             })
             .collect(),
-        unknown_labels: stages
+        unknown_labels: statistics
             .iter()
             .find(|stage| stage.stage == *UNKNOWN_LABEL)
             .and_then(|stage| UnknownLabels::new(stage.figures.count, &run.facts)),
-        ..Evidence::default()
+        ..TrustInput::default()
     };
-    Report::of(&evidence.ended(run.summary.reason.as_ref()).with_facts(&run.facts))
+    Report::of(&input.ended(run.summary.reason.as_ref()).with_facts(&run.facts))
 }
 
-/// What a run's configuration asks for.
+/// Part of a run's configuration that a report needs.
 #[derive(Clone, Copy, Deserialize)]
 struct Configured {
     #[serde(default)]
@@ -137,32 +141,32 @@ pub(crate) fn starts(run: &RunSummary) -> Starts {
 /// Starts per second over the whole run: the store does not keep when the warm-up ended.
 fn made_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
     let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
-    // What is missing was started, too.
+    // Missing iterations were started, too.
     let known = run.gaps.is_empty() && seconds > 0.0;
     known.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
 }
 
-/// How far a run that has ended came of what its configuration asks for.
-fn early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<Early> {
+/// Compares a run that has ended with the limits in its configuration.
+fn ended_early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<EndedEarly> {
     let summary = &run.summary;
     summary.ended?;
-    // Where nobody knows how many are missing, nobody knows how far it came.
+    // If the number of missing events is unknown, so is how far the run came.
     let unseen = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
-    let came = Came {
+    let progress = Progress {
         measured: counts.measured() + unseen,
         warm_up: counts.warm_up,
         // Of its whole length: the store does not keep when the warm-up ended.
         seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
     };
-    Early::of(&limit, &came, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
+    EndedEarly::of(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
         let (worse, rest) =
             report.sentences.iter().partition::<Vec<_>, _>(|sentence| sentence.grade > Grade::Unknown);
-        let lines = |sentences: Vec<&peernet_report::trust::Sentence>| {
-            let line = |sentence: &peernet_report::trust::Sentence| Line {
+        let lines = |sentences: Vec<&Finding>| {
+            let line = |sentence: &Finding| Line {
                 chip: chip(sentence.grade),
                 text: sentence.text.clone(),
                 advice: sentence.advice.clone(),
@@ -202,7 +206,7 @@ mod tests {
     use crate::tests::samples::NOW;
     use crate::view::compare::tests::{run, stages};
 
-    /// 300 of so many iterations; 59 s of a minute.
+    /// A run of 300 iterations in 59 s.
     fn detail(configuration: &str, reason: &str) -> RunDetail {
         let mut summary = run(1, PlacementKind::Remote);
         summary.reason = Some(reason.into());
@@ -216,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_came_less_far_than_its_configuration_asks_for_says_so() {
+    fn run_that_ended_before_its_limit_is_reported() {
         let of = |count: u32| format!("name = \"line\"\nmodel = \"m\"\n\n[limit]\niterations = {count}\n");
         let said = |grade, text: &str| Some((grade, text.to_owned()));
         assert_eq!(
@@ -238,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_without_a_score_are_told() {
+    fn answers_without_score_are_reported() {
         let run = detail("", "finished");
         let ok = run.summary.counts.ok;
         let (mut stages, _) = stages(1.0, 1e3);
@@ -257,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_was_started_anew_is_told() {
+    fn restarted_process_is_reported() {
         let (mut stages, _) = stages(1.0, 1e3);
         let mut restart = stages[0].clone();
         (restart.stage, restart.figures.count, restart.figures.mean) = (stage::RESTART, 2, 0.5);
@@ -272,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_that_are_no_classes_of_the_model_are_told() {
+    fn labels_outside_models_classes_are_reported() {
         let mut run = detail("", "finished");
         run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
         let (mut stages, _) = stages(1.0, 1e3);
@@ -285,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn starts_that_were_skipped_are_told_with_the_ordered_rate() {
+    fn skipped_starts_are_reported_with_ordered_rate() {
         let mut run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
         let mut said = |skipped_starts| {
             run.summary.skipped_starts = skipped_starts;
@@ -303,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_to_be_missing_is_not_said() {
+    fn unknown_number_of_missing_events_is_not_reported() {
         let mut run = detail("[limit]\niterations = 400\n", "stopped");
         let gap =
             |count| GapRow { from: NOW, to: NOW + Span::from_seconds(1), count, reason: "full".to_owned() };

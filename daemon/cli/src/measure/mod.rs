@@ -37,7 +37,7 @@ use peernet_report::figures;
 use peernet_report::record::RunRecord;
 use peernet_report::rows::Rows;
 use peernet_report::sensor_study::SensorStudy;
-use peernet_report::trust::{Evidence, Report};
+use peernet_report::trust::{Report, TrustInput};
 use peernet_stream::Condition;
 
 use crate::foreground::{Ended, Ready, Watched};
@@ -102,7 +102,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     }
     let mut record = record::of(order, &taken, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
-    record.trust = Some(Report::of(&Evidence::of_run(&record, &taken.rows)));
+    record.trust = Some(Report::of(&TrustInput::of_run(&record, &taken.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
     let is_written = !files.is_empty();
     // Where the rows found no room, the folder may hold earlier results again.

@@ -2,15 +2,12 @@
 //!
 //! ```text
 //! rows (crate::rows) ──┐
-//! roll-ups of a store ─┴─ Evidence ── Report: a verdict, sentences ── text, JSON, page
+//! roll-ups of a store ─┴─ TrustInput ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
-//! Pure: evidence in, report out. What is looked at, from which threshold on, and whose method it is stands beside each
-//! judgement and in `docs/trust.md`.
+//! No I/O. The thresholds and methods, with their sources, are beside each judgement and in `docs/trust.md`.
 
-mod course;
-mod early;
-mod evidence;
+mod ended_early;
 mod judge;
 mod load;
 mod restarts;
@@ -18,14 +15,16 @@ mod restarts;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod time_series;
 mod trend;
+mod trust_input;
 
-pub use course::{Beginning, Course, Outliers, batch_means};
-pub(crate) use early::lasted;
-pub use early::{Came, Early, Limits, Unit};
-pub use evidence::{Clocks, Counts, Evidence, Missing};
+pub(crate) use ended_early::lasted;
+pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;
+pub use time_series::{Beginning, Outliers, TimeSeries, batch_means};
+pub use trust_input::{Clocks, Counts, Missing, TrustInput};
 
 use std::cmp::Reverse;
 
@@ -55,9 +54,9 @@ impl Publish {
     }
 }
 
-/// One thing that was looked at, and what it means.
+/// Result of one judgement, in words.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Sentence {
+pub struct Finding {
     /// What was looked at, in two or three words.
     pub about: String,
     /// What it means for the figures.
@@ -74,13 +73,13 @@ pub struct Report {
     /// The answer.
     pub verdict: Publish,
     /// Why, the most harmful first; before all others that a run broke off.
-    pub sentences: Vec<Sentence>,
+    pub sentences: Vec<Finding>,
 }
 
 impl Report {
     /// Judges a run by what is known of it.
-    pub fn of(evidence: &Evidence) -> Self {
-        let mut sentences = judge::sentences(evidence);
+    pub fn of(input: &TrustInput) -> Self {
+        let mut sentences = judge::sentences(input);
         // Stable: what is as harmful stays in the order in which it is looked at.
         sentences.sort_by_key(|sentence| (sentence.about != judge::END, Reverse(sentence.grade)));
         let verdict = match sentences.iter().map(|sentence| sentence.grade).max() {

@@ -9,7 +9,7 @@ use crate::Passage;
 use crate::rows::{Outcome, Row, Rows};
 
 fn judged(rows: &Rows) -> Report {
-    Report::of(&Evidence::of_rows(rows, &[governor(Grade::Good)]))
+    Report::of(&TrustInput::of_rows(rows, &[governor(Grade::Good)]))
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_short_run_is_not_judged_where_it_cannot_be() {
     for subject in ["stationarity", "warm-up"] {
         assert_eq!(about(&report, subject).0, Grade::Unknown);
     }
-    let nothing = Report::of(&Evidence::default());
+    let nothing = Report::of(&TrustInput::default());
     assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
 }
 
@@ -81,9 +81,9 @@ fn a_long_run_in_two_pieces_is_not_called_short() {
         values.iter().for_each(|value| summary.record(*value));
         summary
     };
-    let total = Course::of_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
+    let total = TimeSeries::of_summaries(&[piece(&totals[..400]), piece(&totals[400..])]);
     let counts = Counts { ok: 894, ..Counts::default() };
-    let report = Report::of(&Evidence { total, counts, ..Evidence::default() });
+    let report = Report::of(&TrustInput { total, counts, ..TrustInput::default() });
     for subject in ["stationarity", "warm-up"] {
         let (grade, text) = about(&report, subject);
         assert!(grade == Grade::Unknown && !text.contains("too short"), "{text}");

@@ -7,7 +7,7 @@ use peernet_logger::RunId;
 use peernet_report::accuracy::Accuracy;
 use peernet_report::loaded::RowsDamage;
 use peernet_report::record::{Clocks, FORMAT, ModelRecord, instant};
-use peernet_report::trust::{Evidence, Report};
+use peernet_report::trust::{Report, TrustInput};
 use proptest::prelude::*;
 
 use super::*;
@@ -44,7 +44,7 @@ fn record() -> RunRecord {
         counts: Counts::of(&kept(&rows(10)), 3),
         clocks: Clocks::of(&kept(&rows(10))),
         accuracy: [("top-1".to_owned(), Accuracy::of_counts(8, 9, 1).expect("answers"))].into(),
-        trust: Some(Report::of(&Evidence::default())),
+        trust: Some(Report::of(&TrustInput::default())),
         ..RunRecord::default()
     }
 }

@@ -17,7 +17,7 @@ use crate::state::{App, AppState};
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }
 
 /// Every host that reports or is stored, by name, and those that were turned away.
@@ -38,7 +38,7 @@ async fn list(State(app): State<App>) -> Result<Json<HostList>, WebError> {
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-async fn one(
+async fn get(
     State(app): State<App>,
     host: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Host>, WebError> {

@@ -19,7 +19,7 @@ use crate::view::runs::reject_deleted;
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }
 
 /// The order of a list.
@@ -90,7 +90,7 @@ async fn list(
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-async fn one(
+async fn get(
     State(app): State<App>,
     numbers: Result<Path<(i64, u64)>, PathRejection>,
 ) -> Result<Json<Iteration>, WebError> {

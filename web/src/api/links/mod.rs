@@ -23,7 +23,7 @@ use crate::view::link::{Subject, canonical, find, is_live, no_link};
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one)).routes(routes!(clock))
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(get)).routes(routes!(clock))
 }
 
 /// Every link that reports or is stored, by the edge's and the cloud's name and the network.
@@ -43,7 +43,7 @@ async fn list(State(app): State<App>) -> Result<Json<LinkList>, WebError> {
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-async fn one(
+async fn get(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Link>, WebError> {

@@ -17,7 +17,7 @@ use crate::state::App;
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(list)).routes(routes!(one))
+    OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }
 
 /// Lengths of the windows, seconds.
@@ -100,7 +100,7 @@ async fn list(
         (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
     )
 )]
-async fn one(
+async fn get(
     State(app): State<App>,
     names: Result<Path<(String, String)>, PathRejection>,
     Parameters(query): Parameters<Query>,

@@ -22,7 +22,7 @@ use crate::state::App;
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(list))
-        .routes(routes!(one))
+        .routes(routes!(get))
         .merge(statistics::routes())
         .merge(recomputed::routes())
 }
@@ -77,7 +77,7 @@ async fn list(
     (status = 200, body = RunDetail),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
 ))]
-async fn one(
+async fn get(
     State(app): State<App>,
     number: Result<Path<i64>, PathRejection>,
 ) -> Result<Json<RunDetail>, WebError> {

@@ -5,15 +5,15 @@ use peernet_stream::Grade;
 
 use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;
-use crate::trust::{Evidence, Sentence};
+use crate::trust::{Finding, TrustInput};
 
 /// A sentence where an accuracy is not that of all iterations; accuracies that lack as many share one.
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
-    let foreign = evidence.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+    let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     // Name, how many lack a score for another reason than their label, of how many.
     let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
     let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
-    for (name, accuracy) in evidence.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
+    for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
         match partial.iter_mut().find(|(_, other, _)| *other == lacking(accuracy)) {
             Some((names, ..)) => names.push(name),
             None => partial.push((vec![name], lacking(accuracy), accuracy.count + accuracy.unscored)),
@@ -31,16 +31,16 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
             "see that each sample has a label and each answer names a class, or say so beside the accuracy";
         advise(say("accuracy", Grade::Doubtful, text), advice)
     };
-    unknown(evidence).into_iter().chain(partial.into_iter().map(sentence)).collect()
+    unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
 
 /// What cannot be scored for its label. Where nothing was scored no accuracy is given, and nothing is wrong with the rest.
-fn unknown(evidence: &Evidence) -> Option<Sentence> {
-    let unknown = evidence.unknown_labels.as_ref()?;
-    let grade = if evidence.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
+fn unknown(input: &TrustInput) -> Option<Finding> {
+    let unknown = input.unknown_labels.as_ref()?;
+    let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
     let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
                   numbers of classes are not translated";
-    Some(advise(say("accuracy", grade, unknown.sentence(evidence.counts.ok)), advice))
+    Some(advise(say("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
 }
 
 #[cfg(test)]
@@ -53,13 +53,13 @@ mod tests {
         let of =
             |unscored: u64| Accuracy::of_counts(80, 100 - unscored, unscored).expect("there are answers");
         let both = [("top-1", of(unscored[0])), ("top-5", of(unscored[1]))];
-        let evidence = Evidence {
+        let input = TrustInput {
             counts: Counts { ok: 100, ..Counts::default() },
             accuracy: both.map(|(name, of)| (name.to_owned(), of)).into(),
             unknown_labels: UnknownLabels::new(foreign, &[]),
-            ..Evidence::default()
+            ..TrustInput::default()
         };
-        sentences(&evidence).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
+        sentences(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
     }
 
     fn told(unscored: [u64; 2]) -> Vec<String> {
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(graded([3, 3], 3), [(Grade::Doubtful, text.clone())]);
         let both = graded([5, 5], 3);
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
-        let none = Evidence { unknown_labels: UnknownLabels::new(7, &[]), ..Evidence::default() };
+        let none = TrustInput { unknown_labels: UnknownLabels::new(7, &[]), ..TrustInput::default() };
         let sentences = sentences(&none);
         assert_eq!((sentences.len(), sentences[0].grade), (1, Grade::Unknown), "no accuracy is given");
     }

@@ -5,18 +5,18 @@ use peernet_statistics::number::{bound_ms, milliseconds};
 use peernet_stream::Grade;
 
 use super::{advise, percent, say};
-use crate::trust::{Clocks, Evidence, Sentence};
+use crate::trust::{Clocks, Finding, TrustInput};
 
 /// Shares of delays: from here on the delays as a whole are not known …
 const MOSTLY: f64 = 0.5;
 /// … and up to here a few bad ones do not change a median.
 const A_FEW: f64 = 0.01;
 
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
-    evidence.clocks.iter().filter_map(of).collect()
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+    input.clocks.iter().filter_map(of).collect()
 }
 
-fn of(clocks: &Clocks) -> Option<Sentence> {
+fn of(clocks: &Clocks) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
     let all: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();

@@ -3,9 +3,9 @@
 use peernet_stream::{Condition, Grade};
 
 use super::{advise, say};
-use crate::trust::Sentence;
+use crate::trust::Finding;
 
-pub(super) fn sentences(conditions: &[Condition]) -> Vec<Sentence> {
+pub(super) fn sentences(conditions: &[Condition]) -> Vec<Finding> {
     if conditions.is_empty() {
         return vec![say("hosts", Grade::Unknown, "Nobody looked at the hosts before the run.")];
     }

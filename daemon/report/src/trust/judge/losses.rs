@@ -4,7 +4,7 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{END, advise, iterations, percent, say};
-use crate::trust::{Counts, Early, Evidence, Missing, Sentence, Starts};
+use crate::trust::{Counts, EndedEarly, Finding, Missing, Starts, TrustInput};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
@@ -17,16 +17,16 @@ const HOLES: f64 = 0.05;
 /// Share of what was ordered below which a run is another run than the one that was meant.
 const HALF: f64 = 0.5;
 
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
-    let Evidence { counts, missing, .. } = evidence;
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+    let TrustInput { counts, missing, .. } = input;
     let mut all = vec![enough(counts)];
     if counts.measured() > 0 {
         all.push(answered(counts));
-        all.extend(kept(&evidence.starts));
+        all.extend(kept(&input.starts));
     }
     all.push(whole(counts, missing));
-    all.extend(end(evidence));
-    if evidence.rehearsed {
+    all.extend(end(input));
+    if input.rehearsed {
         let text = "The clock of a host was made wrong on purpose (rehearsal).";
         all.push(advise(say("rehearsal", Grade::Bad, text), "take `[rehearsal]` out of the configuration"));
     }
@@ -34,19 +34,19 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
 }
 
 /// A run that is not, or not yet, what was ordered; nothing about one that is.
-fn end(evidence: &Evidence) -> Option<Sentence> {
-    if evidence.open {
+fn end(input: &TrustInput) -> Option<Finding> {
+    if input.open {
         return Some(say(
             END,
             Grade::Unknown,
             "The run has no end yet: all this is of what is there so far.",
         ));
     }
-    let how_far = evidence.early.as_ref().map(Early::how_far);
-    let text = match (&evidence.broken, how_far) {
+    let how_far = input.ended_early.as_ref().map(EndedEarly::how_far);
+    let text = match (&input.broken, how_far) {
         (Some(reason), Some(how_far)) => format!("The run broke off {how_far}: {reason}."),
         (Some(reason), None) => format!("The run broke off: {reason}."),
-        (None, Some(how_far)) if evidence.early.as_ref().is_some_and(|early| early.interrupted) => {
+        (None, Some(how_far)) if input.ended_early.as_ref().is_some_and(|early| early.interrupted) => {
             format!("The run was interrupted {how_far}.")
         }
         (None, Some(how_far)) => {
@@ -54,13 +54,13 @@ fn end(evidence: &Evidence) -> Option<Sentence> {
         }
         (None, None) => return None,
     };
-    Some(match &evidence.early {
+    Some(match &input.ended_early {
         Some(early) if early.share() < HALF => advise(say(END, Grade::Bad, text), "repeat it"),
         _ => advise(say(END, Grade::Doubtful, text), "repeat it, or say so beside the figures"),
     })
 }
 
-fn enough(counts: &Counts) -> Sentence {
+fn enough(counts: &Counts) -> Finding {
     let about = "amount";
     let warm_up = match counts.warm_up {
         0 => "no warm-up was left out".to_owned(),
@@ -85,7 +85,7 @@ fn enough(counts: &Counts) -> Sentence {
     }
 }
 
-fn answered(counts: &Counts) -> Sentence {
+fn answered(counts: &Counts) -> Finding {
     let about = "losses";
     let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "not in time")];
     let named = parts.iter().filter(|(count, _)| *count > 0);
@@ -114,7 +114,7 @@ fn answered(counts: &Counts) -> Sentence {
 }
 
 /// Nothing about a closed loop.
-fn kept(starts: &Starts) -> Option<Sentence> {
+fn kept(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
     let ordered = starts.hz.map(significant);
     if starts.skipped == 0 {
@@ -143,7 +143,7 @@ fn kept(starts: &Starts) -> Option<Sentence> {
     })
 }
 
-fn whole(counts: &Counts, missing: &[Missing]) -> Sentence {
+fn whole(counts: &Counts, missing: &[Missing]) -> Finding {
     let about = "missing events";
     if missing.is_empty() {
         return say(about, Grade::Good, "No event was dropped.");

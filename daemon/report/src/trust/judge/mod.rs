@@ -1,39 +1,39 @@
-//! One file per thing that is looked at. Each gives sentences; none knows of the others.
+//! Judgements of a run: one file per subject. Each returns findings, independently of the others.
 
 mod accuracy;
 mod clocks;
 mod conditions;
-mod course;
 mod losses;
 mod restarts;
+mod time_series;
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
-use super::{Evidence, Sentence};
+use super::{Finding, TrustInput};
 
-/// What the sentence is about that says of a run that it broke off.
+/// Subject of the finding about the end of a run.
 pub(super) const END: &str = "end";
 
-/// All sentences, in the order in which they are looked at.
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
+/// Returns all findings, in the order of the judgements.
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let mut all = Vec::new();
-    all.extend(losses::sentences(evidence));
-    all.extend(course::sentences(evidence));
-    all.extend(restarts::sentences(evidence));
-    all.extend(clocks::sentences(evidence));
-    all.extend(accuracy::sentences(evidence));
-    all.extend(conditions::sentences(&evidence.conditions));
+    all.extend(losses::sentences(input));
+    all.extend(time_series::sentences(input));
+    all.extend(restarts::sentences(input));
+    all.extend(clocks::sentences(input));
+    all.extend(accuracy::sentences(input));
+    all.extend(conditions::sentences(&input.conditions));
     all
 }
 
 /// A sentence without advice.
-fn say(about: &str, grade: Grade, text: impl Into<String>) -> Sentence {
-    Sentence { about: about.to_owned(), grade, text: text.into(), advice: String::new() }
+fn say(about: &str, grade: Grade, text: impl Into<String>) -> Finding {
+    Finding { about: about.to_owned(), grade, text: text.into(), advice: String::new() }
 }
 
-fn advise(sentence: Sentence, advice: impl Into<String>) -> Sentence {
-    Sentence { advice: advice.into(), ..sentence }
+fn advise(sentence: Finding, advice: impl Into<String>) -> Finding {
+    Finding { advice: advice.into(), ..sentence }
 }
 
 /// A share as per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.

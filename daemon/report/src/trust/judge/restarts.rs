@@ -4,7 +4,7 @@ use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
 use super::{advise, iterations, ms, percent, say};
-use crate::trust::{Evidence, Restarts, Sentence};
+use crate::trust::{Finding, Restarts, TrustInput};
 
 /// What restarts may hold of all totals together: as outliers may of the mean.
 const INFLUENCE: f64 = 0.05;
@@ -12,8 +12,8 @@ const INFLUENCE: f64 = 0.05;
 const NAMED: usize = 5;
 
 /// A sentence for each process that was started anew; none where none was.
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
-    let all = evidence.total.as_ref().map_or(0.0, |total| total.mean * evidence.counts.ok as f64);
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+    let all = input.total.as_ref().map_or(0.0, |total| total.mean * input.counts.ok as f64);
     let of = |restarts: &Restarts| {
         let share = if all > 0.0 { restarts.seconds / all } else { 0.0 };
         let text = format!(
@@ -29,7 +29,7 @@ pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
         let grade = if share < INFLUENCE { Grade::Good } else { Grade::Doubtful };
         advise(say("restarts", grade, text), advice)
     };
-    evidence.restarts.iter().map(of).collect()
+    input.restarts.iter().map(of).collect()
 }
 
 /// ` (numbers 9, 14)`; nothing where they are not known.

@@ -22,7 +22,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
             }
             _ => {}
         });
-        let report = Report::of(&Evidence::of_run(&record, &rows));
+        let report = Report::of(&TrustInput::of_run(&record, &rows));
         let found = report.sentences.iter().find(|sentence| sentence.about == "skipped starts");
         found.map(|sentence| (sentence.grade, sentence.text.clone()))
     };
@@ -40,7 +40,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
     assert!(text.contains("too far behind. The latency"), "{text}");
     let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
-    let report = Report::of(&Evidence::of_run(&kept, &rows(quiet(205))));
+    let report = Report::of(&TrustInput::of_run(&kept, &rows(quiet(205))));
     let text = "No start was skipped: 40.0\u{202f}Hz were ordered and kept.";
     assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
 }
@@ -51,7 +51,7 @@ fn the_record_adds_what_rows_cannot_know() {
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
-    let report = Report::of(&Evidence::of_run(&record, &rows(quiet(1005))));
+    let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(1005))));
     assert_eq!(report.verdict, Publish::No);
     let grades: Vec<Grade> = report.sentences.iter().map(|sentence| sentence.grade).collect();
     assert_eq!(report.sentences[0].about, "end", "that a run broke off stands before all else");
@@ -72,7 +72,7 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             ..RunRecord::default()
         };
         // 5 of warm-up, 200 measured, one each second.
-        let report = Report::of(&Evidence::of_run(&record, &rows(quiet(205))));
+        let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(205))));
         (report.verdict, report.sentences[0].text.clone())
     };
     let iterations = |count: u32| serde_json::json!({ "iterations": count });

@@ -5,7 +5,7 @@ use peernet_stream::Grade;
 
 use super::{advise, ms, percent, say};
 use crate::trust::trend::chance_of_trend;
-use crate::trust::{Course, Evidence, Sentence};
+use crate::trust::{Finding, TimeSeries, TrustInput};
 
 /// Change of the median between the halves, as a share of the first, that makes one figure for the whole run meaningless.
 const STRONG_DRIFT: f64 = 0.2;
@@ -24,17 +24,17 @@ const TOO_SHORT_TO_MATTER: f64 = 100e-6;
 /// Iterations from which on a course tells something.
 const ENOUGH: u64 = 100;
 
-pub(super) fn sentences(evidence: &Evidence) -> Vec<Sentence> {
-    let Some(total) = &evidence.total else { return Vec::new() };
-    let mut all = vec![steady(total, &evidence.stages), begun(total), outliers(total)];
-    all.extend(evidence.unattributed.map(|seconds| explained(seconds, evidence, total)));
-    all.extend(evidence.lateness.map(|seconds| late(seconds, total)));
+pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
+    let Some(total) = &input.total else { return Vec::new() };
+    let mut all = vec![steady(total, &input.stages), begun(total), outliers(total)];
+    all.extend(input.unattributed.map(|seconds| explained(seconds, input, total)));
+    all.extend(input.lateness.map(|seconds| late(seconds, total)));
     all
 }
 
 /// Why a run does not tell something of its course. One of enough iterations lies in too few buckets: those of a dashboard
 /// last a second at least, and where a clock was set meanwhile so long that they hold the whole time that it left out.
-fn too_little(total: &Course, whether: &str) -> String {
+fn too_little(total: &TimeSeries, whether: &str) -> String {
     if total.count < ENOUGH {
         return format!("The run is too short to tell whether {whether}: that takes {ENOUGH} iterations.");
     }
@@ -45,7 +45,7 @@ fn too_little(total: &Course, whether: &str) -> String {
     )
 }
 
-fn steady(total: &Course, stages: &[(String, Course)]) -> Sentence {
+fn steady(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
     let about = "stationarity";
     let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
     let Some((((first, second), share), chance)) = known else {
@@ -84,7 +84,7 @@ fn steady(total: &Course, stages: &[(String, Course)]) -> Sentence {
     advise(say(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
 }
 
-fn begun(total: &Course) -> Sentence {
+fn begun(total: &TimeSeries) -> Finding {
     let about = "warm-up";
     let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
         return say(about, Grade::Unknown, too_little(total, "its warm-up was long enough"));
@@ -117,7 +117,7 @@ fn begun(total: &Course) -> Sentence {
     say(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
 }
 
-fn outliers(total: &Course) -> Sentence {
+fn outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
     let seen = &total.outliers;
     if seen.count == 0 {
@@ -143,12 +143,12 @@ fn outliers(total: &Course) -> Sentence {
 
 /// Lateness and the wait for a model's new process are measured, although they are no stages, and have sentences of their
 /// own: what is left is what nothing accounts for.
-fn explained(unattributed: f64, evidence: &Evidence, total: &Course) -> Sentence {
+fn explained(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
     let about = "unattributed";
-    let waits = evidence.restarts.iter().filter(|restarts| restarts.is_beside_stages());
-    let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / evidence.counts.ok.max(1) as f64;
-    let seconds = unattributed - evidence.lateness.unwrap_or_default() - waited;
-    let beside = match (evidence.lateness.is_some(), waited > 0.0) {
+    let waits = input.restarts.iter().filter(|restarts| restarts.is_beside_stages());
+    let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
+    let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
+    let beside = match (input.lateness.is_some(), waited > 0.0) {
         (true, true) => ", lateness and restarts aside",
         (true, false) => ", lateness aside",
         (false, true) => ", restarts aside",
@@ -169,7 +169,7 @@ fn explained(unattributed: f64, evidence: &Evidence, total: &Course) -> Sentence
 }
 
 /// What waiting for earlier iterations adds: it counts, and nothing is wrong with it.
-fn late(seconds: f64, total: &Course) -> Sentence {
+fn late(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
         "Iterations began {} after the ordered start on average: this lateness is {} of the total.",

@@ -25,7 +25,7 @@ const FINEST: f64 = 0.01;
 
 /// A duration over the time of a run; seconds; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Course {
+pub struct TimeSeries {
     /// How many values there are.
     pub count: u64,
     /// Median of all.
@@ -137,7 +137,7 @@ impl Flow for [Summary] {
     }
 }
 
-impl Course {
+impl TimeSeries {
     /// Of values in order of time. `None` without any.
     pub fn of_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
@@ -225,7 +225,7 @@ impl Course {
     }
 }
 
-/// The means of the batches of a course, as [`Course::batch_means`], of counts and means of buckets in order of time.
+/// The means of the batches of a course, as [`TimeSeries::batch_means`], of counts and means of buckets in order of time.
 pub fn batch_means(buckets: &[(u64, f64)]) -> Vec<f64> {
     let mean = |range: Range<usize>| {
         let (count, sum) = buckets[range]
@@ -302,8 +302,10 @@ mod tests {
         };
         let values: Vec<f64> = (0..1200).map(value).collect();
         let buckets: Vec<Summary> = values.chunks(20).map(summary).collect();
-        let (exact, stored) =
-            (Course::of_values(&values).expect("values"), Course::of_summaries(&buckets).expect("values"));
+        let (exact, stored) = (
+            TimeSeries::of_values(&values).expect("values"),
+            TimeSeries::of_summaries(&buckets).expect("values"),
+        );
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.025;
         assert_eq!((exact.count, stored.count, exact.outliers.max), (1200, 1200, stored.outliers.max));
         assert!(near(exact.median, stored.median) && (exact.mean - stored.mean).abs() < 1e-12);
@@ -323,9 +325,9 @@ mod tests {
 
     #[test]
     fn a_constant_has_no_outliers_and_nothing_is_made_of_nothing() {
-        let course = Course::of_values(&[0.005; 100]).expect("values");
+        let course = TimeSeries::of_values(&[0.005; 100]).expect("values");
         assert_eq!((course.outliers.count, course.outliers.influence), (0, 0.0));
-        assert_eq!(Course::of_values(&[f64::NAN]), None);
-        assert_eq!(Course::of_summaries(&[]), None);
+        assert_eq!(TimeSeries::of_values(&[f64::NAN]), None);
+        assert_eq!(TimeSeries::of_summaries(&[]), None);
     }
 }

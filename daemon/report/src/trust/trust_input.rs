@@ -1,4 +1,4 @@
-//! What a run is judged by, wherever it comes from.
+//! Everything by which a run is judged, from whatever source.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_stream::{Condition, EndReason};
 
-use super::{Course, Early, Restarts, Starts};
+use super::{EndedEarly, Restarts, Starts, TimeSeries};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::Ordered;
@@ -18,9 +18,9 @@ const REHEARSAL: &str = "Rehearsal";
 /// A row's message in one direction.
 type Way = fn(&RowRef<'_>) -> Option<Passage>;
 
-/// Everything that a run is judged by. What is not known stays empty.
+/// Everything by which a run is judged. A field whose value is unknown is empty.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Evidence {
+pub struct TrustInput {
     /// What was found of the hosts before it began.
     pub conditions: Vec<Condition>,
     /// How the iterations ended.
@@ -29,18 +29,18 @@ pub struct Evidence {
     pub starts: Starts,
     /// What was measured but is not there.
     pub missing: Vec<Missing>,
-    /// What became of the run where it neither finished nor was stopped.
+    /// Reason that the run broke off: it neither finished nor was stopped.
     pub broken: Option<String>,
     /// Whether it has no end yet.
     pub open: bool,
-    /// How far it came, where that is less than was ordered.
-    pub early: Option<Early>,
+    /// How far the run came, if it ended before its limit.
+    pub ended_early: Option<EndedEarly>,
     /// Whether the clock of a host was made wrong on purpose.
     pub rehearsed: bool,
     /// The whole of each iteration; a sensor's alone where nothing else is there. `None` without any.
-    pub total: Option<Course>,
+    pub total: Option<TimeSeries>,
     /// The stages, by name.
-    pub stages: Vec<(String, Course)>,
+    pub stages: Vec<(String, TimeSeries)>,
     /// What the totals hold beyond their stages, on average; seconds. Negative where stages overlap.
     pub unattributed: Option<f64>,
     /// What of that is known to be lateness, on average; seconds. `None` in a closed loop.
@@ -70,7 +70,7 @@ pub struct Counts {
     pub warm_up: u64,
 }
 
-/// Events that were dropped or never came.
+/// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Missing {
     /// How many; 0 when that is not known.
@@ -92,11 +92,11 @@ pub struct Clocks {
     pub half_width: Option<f64>,
 }
 
-impl Evidence {
+impl TrustInput {
     /// What the rows of a run say, and what was found of its hosts before it.
     pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
         let measured = || rows.iter().filter(|row| row.counts());
-        let course = |column: &str| Course::of_values(&rows.counted(column).collect::<Vec<f64>>());
+        let course = |column: &str| TimeSeries::of_values(&rows.counted(column).collect::<Vec<f64>>());
         // Both of the same iterations: where a delay is not known neither is what is unattributed.
         let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {

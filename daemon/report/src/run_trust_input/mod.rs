@@ -1,14 +1,14 @@
-//! What a run is judged by, as its record and its rows say.
+//! Input of the trust report from a run's record and rows.
 
 use peernet_stream::Condition;
 use serde::Deserialize;
 
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::trust::{Came, Early, Evidence, Limits, Load, Missing, Starts, lasted};
+use crate::trust::{EndedEarly, Limits, Load, Missing, Progress, Starts, TrustInput, lasted};
 
-impl Evidence {
-    /// What the rows of a run say, and its record: conditions of both hosts, how it ended, what was not seen.
+impl TrustInput {
+    /// Collects the input from the rows of a run and its record: conditions of both hosts, how it ended, what was not seen.
     pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
@@ -20,7 +20,7 @@ impl Evidence {
         Self {
             starts: Starts { hz: load(record).hz, ..rows_say.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
-            early: early(record, rows),
+            ended_early: ended_early(record, rows),
             ..rows_say
         }
         .ended(Some(&record.reason))
@@ -38,21 +38,21 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// What a run lacks of its order, by its rows and the iterations that have none.
-fn early(record: &RunRecord, rows: &Rows) -> Option<Early> {
+/// Compares a run with its limits, by its rows and the number of iterations that have none.
+fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     let counts = Counts::of(rows, record.counts.unseen);
-    let came = Came {
+    let progress = Progress {
         measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
         warm_up: counts.warm_up,
         seconds: lasted(rows),
     };
-    Early::of(&limits(record), &came, &record.reason)
+    EndedEarly::of(&limits(record), &progress, &record.reason)
 }
 
-/// What became of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
+/// Describes the end of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
 /// one that came to its end, or of which that is not known.
 pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
-    match (record.reason.failure(), early(record, rows)) {
+    match (record.reason.failure(), ended_early(record, rows)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),
         (Some(reason), None) => Some(format!("broke off: {reason}")),
         (None, Some(early)) if early.interrupted => Some(format!("was interrupted {}", early.how_far())),

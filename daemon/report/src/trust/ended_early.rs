@@ -1,0 +1,95 @@
+//! Runs that ended before they were to end.
+
+use peernet_statistics::number::{counted, fixed, significant};
+use peernet_stream::EndReason;
+use serde::Deserialize;
+
+use crate::rows::Rows;
+
+/// Limits of a run: its pipeline's `limit`. A field that is `None` is no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Limits {
+    /// Iterations, warm-up left out.
+    pub iterations: Option<f64>,
+    /// Iterations with those of the warm-up.
+    pub total: Option<f64>,
+    /// Seconds from the first iteration that is no warm-up.
+    pub duration_s: Option<f64>,
+}
+
+/// How much of a run there is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Iterations, answered or not, warm-up left out; with those that were measured and not seen.
+    pub measured: u64,
+    /// Iterations of the warm-up.
+    pub warm_up: u64,
+    /// From the first iteration that is no warm-up to the last, seconds.
+    pub seconds: f64,
+}
+
+/// Result of a run that ended before its limit: how far it came.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EndedEarly {
+    /// Amount that was reached, in `unit`.
+    pub reached: f64,
+    /// Amount that was ordered, in `unit`.
+    pub ordered: f64,
+    /// Unit of both amounts.
+    pub unit: Unit,
+    /// Whether somebody ended the run.
+    pub interrupted: bool,
+}
+
+/// Unit of a limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Iterations, answered or not.
+    Iterations,
+    /// Seconds of measuring.
+    Seconds,
+}
+
+impl EndedEarly {
+    /// Compares a run that ended for `reason` with its limits; `None` if it reached them, or had none.
+    pub fn of(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
+        let interrupted = *reason == EndReason::Stopped;
+        let limits_and_reached = [
+            (limits.iterations, progress.measured as f64, Unit::Iterations),
+            (limits.total, (progress.measured + progress.warm_up) as f64, Unit::Iterations),
+            (limits.duration_s, progress.seconds, Unit::Seconds),
+        ];
+        let amounts = limits_and_reached.into_iter().filter_map(|(limit, reached, unit)| {
+            let ordered = limit.filter(|limit| *limit > 0.0)?;
+            Some(Self { reached, ordered, unit, interrupted })
+        });
+        // The run ends at the first limit that it reaches, so the nearest one counts.
+        let early = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
+        // The last iteration ends shortly before a limit of time: its reason tells whether such a run is complete.
+        let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
+        (!whole).then_some(early)
+    }
+
+    /// Returns the reached share of what was ordered, from 0 on.
+    pub fn share(&self) -> f64 {
+        self.reached / self.ordered
+    }
+
+    /// Describes how far the run came: `after 57 of 120 iterations`.
+    pub(crate) fn how_far(&self) -> String {
+        let Self { reached, ordered, unit, .. } = self;
+        match unit {
+            Unit::Iterations => {
+                format!("after {} of {}", fixed(*reached, 0), counted(*ordered as u64, "iteration"))
+            }
+            Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*ordered)),
+        }
+    }
+}
+
+/// Returns the time from the first to the last iteration that is no warm-up, seconds.
+pub(crate) fn lasted(rows: &Rows) -> f64 {
+    let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
+    at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
+}
