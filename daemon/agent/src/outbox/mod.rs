@@ -6,11 +6,11 @@
 
 mod connection;
 mod dropping;
-mod farewell;
 mod line;
 mod live_sources;
 mod reports;
 mod sender;
+mod shutdown;
 mod spool;
 
 pub(crate) use live_sources::LiveSources;

@@ -16,10 +16,10 @@ use tokio::time::{Instant, MissedTickBehavior};
 
 use self::event_intake::EventIntake;
 use self::live_lane::LiveLane;
-use super::farewell::Farewell;
 use super::line::{Happened, Line};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
+use super::shutdown::Shutdown;
 use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
 use crate::feed::Exit;
 use crate::live;
@@ -86,7 +86,7 @@ impl Sender {
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
         let mut stopping = pin!(told(stop));
-        let mut farewell: Option<Farewell> = None;
+        let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
         // Whether the connection is there, but nothing was heard on it yet.
@@ -97,8 +97,8 @@ impl Sender {
             let quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
                 biased;
-                deadline = &mut stopping, if farewell.is_none() => {
-                    farewell = Some(Farewell::begin(Instant::now(), deadline, self.machine.accounting().stored));
+                deadline = &mut stopping, if shutdown.is_none() => {
+                    shutdown = Some(Shutdown::begin(Instant::now(), deadline, self.machine.accounting().stored));
                     self.take();
                 }
                 _ = shows.tick() => {
@@ -148,17 +148,17 @@ impl Sender {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.take();
                 }
-                () = &mut alarm, if farewell.is_some() => {}
+                () = &mut alarm, if shutdown.is_some() => {}
             }
-            if farewell.is_some() {
+            if shutdown.is_some() {
                 // What comes in now does not wait for company.
                 self.take();
                 self.machine.flush(self.clock.wall());
             }
             self.act(&line)?;
             self.publish();
-            if let Some(farewell) = &mut farewell {
-                match farewell.next(Instant::now(), self.standing()) {
+            if let Some(shutdown) = &mut shutdown {
+                match shutdown.next(Instant::now(), self.state()) {
                     Some(until) => alarm.as_mut().reset(until),
                     None => break,
                 }

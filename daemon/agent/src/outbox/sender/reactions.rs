@@ -3,9 +3,9 @@
 use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 
 use super::Sender;
-use crate::outbox::farewell::Standing;
 use crate::outbox::line::Line;
 use crate::outbox::reports::Welcome;
+use crate::outbox::shutdown::OutboxState;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
@@ -119,9 +119,9 @@ impl Sender {
         }
     }
 
-    pub(super) fn standing(&self) -> Standing {
+    pub(super) fn state(&self) -> OutboxState {
         let account = self.machine.accounting();
-        Standing {
+        OutboxState {
             spooled: self.machine.is_spooled(),
             away: self.away,
             stored: account.stored,

@@ -1,0 +1,98 @@
+//! Decision of how long a stopping outbox goes on delivering. No I/O: time comes in as an argument.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+/// Shutdown of the outbox: all events go to the spool, and those that the aggregator stores in time also to the aggregator.
+#[derive(Debug)]
+pub(super) struct Shutdown {
+    deadline: Instant,
+    /// Longest time without progress at the aggregator.
+    quiet: Duration,
+    /// Time at which the aggregator last stored something.
+    last_progress: Instant,
+    /// Number of events stored by then.
+    stored: u64,
+}
+
+/// State of the outbox at one time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutboxState {
+    /// Whether all events are in the spool.
+    pub(super) spooled: bool,
+    /// Whether the aggregator is known to be unreachable.
+    pub(super) away: bool,
+    /// Number of events that the aggregator has stored.
+    pub(super) stored: u64,
+    /// Number of events that the aggregator has not stored.
+    pub(super) waiting: u64,
+}
+
+impl Shutdown {
+    /// Begins a shutdown `now` that ends by `deadline`, when `stored` events are stored already.
+    pub(super) fn begin(now: Instant, deadline: Instant, stored: u64) -> Self {
+        Self { deadline, quiet: deadline.saturating_duration_since(now) / 2, last_progress: now, stored }
+    }
+
+    /// Returns the time until which delivery goes on, and at which this is to be called again; `None` when the shutdown is
+    /// complete.
+    pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
+        let OutboxState { spooled, away, stored, waiting } = state;
+        if stored > self.stored {
+            (self.stored, self.last_progress) = (stored, now);
+        }
+        let until = match (spooled, away) {
+            // Events that are only in memory would be lost.
+            (false, _) => self.deadline,
+            (true, true) => now,
+            // The next start delivers the rest from the spool.
+            (true, false) => self.deadline.min(self.last_progress + self.quiet),
+        };
+        (waiting > 0 && now < until).then_some(until)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SAFE: OutboxState = OutboxState { spooled: true, away: false, stored: 10, waiting: 90 };
+
+    fn seconds(seconds: f64) -> Duration {
+        Duration::from_secs_f64(seconds)
+    }
+
+    #[tokio::test]
+    async fn progress_extends_delivery_until_deadline() {
+        let now = Instant::now();
+        let at = |after: f64| now + seconds(after);
+        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
+        assert_eq!(shutdown.next(now, SAFE), Some(at(2.0)));
+        assert_eq!(shutdown.next(at(1.9), OutboxState { stored: 20, ..SAFE }), Some(at(3.9)));
+        assert_eq!(shutdown.next(at(3.4), OutboxState { stored: 30, ..SAFE }), Some(at(4.0)));
+        assert_eq!(shutdown.next(at(3.5), OutboxState { stored: 100, waiting: 0, ..SAFE }), None);
+        assert_eq!(shutdown.next(at(4.0), OutboxState { stored: 31, ..SAFE }), None, "the deadline");
+    }
+
+    #[tokio::test]
+    async fn spooled_events_end_wait_for_silent_aggregator() {
+        let now = Instant::now();
+        let at = |after: f64| now + seconds(after);
+        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
+        assert_eq!(shutdown.next(at(2.0), SAFE), None, "silent");
+        assert_eq!(shutdown.next(at(0.1), OutboxState { away: true, ..SAFE }), None, "away");
+        assert_eq!(Shutdown::begin(now, now, 0).next(now, SAFE), None, "no time at all");
+    }
+
+    #[tokio::test]
+    async fn events_only_in_memory_are_awaited_until_deadline() {
+        let now = Instant::now();
+        let at = |after: f64| now + seconds(after);
+        let mut shutdown = Shutdown::begin(now, at(4.0), 10);
+        let unsafe_yet = OutboxState { spooled: false, away: true, ..SAFE };
+        assert_eq!(shutdown.next(at(3.9), unsafe_yet), Some(at(4.0)));
+        assert_eq!(shutdown.next(at(3.95), OutboxState { spooled: true, ..unsafe_yet }), None);
+        assert_eq!(shutdown.next(at(4.0), unsafe_yet), None);
+    }
+}
