@@ -11,7 +11,7 @@ use peernet_stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 
 use super::plan::Plan;
 use super::sweep::Sweep;
-use crate::foreground::{Ended, Eyes, Patience, Standing};
+use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver};
 
 /// How long a peer that went away is waited for once the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
@@ -33,14 +33,14 @@ pub(super) struct Observed {
     pub(super) reconnections: u64,
 }
 
-/// The eyes on the agent.
+/// Observer of the agent.
 pub(super) struct Watch<'a> {
     plan: &'a Plan,
     clock: SharedClock,
     progress: Sweep,
     pub(super) seen: Observed,
     began: MonoTime,
-    patience: Patience,
+    peer_wait: PeerWait,
     /// The peer was not there, or refused, at the first try.
     turned_away: Option<IncidentKind>,
     /// The sizes of which one payload at least was sent.
@@ -60,7 +60,7 @@ impl<'a> Watch<'a> {
             clock,
             seen: Observed::default(),
             began: now,
-            patience: Patience::new(now),
+            peer_wait: PeerWait::new(now),
             turned_away: None,
             tried: BTreeSet::new(),
             cloud_clock: None,
@@ -70,7 +70,7 @@ impl<'a> Watch<'a> {
 
     /// There is a session again. What was measured with another clock is another study.
     fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<Unfit>> {
-        self.patience.heard(self.clock.mono());
+        self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let how = match (&before, &self.cloud_clock) {
             // A program that was started anew rehearses anew, and counts the steps of its clock anew.
@@ -94,7 +94,7 @@ impl<'a> Watch<'a> {
     }
 }
 
-impl Eyes for Watch<'_> {
+impl RunObserver for Watch<'_> {
     type Own = Unfit;
 
     fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Unfit>> {
@@ -107,13 +107,13 @@ impl Eyes for Watch<'_> {
                 self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
                 self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
-                self.patience.heard(self.clock.mono());
-                self.progress.begin(self.patience.last());
+                self.peer_wait.record_answer(self.clock.mono());
+                self.progress.begin(self.peer_wait.last_present());
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
                 if sample.counts() || sample.warm_up {
-                    self.patience.heard(self.clock.mono());
+                    self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
                 self.seen.samples.push(sample);
@@ -142,8 +142,8 @@ impl Eyes for Watch<'_> {
     }
 
     fn look(&mut self, running: &Running) -> Option<Ended<Unfit>> {
-        let standing = Standing::of(running);
-        let waits_for = standing.waits_for();
+        let activity = PipelineActivity::of(running);
+        let waits_for = activity.waits_for();
         if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
             // There is no configuration here, and the model is a mere echo.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
@@ -156,14 +156,14 @@ impl Eyes for Watch<'_> {
             return Some(Ended::Failed(format!("{reason}{advice}")));
         }
         let now = self.clock.mono();
-        self.patience.look(&standing, now);
+        self.peer_wait.update(&activity, now);
         // Who set an early end does not wait long after it for a peer that is away.
-        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.patience.last();
-        let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, Patience::USUAL);
+        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
+        let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, PeerWait::USUAL);
         let name = self.seen.cloud.as_deref();
-        let trouble = name.and_then(|name| self.patience.trouble(name, waits_for, now, most));
+        let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, waits_for, now, most));
         self.progress.show(&self.seen.samples, now, trouble);
-        self.patience.spent(waits_for, now, most).map(Ended::Failed)
+        self.peer_wait.reason_to_give_up(waits_for, now, most).map(Ended::Failed)
     }
 
     fn over(&mut self) {

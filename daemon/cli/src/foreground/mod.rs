@@ -1,13 +1,13 @@
 //! An agent in the foreground: started, watched until it is done or somebody ends it, and seen to its end.
 //!
 //! Three commands run one: `calibrate` studies a link, `measure` takes a run down, and the published `--server` serves.
-//! They differ in what they look for ([`Eyes`]); starting, signals and stopping are the same.
+//! They differ in what they look for ([`RunObserver`]); starting, signals and stopping are the same.
 
 mod dashboard;
 mod ended;
 mod latency;
 mod log;
-mod patience;
+mod peer_wait;
 mod progress;
 mod remark;
 mod signals;
@@ -19,7 +19,7 @@ pub(crate) use dashboard::where_seen;
 pub(crate) use ended::Ended;
 pub(crate) use latency::{p99, told};
 pub(crate) use log::{Shows, listen};
-pub(crate) use patience::{Patience, Standing};
+pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
 pub(crate) use remark::remark;
 pub(crate) use signals::Signals;
@@ -46,7 +46,7 @@ const EVENTS: usize = 16_384;
 const LOOK: Duration = Duration::from_millis(250);
 
 /// Looks at an agent in the foreground.
-pub(crate) trait Eyes {
+pub(crate) trait RunObserver {
     /// How it can end beside what [`Ended`] names.
     type Own;
 
@@ -98,17 +98,17 @@ impl Ready {
         Ok(Self { config, truth, clock })
     }
 
-    /// Runs the agent until its eyes have seen enough or a signal comes, then sees it to its end. A second signal ends
+    /// Runs the agent until its observer has seen enough or a signal arrives, then waits for its end. A second signal ends
     /// the waiting for what is under way.
     ///
     /// # Errors
     /// When the agent cannot start (69) or loses a task (70).
-    pub(crate) fn watch<E: Eyes>(self, eyes: &mut E) -> Result<Watched<E::Own>, Failure> {
+    pub(crate) fn watch<E: RunObserver>(self, observer: &mut E) -> Result<Watched<E::Own>, Failure> {
         let runtime = tokio::runtime::Builder::new_multi_thread().thread_name("peernet").enable_all().build();
         let runtime = runtime
             .context("cannot start the threads of the runtime")
             .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-        let watched = runtime.block_on(watch(self.config, &self.clock, eyes));
+        let watched = runtime.block_on(watch(self.config, &self.clock, observer));
         // A thread that computes for minutes is not waited for.
         runtime.shutdown_background();
         watched
@@ -126,10 +126,10 @@ fn not_started(error: StartError) -> anyhow::Error {
     }
 }
 
-async fn watch<E: Eyes>(
+async fn watch<E: RunObserver>(
     config: AgentConfig,
     clock: &SharedClock,
-    eyes: &mut E,
+    observer: &mut E,
 ) -> Result<Watched<E::Own>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
@@ -146,17 +146,17 @@ async fn watch<E: Eyes>(
                 Some(Ended::Interrupted)
             }
             event = events.recv() => match event {
-                Some(event) => eyes.take(event, Some(&running)),
+                Some(event) => observer.take(event, Some(&running)),
                 None => Some(Ended::Failed("the agent ended by itself".to_owned())),
             },
-            Ok(()) = served.changed() => eyes.look(&running),
-            _ = look.tick() => eyes.look(&running),
+            Ok(()) = served.changed() => observer.look(&running),
+            _ = look.tick() => observer.look(&running),
         };
         if let Some(ended) = ended {
             break ended;
         }
     };
-    eyes.over();
+    observer.over();
     if is_interrupted {
         complain("ending; what is under way may take some seconds, Ctrl-C again does not wait for it");
     }
@@ -168,7 +168,7 @@ async fn watch<E: Eyes>(
     }
     // What was under way when it ended.
     while let Ok(event) = events.try_recv() {
-        eyes.take(event, None);
+        observer.take(event, None);
     }
     Ok(Watched { ended, name, missed })
 }

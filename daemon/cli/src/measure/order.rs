@@ -11,7 +11,7 @@ use peernet_report::record::{NetworkConfig, User};
 use peernet_results::Overwrite;
 use serde::{Deserialize, Serialize};
 
-use crate::foreground::Patience;
+use crate::foreground::PeerWait;
 
 /// One run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -60,7 +60,7 @@ impl Order {
 
     /// How long a peer that is away is waited for.
     pub(super) fn patience(&self) -> Span {
-        self.patience_s.map_or(Patience::USUAL, Span::from_seconds_f64)
+        self.patience_s.map_or(PeerWait::USUAL, Span::from_seconds_f64)
     }
 }
 

@@ -13,13 +13,13 @@ use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::{Phase, Seen, Watcher};
-use crate::foreground::{Ended, Eyes, Patience, Standing, p99};
+use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver, p99};
 
-/// The eyes on the agent.
+/// Observer of the agent.
 pub(super) struct Taking<'a> {
     clock: SharedClock,
     watcher: &'a mut dyn Watcher,
-    patience: Patience,
+    peer_wait: PeerWait,
     most: Span,
     progress: RunProgress,
     pipeline: Slug,
@@ -122,7 +122,7 @@ impl<'a> Taking<'a> {
             PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
         };
         Self {
-            patience: Patience::new(clock.mono()),
+            peer_wait: PeerWait::new(clock.mono()),
             clock,
             watcher,
             most,
@@ -144,7 +144,7 @@ impl<'a> Taking<'a> {
 
     fn began(&mut self, run: RunDescription) {
         let now = self.clock.mono();
-        self.patience.heard(now);
+        self.peer_wait.record_answer(now);
         self.progress.began.get_or_insert(now);
         self.watcher.begun(&run.conditions);
         if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
@@ -169,7 +169,7 @@ impl<'a> Taking<'a> {
     fn row(&mut self, row: &Row) {
         // A failure is an answer, too.
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
-            self.patience.heard(self.clock.mono());
+            self.peer_wait.record_answer(self.clock.mono());
         }
         self.progress.add(row);
         self.writer.write(row);
@@ -187,7 +187,7 @@ impl<'a> Taking<'a> {
     }
 }
 
-impl Eyes for Taking<'_> {
+impl RunObserver for Taking<'_> {
     type Own = Infallible;
 
     fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
@@ -216,7 +216,7 @@ impl Eyes for Taking<'_> {
                 IncidentKind::Connected => {
                     self.meet(running);
                     if running.is_some() {
-                        self.patience.heard(self.clock.mono());
+                        self.peer_wait.record_answer(self.clock.mono());
                     }
                 }
                 _ => {}
@@ -239,8 +239,8 @@ impl Eyes for Taking<'_> {
             Some(PipelineState::Finished) => return Some(Ended::Finished),
             _ => {}
         }
-        let standing = Standing::of(running);
-        let reason = standing.waits_for();
+        let activity = PipelineActivity::of(running);
+        let reason = activity.waits_for();
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
@@ -248,18 +248,18 @@ impl Eyes for Taking<'_> {
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
         let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
         let now = self.clock.mono();
-        let slow = standing.slow_sensor(now);
+        let slow = activity.slow_sensor(now);
         let Some(peer) = &self.peer else {
             let seen = self.seen(slow.or(full));
             self.watcher.look(&seen);
             return None;
         };
-        self.patience.look(&standing, now);
+        self.peer_wait.update(&activity, now);
         let trouble = match (&self.progress.began, reason) {
             (None, None) => None,
-            _ => self.patience.trouble(peer, reason, now, self.most),
+            _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
         };
-        let spent = self.patience.spent(reason, now, self.most);
+        let spent = self.peer_wait.reason_to_give_up(reason, now, self.most);
         let seen = self.seen(slow.or(trouble).or(full));
         self.watcher.look(&seen);
         spent.map(Ended::Failed)

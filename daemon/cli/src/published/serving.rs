@@ -10,9 +10,9 @@ use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{Ended, Eyes, Progress, p99, told};
+use crate::foreground::{Ended, Progress, RunObserver, p99, told};
 
-/// The eyes on the agent.
+/// Observer of the agent.
 pub(super) struct Serving {
     model: Slug,
     answers: AnswerCounts,
@@ -173,7 +173,7 @@ impl Serving {
     }
 }
 
-impl Eyes for Serving {
+impl RunObserver for Serving {
     /// The model cannot be had.
     type Own = LoadError;
 
