@@ -20,7 +20,7 @@ impl Default for ActuatorConfig {
 
 impl ActuatorKind for NoneConfig {
     fn build(&self, _clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
-        Ok(Box::new(Idle))
+        Ok(Box::new(NoActuator))
     }
 
     fn acts(&self) -> bool {
@@ -32,9 +32,10 @@ impl ActuatorKind for NoneConfig {
     }
 }
 
-struct Idle;
+/// Actuator that does nothing.
+struct NoActuator;
 
-impl Actuator for Idle {
+impl Actuator for NoActuator {
     fn act(&mut self, _source: &str, _answer: &Sample, _log: &mut Recorder) -> Result<(), ActuatorError> {
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! The key of the fingerprints that stand in the place of programs' arguments, which may be secret.
+//! Secret key of the fingerprints that replace the arguments of programs, which may be secret themselves.
 
 use std::fs;
 use std::io;
@@ -9,32 +9,32 @@ use uuid::Uuid;
 
 use crate::identity::{IdentityError, cannot, kept_value};
 
-/// The file in the state folder.
+/// Name of the file in the state folder.
 const FILE: &str = "argument-key";
 
-/// Bytes of a key.
+/// Length of a key, bytes.
 const BYTES: usize = 32;
 
-/// Returns the key in `folder`; makes it, with the folder, when it is not there yet.
+/// Returns the key in `folder`; creates key and folder if they do not exist yet.
 ///
 /// # Errors
 /// When the folder cannot be used or the file holds no key.
 pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
-    kept_value(folder, FILE, existing, || hexadecimal(&random())).map(FingerprintKey::new)
+    kept_value(folder, FILE, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
 }
 
-/// Gives the agent with its state in `to` the key in `from`, unless it has one, so that the fingerprints of both can be
-/// compared.
+/// Copies the key of the state folder `from` to the state folder `to`, unless that has one, so that the fingerprints of both
+/// agents can be compared.
 ///
 /// # Errors
 /// As [`argument_key`].
 pub fn share_argument_key(from: &Path, to: &Path) -> Result<(), IdentityError> {
-    let key = kept_value(from, FILE, existing, || hexadecimal(&random()))?;
-    kept_value(to, FILE, existing, || hexadecimal(&key)).map(drop)
+    let key = kept_value(from, FILE, read_key, || hexadecimal(&random_key()))?;
+    kept_value(to, FILE, read_key, || hexadecimal(&key)).map(drop)
 }
 
-/// 244 random bits: a UUID has 122.
-fn random() -> [u8; BYTES] {
+/// Returns a key of 244 random bits: each of the two UUIDs has 122.
+fn random_key() -> [u8; BYTES] {
     let mut key = [0; BYTES];
     key.copy_from_slice([Uuid::new_v4(), Uuid::new_v4()].map(Uuid::into_bytes).as_flattened());
     key
@@ -44,7 +44,8 @@ fn hexadecimal(key: &[u8; BYTES]) -> String {
     key.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn existing(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
+/// Reads the key in a folder; `None` if there is none.
+fn read_key(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
     let path = folder.join(FILE);
     let no_key = || {
         let reason = "it holds no key of 64 hexadecimal digits; remove it, and a new one is made";
@@ -53,7 +54,7 @@ fn existing(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
     match fs::read_to_string(&path) {
         Ok(text) => parse(text.trim()).map(Some).ok_or_else(no_key),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        // Bytes that are no text.
+        // The file is not UTF-8.
         Err(error) if error.kind() == io::ErrorKind::InvalidData => Err(no_key()),
         Err(error) => Err(cannot("read", &path)(error)),
     }
@@ -77,24 +78,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_key_stays_and_only_its_owner_reads_it() {
+    fn key_is_created_once_and_readable_by_owner_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("state");
         argument_key(&state).expect("made");
-        let first = existing(&state).expect("is readable");
+        let first = read_key(&state).expect("is readable");
         argument_key(&state).expect("found");
-        assert!(first.is_some() && existing(&state).expect("is readable") == first);
+        assert!(first.is_some() && read_key(&state).expect("is readable") == first);
         let mode = fs::metadata(state.join(FILE)).expect("is there").permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
         assert_eq!(fs::read_dir(&state).expect("is there").count(), 1, "no drafts");
 
         let other = folder.path().join("other");
         share_argument_key(&state, &other).expect("shared");
-        assert_eq!(existing(&other).expect("is readable"), first);
+        assert_eq!(read_key(&other).expect("is readable"), first);
     }
 
     #[test]
-    fn a_file_without_a_key_is_refused() {
+    fn file_without_key_is_refused_without_showing_content() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join(FILE), "hunter2").expect("writable");
         let error = argument_key(folder.path()).expect_err("no key").to_string();

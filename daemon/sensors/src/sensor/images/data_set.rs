@@ -1,4 +1,4 @@
-//! By what another copy of a data set is recognised.
+//! Description of a data set by which another copy of it is recognised.
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
@@ -7,25 +7,26 @@ use std::path::Path;
 
 use peernet_external::sha256;
 
-/// Bytes of the largest data set whose contents are read: 256 MiB, a second or less. A larger one would hold up the run.
-const LARGEST: u64 = 256 << 20;
+/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes a second at most; a larger one would delay the run.
+const MAX_HASHED_BYTES: u64 = 256 << 20;
 
-/// Number, bytes and hash of files, each of which has a name in the data set.
+/// Describes files with their names in the data set: number, bytes and hash.
 ///
 /// The hash is that of the list that `sha256sum` prints of the files, in the order of their names as bytes; of a data set
-/// of more than [`LARGEST`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
-pub(super) fn described<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
+/// of more than [`MAX_HASHED_BYTES`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
+pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
     let mut files: Vec<_> = files.collect();
     files.sort_unstable();
     let count = files.len();
     let count = if count == 1 { "1 file".to_owned() } else { format!("{count} files") };
-    hashed(&files, LARGEST).map_or_else(
+    hash_files(&files, MAX_HASHED_BYTES).map_or_else(
         |error| format!("{count}, no SHA-256: {error}"),
         |(bytes, words)| format!("{count}, {bytes} bytes, {words}"),
     )
 }
 
-fn hashed(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, String)> {
+/// Returns the bytes of all files, and their hash in words.
+fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, String)> {
     let size = |(_, file): &(&OsStr, &Path)| Ok(fs::metadata(file)?.len());
     let sizes = files.iter().map(size).collect::<io::Result<Vec<u64>>>()?;
     let bytes = sizes.iter().sum();
@@ -44,8 +45,8 @@ mod tests {
 
     use super::*;
 
-    /// The files of a folder made for it, in the reverse order of their names.
-    fn of(files: &[(&str, &str)], largest: u64) -> io::Result<(u64, String)> {
+    /// Hashes files with these names and contents.
+    fn hash_of(files: &[(&str, &str)], largest: u64) -> io::Result<(u64, String)> {
         let folder = tempfile::tempdir().expect("a folder");
         let made = files.iter().map(|(name, content)| {
             let path = folder.path().join(name);
@@ -53,31 +54,32 @@ mod tests {
             (OsStr::new(*name), path)
         });
         let made: Vec<(&OsStr, PathBuf)> = made.collect();
-        hashed(&made.iter().map(|(name, path)| (*name, path.as_path())).collect::<Vec<_>>(), largest)
+        hash_files(&made.iter().map(|(name, path)| (*name, path.as_path())).collect::<Vec<_>>(), largest)
     }
 
     #[test]
-    fn the_hash_can_be_had_from_a_shell() {
+    fn hash_equals_that_of_sha256sum() {
         let files = [("a b.jpg", "one"), ("c.png", "three")];
         // printf one > 'a b.jpg'; printf three > c.png; sha256sum * | sha256sum
         let known = "80a1a4de32989a8bc607fd2b8ec1b0b01bb8b8e6c1c719e5ddcda90111e72296";
-        assert_eq!(of(&files, 8).expect("is read"), (8, format!("SHA-256 {known}")));
+        assert_eq!(hash_of(&files, 8).expect("is read"), (8, format!("SHA-256 {known}")));
         // stat -c '%s  %n' * | sha256sum
         let known = "cd3d3ffc75f00c9c365b509f72c56ca99a188e525a7e9025ee2e7de46533cb4a";
-        let told = of(&files, 7).expect("is read");
+        let told = hash_of(&files, 7).expect("is read");
         assert_eq!(told, (8, format!("SHA-256 of sizes and names only {known}")));
     }
 
     #[test]
-    fn another_content_or_name_is_another_data_set_and_another_order_is_not() {
+    fn description_depends_on_contents_and_names_not_order() {
         let folder = tempfile::tempdir().expect("a folder");
         let write =
             |name: &str, content: &str| fs::write(folder.path().join(name), content).expect("writable");
         write("a", "one");
         write("b", "two");
         let (a, b) = (folder.path().join("a"), folder.path().join("b"));
-        let told =
-            |files: &[(&str, &Path)]| described(files.iter().map(|(name, file)| (OsStr::new(*name), *file)));
+        let told = |files: &[(&str, &Path)]| {
+            describe_files(files.iter().map(|(name, file)| (OsStr::new(*name), *file)))
+        };
         let first = told(&[("a", &a), ("b", &b)]);
         assert!(first.starts_with("2 files, 6 bytes, SHA-256 "), "{first}");
         assert_eq!(told(&[("b", &b), ("a", &a)]), first);

@@ -173,7 +173,7 @@ impl Sensor for Images {
         let files = self.pictures.iter().map(|picture| (self.name(&picture.file), picture.file.as_path()));
         let mut facts = vec![
             ("Sensor".to_owned(), images),
-            ("Data set".to_owned(), data_set::described(files)),
+            ("Data set".to_owned(), data_set::describe_files(files)),
             ("Labels".to_owned(), self.labels()),
         ];
         facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), identified(file))));
