@@ -183,7 +183,7 @@ fn is_sound(results: &[ProbeResult]) {
     for result in results {
         match result {
             ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
-                of_one_clock(observation)
+                of_one_clock(observation);
             }
             ProbeResult::Sent => {}
             other => panic!("{other:?}"),
