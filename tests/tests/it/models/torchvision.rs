@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_inference::bank::Folders;
+use peernet_inference::bank::ModelFolders;
 use peernet_inference::{Bank, Job, OnnxRuntimeConfig, Pool};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
@@ -51,7 +51,7 @@ fn each_mistake_in_the_card_changes_the_answer_by_far_more_than_the_tolerance() 
 
 #[test]
 fn the_card_says_what_the_weights_say() {
-    let found = Folders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
     let hash = found.hash().expect("is read");
     let card = found.card.expect("is right");
     assert_eq!((card.labels.len(), card.labels[0].as_str()), (1000, "tench"));
@@ -72,7 +72,7 @@ fn best(logits: &[f64]) -> Vec<usize> {
 
 /// The exported model with a card that lists all numbers of the output as they are, in which these keys are changed.
 fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
-    let found = Folders::of([exported().models.clone()]).find(NAME).expect("was exported");
+    let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
     let folder = models.path().join(NAME);
     std::fs::create_dir(&folder).expect("made");
@@ -93,7 +93,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     }
     std::fs::write(folder.join("model.toml"), card.to_string()).expect("written");
     std::os::unix::fs::symlink(found.folder.join("model.onnx"), folder.join("model.onnx")).expect("linked");
-    let model = Folders::of([models.path().to_owned()]).find(NAME).expect("is complete");
+    let model = ModelFolders::of([models.path().to_owned()]).find(NAME).expect("is complete");
     let bank = Bank::new(vec![model.configuration("cpu")], OnnxRuntimeConfig::default(), clock());
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
 }
