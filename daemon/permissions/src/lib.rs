@@ -4,8 +4,8 @@
 //! group of people read, or write, on purpose.
 
 use std::ffi::OsString;
-use std::fs::{self, Metadata, Permissions};
-use std::io::{self, ErrorKind};
+use std::fs::{self, File, Metadata, Permissions};
+use std::io::{self, ErrorKind, Read};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -17,6 +17,9 @@ const OTHERS: u32 = 0o007;
 
 /// Set for folders in which everybody may make files, such as `/tmp`.
 const STICKY: u32 = 0o1000;
+
+/// The first bytes of each database of SQLite (<https://www.sqlite.org/fileformat.html>).
+const HEADER: &[u8] = b"SQLite format 3\0";
 
 /// What SQLite and PEERNet put beside a database or spool, behind its name.
 const BESIDE: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
@@ -31,10 +34,13 @@ pub fn create_without_others() {
 }
 
 /// Takes away what others may do with a database or spool of this user and with the files beside it. Returns the files
-/// that were changed.
+/// that were changed. A file with other contents is left alone: a mistyped path may lead to one that others need.
 pub fn close_database(path: &Path) -> Vec<PathBuf> {
     // SQLite names the files beside it after the file itself.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    if !may_be_database(&path) {
+        return Vec::new();
+    }
     BESIDE
         .iter()
         .map(|ending| {
@@ -44,6 +50,16 @@ pub fn close_database(path: &Path) -> Vec<PathBuf> {
         })
         .filter(|path| close(path))
         .collect()
+}
+
+/// Tells whether a file is an SQLite database, is empty or is not there: what SQLite opens or makes.
+fn may_be_database(path: &Path) -> bool {
+    let mut begin = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut begin));
+    match read {
+        Ok(bytes) => bytes == 0 || begin == HEADER,
+        Err(error) => error.kind() == ErrorKind::NotFound,
+    }
 }
 
 /// Takes away what others may do with a folder of this user, and with these files in it. Returns what was changed.
@@ -97,7 +113,7 @@ mod tests {
     use super::*;
 
     fn put(path: &Path, mode: u32) {
-        fs::write(path, "x").expect("writable");
+        fs::write(path, HEADER).expect("writable");
         fs::set_permissions(path, Permissions::from_mode(mode)).expect("own file");
     }
 
@@ -118,6 +134,18 @@ mod tests {
             assert_eq!(mode(&path), after, "{ending}");
         }
         assert_eq!(close_database(&database), Vec::<PathBuf>::new());
+    }
+
+    #[test]
+    fn file_that_is_no_database_keeps_its_permissions() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("passwd");
+        for (contents, after) in [("root:x:0:0:root:/root:/bin/bash\n", 0o644), ("", 0o640)] {
+            fs::write(&path, contents).expect("writable");
+            fs::set_permissions(&path, Permissions::from_mode(0o644)).expect("own file");
+            close_database(&path);
+            assert_eq!(mode(&path), after, "{contents}");
+        }
     }
 
     #[test]

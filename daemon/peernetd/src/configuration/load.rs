@@ -13,6 +13,7 @@ use peernet_cli::expected::told;
 use peernet_cli::{clock, small_file};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
+use peernet_sample::{printable_line, printable_lines};
 use peernet_web::WebConfig;
 use serde::Deserialize;
 
@@ -81,9 +82,10 @@ impl fmt::Display for Problem {
             write!(f, ":{line}")?;
         }
         if !self.key.is_empty() {
-            write!(f, ": {}", self.key)?;
+            // Both may have parts of the file in them, which is not printed as it is to a terminal.
+            write!(f, ": {}", printable_line(&self.key))?;
         }
-        write!(f, ": {}", self.text)
+        write!(f, ": {}", printable_lines(&self.text))
     }
 }
 
@@ -328,6 +330,12 @@ mod tests {
             assert!(line.contains(expected), "{expected} in {text}");
         }
         assert_eq!(lines.len(), 7, "{text}");
+    }
+
+    #[test]
+    fn names_of_keys_are_printed_without_control_characters() {
+        let text = said("[aggregator]\n\"k\\u001b[31m\\r\" = 3\n");
+        assert!(text.contains("aggregator.k [31m") && !text.contains(['\u{1b}', '\r']), "{text:?}");
     }
 
     #[test]
