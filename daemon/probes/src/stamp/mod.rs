@@ -7,6 +7,7 @@ pub mod limiter;
 pub mod packet;
 mod recent;
 pub mod reflector;
+mod request_packet;
 pub mod sender;
 pub mod timestamp;
 pub mod tlv;

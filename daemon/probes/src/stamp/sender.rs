@@ -1,25 +1,22 @@
 //! What a sender asks and what it makes of replies (the session-sender of RFC 8762, section 4.2).
 
 use std::collections::VecDeque;
-use std::ops::Range;
 
 use peernet_clock::{
     Clock, Exchange, ExchangeObservation, Interval, MonoTime, RawTime, RelatedClocks, Span, Stamp, WallTime,
 };
 
-use super::auth::{CODE_BYTES, Key};
+use super::auth::Key;
 use super::kernel::KernelStamp;
 use super::packet::{self, Mode, Reply, Request};
+pub use super::request_packet::Nonce;
+use super::request_packet::RequestPacket;
 use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, AGREEMENT};
 
 /// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
 const MAX_PENDING: usize = 1024;
-
-/// Random octets of one request.
-pub type Nonce = [u8; NONCE_BYTES];
-const NONCE_BYTES: usize = 16;
 
 /// Longest time between the program's stamp and the kernel's that is believed.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
@@ -54,9 +51,7 @@ pub struct Sending {
     clocks: RelatedClocks,
     ssid: u16,
     next: u32,
-    packet: Vec<u8>,
-    /// Where the random octets stand in the packet.
-    nonce: Option<Range<usize>>,
+    packet: RequestPacket,
     timeout: Span,
     pending: VecDeque<Pending>,
     /// Requests that were lost lately: their answers are late. At most [`MAX_PENDING`].
@@ -149,39 +144,11 @@ struct There {
 impl Sending {
     /// A session that has sent nothing.
     pub fn new(config: SendingConfig) -> Self {
-        let SendingConfig { key, instance, bound, clocks, ssid, first, padding_bytes, timeout } = config;
-        let mut packet = vec![0; Mode::of(key.as_ref()).base_bytes()];
-        // Empty TLVs that the reflector fills in.
-        tlv::push(&mut packet, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
-        tlv::push(&mut packet, tlv::ORIGIN, &Origin::default().to_value());
-        if clocks == RelatedClocks::Raw {
-            tlv::push(&mut packet, tlv::RAW_STAMPS, &RawStamps::default().to_value());
-        }
-        let nonce = (bound && key.is_some()).then(|| {
-            tlv::push(&mut packet, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
-            packet.len() - NONCE_BYTES..packet.len()
-        });
-        if key.is_some() {
-            tlv::push(&mut packet, tlv::HMAC, &[0; CODE_BYTES]);
-        }
-        if padding_bytes > 0 {
-            tlv::push(&mut packet, tlv::EXTRA_PADDING, &vec![0; usize::from(padding_bytes)]);
-        }
+        let packet = RequestPacket::new(&config);
+        let SendingConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
         let (pending, lost) = (VecDeque::new(), VecDeque::new());
         let distrusts_kernel = false;
-        Self {
-            key,
-            instance,
-            clocks,
-            ssid,
-            next: first,
-            packet,
-            nonce,
-            timeout,
-            pending,
-            lost,
-            distrusts_kernel,
-        }
+        Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, lost, distrusts_kernel }
     }
 
     /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
@@ -191,26 +158,17 @@ impl Sending {
 
     /// The same with octets that are given, where requests carry them; nobody else may know them before it is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
-        let mode = Mode::of(self.key.as_ref());
-        let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
-        let nonce = self.nonce.clone().map(|place| {
-            self.packet[place].copy_from_slice(&octets);
-            octets
-        });
-        if let Some(key) = &self.key {
-            tlv::seal(key, self.next, &mut self.packet[mode.base_bytes()..]);
-        }
+        let key = self.key.as_ref();
+        let nonce = self.packet.prepare(key, self.next, octets);
         let ahead = clock.wall_ahead();
         // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
         let timestamp = Format::Ntp.encode(sent.wall);
+        let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
-        request.write(mode, &mut self.packet);
-        if let Some(key) = &self.key {
-            packet::seal(key, &mut self.packet);
-        }
-        (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, &self.packet)
+        let packet = self.packet.finish(key, &request);
+        (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
     /// The request was sent; returns how many earlier ones are given up for it.

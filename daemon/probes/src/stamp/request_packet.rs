@@ -1,0 +1,67 @@
+//! The packet of a sender's requests, which is written anew for each.
+
+use std::ops::Range;
+
+use peernet_clock::RelatedClocks;
+
+use super::auth::{CODE_BYTES, Key};
+use super::packet::{self, Mode, Request};
+use super::sender::SendingConfig;
+use super::tlv::{self, FollowUp, Origin, RawStamps};
+
+/// Random octets of one request.
+pub type Nonce = [u8; NONCE_BYTES];
+const NONCE_BYTES: usize = 16;
+
+/// A request's packet: the fields of STAMP, and empty TLVs that the reflector fills in.
+#[derive(Debug)]
+pub(super) struct RequestPacket {
+    bytes: Vec<u8>,
+    /// Where the random octets stand.
+    nonce: Option<Range<usize>>,
+}
+
+impl RequestPacket {
+    pub(super) fn new(config: &SendingConfig) -> Self {
+        let mut bytes = vec![0; Mode::of(config.key.as_ref()).base_bytes()];
+        tlv::push(&mut bytes, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
+        tlv::push(&mut bytes, tlv::ORIGIN, &Origin::default().to_value());
+        if config.clocks == RelatedClocks::Raw {
+            tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
+        }
+        let nonce = (config.bound && config.key.is_some()).then(|| {
+            tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
+            bytes.len() - NONCE_BYTES..bytes.len()
+        });
+        if config.key.is_some() {
+            tlv::push(&mut bytes, tlv::HMAC, &[0; CODE_BYTES]);
+        }
+        if config.padding_bytes > 0 {
+            tlv::push(&mut bytes, tlv::EXTRA_PADDING, &vec![0; usize::from(config.padding_bytes)]);
+        }
+        Self { bytes, nonce }
+    }
+
+    /// Writes and seals the TLVs of request `sequence`: what can be done before its departure is stamped. Returns the octets if requests
+    /// carry them.
+    pub(super) fn prepare(&mut self, key: Option<&Key>, sequence: u32, octets: Nonce) -> Option<Nonce> {
+        let nonce = self.nonce.clone().map(|place| {
+            self.bytes[place].copy_from_slice(&octets);
+            octets
+        });
+        if let Some(key) = key {
+            let base = Mode::of(Some(key)).base_bytes();
+            tlv::seal(key, sequence, &mut self.bytes[base..]);
+        }
+        nonce
+    }
+
+    /// Writes and seals the fields of a request, and returns the packet.
+    pub(super) fn finish(&mut self, key: Option<&Key>, request: &Request) -> &[u8] {
+        request.write(Mode::of(key), &mut self.bytes);
+        if let Some(key) = key {
+            packet::seal(key, &mut self.bytes);
+        }
+        &self.bytes
+    }
+}
