@@ -19,6 +19,7 @@ mod lock;
 pub mod maintenance;
 mod opening;
 pub mod plausible;
+mod raw_transaction;
 mod read;
 mod readers;
 pub(crate) mod rebuild;

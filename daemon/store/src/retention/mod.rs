@@ -17,11 +17,12 @@ mod size;
 mod trimmed;
 
 use peernet_clock::{MonoTime, Span, Stamp};
-use sqlx::{Connection, SqliteConnection};
+use sqlx::SqliteConnection;
 
 pub(crate) use self::arrivals::{pin, release};
 use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
+use crate::raw_transaction;
 use crate::retention_config::{RetentionConfig, kept_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
@@ -213,13 +214,27 @@ impl Retention {
         now: Stamp,
         rows: u64,
     ) -> Result<(), sqlx::Error> {
-        // Rolled back when it is dropped.
-        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-        let now_s = seconds(storage_clock.advance(&mut transaction, now).await?);
+        let done = self.delete(connection, storage_clock, work, now, rows).await;
+        if done.is_err() {
+            raw_transaction::roll_back(connection).await?;
+        }
+        done
+    }
+
+    async fn delete(
+        &mut self,
+        connection: &mut SqliteConnection,
+        storage_clock: &StorageClock,
+        work: Work,
+        now: Stamp,
+        rows: u64,
+    ) -> Result<(), sqlx::Error> {
+        raw_transaction::begin(connection).await?;
+        let now_s = seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
-        self.perform(&mut transaction, work, (now_s, now), rows, &mut deletions).await?;
-        self.deletions.record(&mut transaction, &deletions, (now_s, now.wall)).await?;
-        transaction.commit().await
+        self.perform(connection, work, (now_s, now), rows, &mut deletions).await?;
+        self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
+        raw_transaction::commit(connection).await
     }
 
     /// The next thing to do.

@@ -123,3 +123,22 @@ async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
                  cloud_sent_retransmitted, cloud_round_trip_min_ms, cloud_round_trip_ms) = (900, 800, 500, 12, 0.4, 0.62)";
     assert_eq!(bed.count(shown).await, 1);
 }
+
+#[tokio::test]
+async fn writing_goes_on_after_sqlite_has_undone_a_transaction() {
+    let mut bed = Bed::new().await;
+    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
+    let work = bed.batch(clocks);
+    bed.commit(&[work]).await;
+    let samples = [told(&bed, bed.cloud, generate::at(2.0), 2)];
+
+    // A full disk does the same.
+    let full =
+        "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
+    let mut other = bed.other().await;
+    sqlx::raw_sql(full).execute(&mut other).await.expect("makes the trigger");
+    bed.writer.store_connections(&samples).await.expect_err("it is undone");
+    sqlx::raw_sql("DROP TRIGGER full").execute(&mut other).await.expect("removes it");
+    bed.writer.store_connections(&samples).await.expect("stores");
+    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 1);
+}

@@ -44,6 +44,7 @@ use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 pub use crate::incidents::PendingIncidents;
 use crate::integrity::Integrity;
+use crate::raw_transaction;
 use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::stored::Stored;
@@ -200,10 +201,11 @@ impl Writer {
     }
 
     async fn store_clocks(&mut self, now: Stamp, incidents: &PendingIncidents) -> Result<(), sqlx::Error> {
-        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
-        incidents.store(&mut transaction).await?;
-        self.storage_clock.advance(&mut transaction, now).await?;
-        transaction.commit().await
+        let connection = &mut self.connection;
+        raw_transaction::begin(connection).await?;
+        incidents.store(connection).await?;
+        self.storage_clock.advance(connection, now).await?;
+        raw_transaction::commit(connection).await
     }
 
     /// Stores statistics of connections; those of a link of which nothing else is stored are left out.
@@ -212,9 +214,9 @@ impl Writer {
     /// When the database cannot store anything now.
     pub async fn store_connections(&mut self, samples: &[ConnectionSample]) -> Result<(), DatabaseError> {
         let stored = async {
-            let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
-            connections::store(&mut transaction, samples).await?;
-            transaction.commit().await
+            raw_transaction::begin(&mut self.connection).await?;
+            connections::store(&mut self.connection, samples).await?;
+            raw_transaction::commit(&mut self.connection).await
         };
         let result = stored.await;
         self.rolled_back(result).await.map_err(DatabaseError::new)?;
@@ -342,13 +344,7 @@ impl Writer {
 
     /// Undoes an unfinished transaction, also in memory: the names that it added are gone.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
-        /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite undid it by itself.
-        const NO_TRANSACTION: &str = "1";
-        if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await
-            && error.as_database_error().and_then(|error| error.code()).as_deref() != Some(NO_TRANSACTION)
-        {
-            return Err(error);
-        }
+        raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;
         Ok(())
     }

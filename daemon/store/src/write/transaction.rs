@@ -17,6 +17,7 @@ use super::rows::{Inserts, Resolved};
 use super::streams::Moved;
 use super::trespasses::Trespasses;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
+use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
 
@@ -48,7 +49,7 @@ impl Staging {
         (storage_clock, stamp): (&StorageClock, Stamp),
         aside: Option<&str>,
     ) -> Result<Committed, Refusal> {
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
+        raw_transaction::begin(connection).await?;
         let elapsed = storage_clock.advance(connection, stamp).await?;
         let storage_s = elapsed.nanos().div_euclid(1_000_000_000);
         let now = stamp.wall;
@@ -127,7 +128,7 @@ impl Staging {
         self.ends.write(connection).await?;
         self.trespasses.write(connection, now).await?;
         committed.marks.extend(self.moved.write(connection, now).await?);
-        sqlx::query("COMMIT").execute(connection).await?;
+        raw_transaction::commit(connection).await?;
         committed.runs = self.entities.take_met();
         committed.unknown = self.entities.take_unknown();
         Ok(committed)

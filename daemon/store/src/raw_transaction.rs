@@ -1,0 +1,31 @@
+//! Transactions of a connection that stays open, whatever SQLite does to them.
+//!
+//! SQLite undoes a transaction by itself when the disk is full, for example. sqlx's `Transaction` takes it for open from then on and
+//! begins no other one on this connection, so these statements are sent as they are.
+
+use sqlx::SqliteConnection;
+
+/// Begins a transaction that writes.
+pub(crate) async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
+}
+
+/// Stores what the transaction has written.
+pub(crate) async fn commit(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    sqlx::query("COMMIT").execute(connection).await.map(drop)
+}
+
+/// Undoes a transaction if there is one.
+pub(crate) async fn roll_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite undid it by itself.
+    const NO_TRANSACTION: &str = "1";
+    match sqlx::query("ROLLBACK").execute(connection).await {
+        Err(error)
+            if error.as_database_error().and_then(|error| error.code()).as_deref()
+                != Some(NO_TRANSACTION) =>
+        {
+            Err(error)
+        }
+        _ => Ok(()),
+    }
+}
