@@ -85,7 +85,8 @@ fn disciplined_clocks_tell_what_exchanges_cannot() {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
     }
-    for iteration in &iterations {
+    // The first may be answered before there are three exchanges, and are `stale` then.
+    for iteration in iterations.iter().filter(|iteration| iteration.number > WARM_UP) {
         as_good_as_it_says(&iteration.up, is_jump_suspected);
         as_good_as_it_says(&iteration.down, is_jump_suspected);
         assert!(is_jump_suspected || iteration.up.verdict == "ok", "{:?}", iteration.up);
