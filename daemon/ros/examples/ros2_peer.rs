@@ -89,9 +89,14 @@ fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
     Ok(SystemClock::new(ClockIdentity::of_this_machine("system")?))
 }
 
+/// Keeps more messages than are sent: of the usual ten, one that gets lost on the way may be gone before it is sent again.
+fn all_kept() -> QosProfile {
+    QosProfile { depth: 100, ..QosProfile::default() }
+}
+
 async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
-    let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &QosProfile::default())?;
+    let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
     publisher.await_peer(PATIENCE).await?;
     // The subscription may not know us yet although we know it, and DDS does not tell; it would get nothing from before.
     tokio::time::sleep(Duration::from_secs(1)).await;
@@ -104,8 +109,7 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
 }
 
 async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
-    let qos = QosProfile { depth: 100, ..QosProfile::default() };
-    let mut subscription = node.subscription(&plan.topic, plan.kind.type_name(), &qos)?;
+    let mut subscription = node.subscription(&plan.topic, plan.kind.type_name(), &all_kept())?;
     let mut payloads = Vec::with_capacity(plan.count);
     while payloads.len() < plan.count {
         let received = tokio::time::timeout(PATIENCE, subscription.receive()).await;
