@@ -196,7 +196,10 @@ impl Retention {
         let done = self.transaction(connection, storage_clock, work, now, rows.into()).await;
         match &done {
             Ok(()) => storage_clock.committed(now.mono),
-            Err(_) => self.deletions.forget(),
+            Err(_) => {
+                self.deletions.forget();
+                raw_transaction::roll_back(connection).await?;
+            }
         }
         done.map(|()| Step::More)
     }
@@ -207,21 +210,6 @@ impl Retention {
     }
 
     async fn transaction(
-        &mut self,
-        connection: &mut SqliteConnection,
-        storage_clock: &StorageClock,
-        work: Work,
-        now: Stamp,
-        rows: u64,
-    ) -> Result<(), sqlx::Error> {
-        let done = self.delete(connection, storage_clock, work, now, rows).await;
-        if done.is_err() {
-            raw_transaction::roll_back(connection).await?;
-        }
-        done
-    }
-
-    async fn delete(
         &mut self,
         connection: &mut SqliteConnection,
         storage_clock: &StorageClock,
