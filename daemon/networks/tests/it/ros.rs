@@ -145,9 +145,13 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let mut earlier: Option<Session> = None;
     for _ in 0..3 {
         let (address, hello) = (cloud.address(), hello.clone());
-        let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
+        let mut edge = tokio::spawn(async move { open(&address, hello, settings()).await });
         let request = loop {
-            match cloud.next().await {
+            let next = tokio::select! {
+                next = cloud.next() => next,
+                opened = &mut edge => panic!("the cloud has accepted nothing: {opened:?}"),
+            };
+            match next {
                 Incoming::Open(request) => break request,
                 Incoming::Closed { .. } => {}
                 other => panic!("expected a hello, not {other:?}"),

@@ -100,12 +100,12 @@ pub(crate) fn any_port(network: TestNetwork) -> String {
     }
 }
 
-/// A domain of ROS 2 that few other tests have, and a name that none has. The ports of higher domains may be those of other
-/// sockets.
+/// A domain of ROS 2 that few other tests have, and a name that none has, not even in another process: all are in the domains of the
+/// loopback interface. The ports of higher domains may be those of other sockets.
 #[cfg(feature = "ros2")]
 fn any_domain() -> String {
-    let (process, number) = (std::process::id() as usize, next_number());
-    format!("ros2://{}/cloud{number}", 1 + (process * 37 + number) % 100)
+    let (process, number) = (std::process::id(), next_number());
+    format!("ros2://{}/cloud{process}n{number}", 1 + (process as usize * 37 + number) % 100)
 }
 
 pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
@@ -133,8 +133,8 @@ pub(crate) fn hello() -> SessionHello {
         host: HostId::random(),
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),
-        // A pipeline of its own for each session, because topics of ROS are named after it.
-        pipeline: format!("line-{}", next_number()).parse().expect("a name"),
+        // A pipeline of its own for each session of all processes, because topics of ROS are named after it.
+        pipeline: format!("line-{}-{}", std::process::id(), next_number()).parse().expect("a name"),
         model: Some("echo".parse().expect("a name")),
         device: None,
         clock_socket: None,
