@@ -1,4 +1,4 @@
-//! What is wrong with a value of a configuration, without the names that Rust has for kinds of numbers.
+//! Errors about values of a configuration, without the names that Rust has for types.
 
 use toml::de::Error;
 
@@ -10,6 +10,9 @@ const WORDS: [(&str, &str); 3] =
 pub fn told(error: &Error) -> String {
     let text = error.message();
     let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
+    if kind.starts_with("struct ") {
+        return format!("{wrong}, expected a table");
+    }
     for (prefix, words) in WORDS {
         if kind.strip_prefix(prefix).is_some_and(is_size_or_type) {
             return format!("{wrong}, expected {words}");
@@ -40,10 +43,14 @@ mod tests {
         offset: Option<i32>,
         hz: Option<f64>,
         name: Option<String>,
+        inner: Option<Inner>,
     }
 
+    #[derive(Debug, Deserialize)]
+    struct Inner {}
+
     #[test]
-    fn kinds_of_numbers_are_told_in_words() {
+    fn expected_types_are_told_in_words() {
         for (file, expected) in [
             ("threads = 0", "invalid value: integer `0`, expected a whole number above 0"),
             ("threads = 'x'", "invalid type: string \"x\", expected a whole number above 0"),
@@ -52,6 +59,7 @@ mod tests {
             ("offset = 5000000000", "invalid value: integer `5000000000`, expected a whole number"),
             ("hz = 'x'", "invalid type: string \"x\", expected a number"),
             ("name = 1", "invalid type: integer `1`, expected a string"),
+            ("inner = 1", "invalid type: integer `1`, expected a table"),
             ("name = ", "string values must be quoted, expected literal string"),
         ] {
             let error = toml::from_str::<Numbers>(file).expect_err(file);

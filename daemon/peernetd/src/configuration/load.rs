@@ -31,6 +31,9 @@ const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.re
 /// Tables that no table of an agent refers to.
 const INDEPENDENT: [&str; 3] = ["log", "aggregator", "web"];
 
+/// Keys of the file that are arrays of tables; all others are tables.
+const ARRAYS: [&str; 2] = ["model", "pipeline"];
+
 /// The whole file.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -102,10 +105,10 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
         key,
         text,
     };
-    let file = match mistakes::read::<File>(&text) {
+    let file = match mistakes::read::<File>(&text, &ARRAYS) {
         Ok(file) => file,
         Err(first) => {
-            let (found, remainder) = mistakes::all_mistakes::<File>(&text, first);
+            let (found, remainder) = mistakes::all_mistakes::<File>(&text, &ARRAYS, first);
             let unread = found.into_iter().map(|mistake| unread(path, mistake, &locator));
             let checked = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
             let mut problems: Vec<Problem> = unread.chain(checked).collect();
@@ -129,7 +132,7 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
     let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
-    mistakes::read::<File>(&text).map(Configuration::from).map_err(unread)
+    mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
 }
 
 fn unreadable(path: &Path, error: &io::Error) -> Problem {

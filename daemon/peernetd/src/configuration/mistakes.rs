@@ -1,9 +1,11 @@
 //! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and keys that are missing.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::fmt;
 
 use serde::Deserialize;
+use serde::de::Error as _;
 use serde_path_to_error::{Path, Segment};
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
@@ -28,28 +30,48 @@ pub(super) struct Remainder<T> {
     pub(super) without: BTreeSet<String>,
 }
 
-/// Reads a file.
+/// Reads a file, in which only the keys in `arrays` are arrays.
 ///
 /// # Errors
 /// The first key that could not be read.
-pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, Mistake> {
-    let document = Deserializer::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
-    serde_path_to_error::deserialize(document).map_err(|error| {
+pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Result<T, Mistake> {
+    let document = DeTable::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
+    if let Some(mistake) = document.get_ref().iter().find_map(|entry| needless_array(entry, arrays)) {
+        return Err(mistake);
+    }
+    serde_path_to_error::deserialize(Deserializer::from(document)).map_err(|error| {
         let key = error.path().to_string();
         Mistake { key: if key == "." { String::new() } else { key }, error: error.into_inner() }
     })
+}
+
+/// Returns the mistake of an entry that is an array and should be a table. serde reads an array as a struct, whose fields may all have
+/// defaults.
+fn needless_array(
+    (name, value): (&Spanned<Cow<'_, str>>, &Spanned<DeValue<'_>>),
+    arrays: &[&str],
+) -> Option<Mistake> {
+    let name = name.get_ref();
+    let is_needless = value.get_ref().is_array() && !arrays.contains(&&**name);
+    let error = || Error::custom(format!("invalid type: sequence, expected a table: write [{name}] once"));
+    is_needless.then(|| Mistake { key: name.to_string(), error: error() })
 }
 
 /// Returns the mistakes of a file in which [`read`] found `first`, each table and each element of an array of tables read by itself, and
 /// what is left without them.
 pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     text: &'a str,
+    arrays: &[&str],
     first: Mistake,
 ) -> (Vec<Mistake>, Option<Remainder<T>>) {
     let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
-    let mut mistakes = Vec::new();
-    let mut without = BTreeSet::new();
+    let mut mistakes: Vec<Mistake> =
+        root.get_ref().iter().filter_map(|entry| needless_array(entry, arrays)).collect();
+    let mut without: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
     for part in parts(root.get_ref()) {
+        if mistakes.iter().any(|mistake| mistake.key == part.name) {
+            continue;
+        }
         let before = mistakes.len();
         part.find::<T>(&mut mistakes);
         if mistakes.len() > before {
@@ -111,6 +133,13 @@ impl<'a> Part<'a> {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
+                return;
+            }
+            if mistakes.len() + 1 == MOST_MISTAKES {
+                let error = Error::custom(
+                    "there may be more mistakes, which are not listed; correct those above first",
+                );
+                mistakes.push(Mistake { key: String::new(), error });
                 return;
             }
             let is_removed = missing.is_none() && remove(document.get_mut(), &steps, &mut removed);
@@ -204,6 +233,8 @@ mod tests {
 
     use super::*;
 
+    const ARRAYS: [&str; 1] = ["element"];
+
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
     #[expect(dead_code, reason = "only what cannot be read is looked at")]
@@ -240,8 +271,8 @@ mod tests {
     }
 
     fn found(text: &str) -> (Vec<String>, Option<Remainder<File>>) {
-        let first = read::<File>(text).expect_err("something is wrong with it");
-        let (mistakes, rest) = all_mistakes(text, first);
+        let first = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
+        let (mistakes, rest) = all_mistakes(text, &ARRAYS, first);
         (mistakes.iter().map(ToString::to_string).collect(), rest)
     }
 
@@ -274,17 +305,26 @@ mod tests {
     }
 
     #[test]
+    fn list_of_too_many_mistakes_says_that_it_is_not_whole() {
+        let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
+        let (told, _) = found(&format!("[first]\n{keys}"));
+        assert_eq!(told.len(), MOST_MISTAKES);
+        assert!(told[MOST_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
+    }
+
+    #[test]
     fn single_mistake_is_told_as_it_is_found_first() {
         for text in [
             "[first]\nnumbr = 1\n",
             "[first]\nnumber = 256\n",
             "[[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n[[element]]\nname = 'a'\n",
             "first = 3\n",
+            "first = []\n",
             "[first\n",
         ] {
-            let first = read::<File>(text).expect_err("something is wrong with it");
+            let first = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
             let (expected, span) = (first.to_string(), first.error.span());
-            let (mistakes, _) = all_mistakes::<File>(text, first);
+            let (mistakes, _) = all_mistakes::<File>(text, &ARRAYS, first);
             let [mistake] = &mistakes[..] else { panic!("one mistake in {text}: {mistakes:#?}") };
             assert_eq!((mistake.to_string(), mistake.error.span()), (expected, span), "{text}");
         }
