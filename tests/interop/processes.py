@@ -78,10 +78,10 @@ class Process:
 
 
 def wait_until(condition, what, patience=PATIENCE):
-    """Returns the seconds until a condition holds."""
+    """Returns the seconds until a condition holds; `what` describes it, or is a function that does."""
     start = time.monotonic()
     while not condition():
-        assert time.monotonic() - start < patience, f"not within {patience} s: {what}"
+        assert time.monotonic() - start < patience, f"not within {patience} s: {what() if callable(what) else what}"
         time.sleep(0.02)
     return time.monotonic() - start
 
