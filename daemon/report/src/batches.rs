@@ -1,64 +1,100 @@
-//! The difference of two means when neighbouring values depend on each other.
+//! Batches of values that follow upon one another.
+//!
+//! Latencies that follow upon one another are alike: a queue empties slowly, a processor stays warm. Batches that are longer than
+//! what neighbours have in common are nearly independent, which single values are not (non-overlapping batch means, Schmeiser,
+//! *Batch size effects in the analysis of simulation output*, Operations Research 30, 1982).
 
-use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::ops::Range;
 
-/// Fewest batches on each side.
-pub const FEWEST: usize = 5;
+use peernet_statistics::Summary;
 
-/// A difference of two means with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Difference {
-    /// The second mean less the first.
-    pub value: f64,
-    /// Where it lies with 95 % confidence.
-    pub interval: (f64, f64),
-}
+/// Most batches of a run: more add nothing (Schmeiser 1982).
+pub(crate) const MAX_BATCHES: u64 = 30;
 
-impl Difference {
-    /// Of the means of batches of two runs (non-overlapping batch means, Schmeiser 1982): batches that are longer than
-    /// what neighbouring iterations have in common are nearly independent, which single iterations are not. The interval
-    /// is Welch's (1947), for unequal variances. `None` with fewer than five batches on a side.
-    pub fn of_batches(first: &[f64], second: &[f64]) -> Option<Self> {
-        let (a, b) = (Side::of(first)?, Side::of(second)?);
-        let value = b.mean - a.mean;
-        let variance = a.error + b.error;
-        if variance <= 0.0 {
-            return Some(Self { value, interval: (value, value) });
+/// Fewest values of a batch.
+pub(crate) const MIN_BATCH_VALUES: u64 = 10;
+
+/// Values in the order of time, singly or summed up in buckets.
+pub(crate) trait Series {
+    /// Returns the number of places.
+    fn places(&self) -> usize;
+
+    /// Returns how many values there are at a place.
+    fn count(&self, at: usize) -> u64;
+
+    /// Returns the sum of the values at a place.
+    fn sum(&self, at: usize) -> f64;
+
+    /// Returns how many values there are at all places.
+    fn total_count(&self) -> u64 {
+        (0..self.places()).map(|at| self.count(at)).sum()
+    }
+
+    /// Returns the mean of the values at some places; `None` where there is none.
+    fn mean(&self, range: Range<usize>) -> Option<f64> {
+        let add = |(count, sum): (u64, f64), at| (count + self.count(at), sum + self.sum(at));
+        let (count, sum) = range.fold((0, 0.0), add);
+        (count > 0).then(|| sum / count as f64)
+    }
+
+    /// Cuts the series into parts of about the same number of values, at most so many, none empty. Buckets are not divided.
+    fn parts(&self, parts: u64) -> Vec<Range<usize>> {
+        let all = self.total_count();
+        let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
+        for at in 0..self.places() {
+            count += self.count(at);
+            // The end of the part that is being filled lies at this share of all.
+            let end = u128::from(all) * (ranges.len() as u128 + 1);
+            if u128::from(count) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
+                ranges.push(from..at + 1);
+                from = at + 1;
+            }
         }
-        let freedom = variance.powi(2) / (a.error.powi(2) / a.freedom + b.error.powi(2) / b.freedom);
-        let away = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975) * variance.sqrt();
-        Some(Self { value, interval: (value - away, value + away) })
-    }
-
-    /// The same interval about a difference that is known exactly: batches are not all of the same length, so that the mean
-    /// of their means is not quite the mean of all.
-    #[must_use]
-    pub fn about(self, value: f64) -> Self {
-        let shift = value - self.value;
-        Self { value, interval: (self.interval.0 + shift, self.interval.1 + shift) }
-    }
-
-    /// Whether zero lies outside the interval: the runs differ by more than chance.
-    pub fn is_certain(&self) -> bool {
-        self.interval.0 > 0.0 || self.interval.1 < 0.0
+        ranges
     }
 }
 
-struct Side {
-    mean: f64,
-    /// Variance of the mean.
-    error: f64,
-    freedom: f64,
+impl Series for [f64] {
+    fn places(&self) -> usize {
+        self.len()
+    }
+
+    fn count(&self, _at: usize) -> u64 {
+        1
+    }
+
+    fn sum(&self, at: usize) -> f64 {
+        self[at]
+    }
 }
 
-impl Side {
-    fn of(batches: &[f64]) -> Option<Self> {
-        let n = batches.len();
-        (n >= FEWEST).then_some(())?;
-        let count = n as f64;
-        let mean = batches.iter().sum::<f64>() / count;
-        let squares: f64 = batches.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(Self { mean, error: squares / (count - 1.0) / count, freedom: count - 1.0 })
+/// Counts and means of buckets.
+impl Series for [(u64, f64)] {
+    fn places(&self) -> usize {
+        self.len()
+    }
+
+    fn count(&self, at: usize) -> u64 {
+        self[at].0
+    }
+
+    fn sum(&self, at: usize) -> f64 {
+        let (count, mean) = self[at];
+        count as f64 * mean
+    }
+}
+
+impl Series for [Summary] {
+    fn places(&self) -> usize {
+        self.len()
+    }
+
+    fn count(&self, at: usize) -> u64 {
+        Summary::count(&self[at])
+    }
+
+    fn sum(&self, at: usize) -> f64 {
+        self[at].moments.mean * self.count(at) as f64
     }
 }
 
@@ -66,23 +102,21 @@ impl Side {
 mod tests {
     use super::*;
 
-    /// By hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 × 1.04083.
     #[test]
-    fn the_interval_is_welchs() {
-        let found = Difference::of_batches(&[1.0, 2.0, 3.0, 4.0, 5.0], &[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]);
-        let found = found.expect("enough");
-        assert!((found.value - 2.5).abs() < 1e-12 && found.is_certain());
-        let (lo, hi) = found.interval;
-        assert!((lo - 0.145_05).abs() < 1e-4 && (hi - 4.854_95).abs() < 1e-4, "{lo} {hi}");
-        assert!((lo + hi - 5.0).abs() < 1e-9, "symmetric");
-        let moved = found.about(2.0);
-        assert!(moved.value == 2.0 && (moved.interval.0 - (lo - 0.5)).abs() < 1e-12, "{moved:?}");
+    fn parts_have_about_the_same_count_and_cover_all_places() {
+        let values = vec![1.0; 103];
+        let ranges = values.as_slice().parts(10);
+        assert_eq!((ranges.len(), ranges[0].start, ranges[9].end), (10, 0, 103));
+        assert!(ranges.iter().all(|range| (10..=11).contains(&range.len())), "{ranges:?}");
+        let buckets = [5, 50, 1, 1, 1].map(|count| (count, 1.0));
+        assert_eq!(buckets.as_slice().parts(2), [0..2, 2..5]);
+        assert!(values.as_slice().parts(0).is_empty());
     }
 
     #[test]
-    fn too_little_has_no_interval_and_equal_runs_do_not_differ() {
-        assert_eq!(Difference::of_batches(&[1.0; 4], &[1.0; 9]), None);
-        let same = Difference::of_batches(&[1.0; 9], &[1.0; 9]).expect("enough");
-        assert!(!same.is_certain() && same.interval == (0.0, 0.0));
+    fn mean_weighs_buckets_by_their_counts() {
+        let buckets = [(1, 4.0), (3, 8.0), (0, 100.0)];
+        assert_eq!((buckets.as_slice().mean(0..2), buckets.as_slice().mean(2..3)), (Some(7.0), None));
+        assert_eq!([1.0, 2.0, 6.0].as_slice().mean(0..3), Some(3.0));
     }
 }

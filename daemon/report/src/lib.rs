@@ -11,7 +11,7 @@
 //! `peernet-results`.
 
 pub mod accuracy;
-pub mod batches;
+mod batches;
 pub mod calibration;
 pub mod compare;
 mod error;

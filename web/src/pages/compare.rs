@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::http::header::HOST;
 use axum::routing::get;
-use peernet_logger::stage;
+use peernet_report::compare::{MIN_BATCHES, MIN_VALUES};
 use peernet_statistics::number::NONE;
 use peernet_store::ExperimentSummary;
 
@@ -18,10 +18,10 @@ use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Address, Axes, BoxRow, Changed, Comparison, Courses, Distributions, LeftOut, Lengths, MOST_RUNS,
-    OverTime, Pair, StackRow, Table, Throughput, UsersRow, Which, accuracy, answers, boxes, commands,
-    courses, difference, distributions, doubts, gather, lengths, open, over_time, pairs, payload,
-    run_courses, stacks, throughput, title, too_short, unknown_labels, users,
+    Address, Axes, BoxRow, Changed, Comparison, Configuration, Differences, Distributions, LeftOut, Lengths,
+    MOST_RUNS, OverTime, Pair, RunMeans, Setting, StackRow, StageDifference, Table, Throughput, UsersRow,
+    Which, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths, over_time, pairs,
+    payload, run_courses, run_means, stacks, throughput, title, unknown_labels, users,
 };
 use crate::view::counted;
 
@@ -34,6 +34,8 @@ pub(super) const PAGE: PageKind = PageKind {
 
 /// The parameter of an address that says whose distributions are shown.
 const STAGE: &str = "stage";
+/// The parameter that says which run's configuration the others are compared with.
+const BASELINE: &str = "baseline";
 /// Experiments that are offered when nothing was chosen.
 const OFFERED: u32 = 50;
 /// Most letters of a label that stays on one line.
@@ -69,10 +71,10 @@ struct Compare {
     over_time: Option<OverTime>,
     pairs: Vec<Pair>,
     pairs_axes: Axes,
-    letters: Option<(String, String)>,
-    changes: Vec<Changed>,
-    /// Why a difference has no interval.
-    too_short: Option<String>,
+    baseline: Baseline,
+    /// Settings that tell nothing apart.
+    settings: Vec<Setting>,
+    names: Vec<String>,
     payload: Option<(Scatter, Vec<String>)>,
     throughput: Option<Throughput>,
     /// How long answers of different length take.
@@ -81,6 +83,24 @@ struct Compare {
     accuracy: Option<Scatter>,
     /// What asks of every iteration.
     commands: Option<String>,
+}
+
+/// What the configurations are compared with, and how they differ from it.
+struct Baseline {
+    name: String,
+    /// Each configuration with the number of its first run, by which it is chosen, and whether it is the baseline.
+    choices: Vec<(String, i64, bool)>,
+    address: Address,
+    others: Vec<OtherRow>,
+    /// Whether a difference has no interval.
+    is_too_short: bool,
+}
+
+/// A configuration against the baseline.
+struct OtherRow {
+    name: String,
+    total: Option<Changed>,
+    stages: Vec<Changed>,
 }
 
 #[derive(Template)]
@@ -100,58 +120,52 @@ async fn show(
     let shell = |title: &str| Shell::new(&app, &picture, "/compare", title);
     let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
-    let Some(which) = Which::of(&query, "runs or experiment, and with either stage")? else {
+    let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);
+    let baseline = baseline.last().map(|(_, run)| run.as_str());
+    let Some(which) = Which::of(&query, "runs or experiment, and with either stage and baseline")? else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };
     let comparison = gather(store, &which).await?;
     let distributions = distributions(&comparison, asked)?;
-    let courses = courses(store, &comparison).await?;
+    let baseline = comparison.baseline(baseline)?;
+    let means = run_means(store, &comparison).await?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let over_time = over_time(&comparison, &run_courses(store, &comparison).await?);
     let lengths = lengths(&comparison, &answers(store, &comparison).await?);
-    let compare = assemble(shell("Compare"), &comparison, courses.as_ref(), distributions, host);
+    let compare = assemble(shell("Compare"), &comparison, (&means, baseline), distributions, host);
     page(&Compare { over_time, lengths, ..compare })
 }
 
 fn assemble(
     shell: Shell,
     comparison: &Comparison,
-    courses: Option<&(Courses, Courses)>,
+    (means, baseline): (&RunMeans, usize),
     distributions: Option<Distributions>,
     host: &str,
 ) -> Compare {
-    let two = match (comparison.configurations.as_slice(), courses) {
-        ([first, second], Some((a, b))) => difference((first, a), (second, b)),
-        _ => Vec::new(),
-    };
-    let too_short = match (comparison.configurations.as_slice(), courses) {
-        ([first, second], Some((a, b))) => too_short((first, a), (second, b), &two),
-        _ => None,
-    };
-    let total =
-        two.first().filter(|(name, ..)| *name == stage::TOTAL).and_then(|(_, found, _)| found.as_ref());
-    let (stacks, axes) = stacks(comparison);
+    let differences = Differences::of(comparison, means, baseline);
+    let best = differences.ranking.as_ref().map(|ranking| ranking.best);
+    let (stacks, axes) = stacks(comparison, best);
     let (boxes, boxes_axes) = boxes(comparison);
     let (pairs, pairs_axes) = pairs(comparison);
     let runs = comparison.runs().count();
-    let letters = || comparison.configurations.iter().map(|one| one.letter.clone());
     let crumb = match &comparison.experiment {
         Some((name, _)) => format!("experiment {name}"),
         None => counted(runs, "run", "runs"),
     };
-    let mut facts: Vec<String> = open(comparison, total).into_iter().chain(common(comparison)).collect();
+    let mut facts = common(comparison);
     facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
     facts.push(counted(runs, "run", "runs"));
     facts.push("successful iterations, warm-up left out".to_owned());
     Compare {
         shell: Shell { title: format!("Compare {crumb}"), ..shell },
-        title: title(comparison, total),
+        title: title(comparison, &differences),
         crumb,
         facts,
         cut: comparison.cut.then_some(MOST_RUNS),
         left_out: comparison.left_out.clone(),
-        table: Table::of(comparison),
+        table: Table::of(comparison, &differences),
         doubts: Some(doubts(comparison).join(" "))
             .filter(|said| !said.is_empty())
             .map(|said| (Chip::new(Tone::Warn, "remark", "to be said"), said)),
@@ -165,15 +179,39 @@ fn assemble(
         over_time: None,
         pairs,
         pairs_axes,
-        letters: letters().next().zip(letters().nth(1)).filter(|_| !two.is_empty()),
-        changes: two.into_iter().map(|(.., changed)| changed).collect(),
-        too_short,
+        baseline: Baseline::of(comparison, &differences),
+        settings: comparison.settings.clone(),
+        names: comparison.configurations.iter().map(|one| one.name.clone()).collect(),
         payload: payload(comparison),
         throughput: throughput(comparison),
         lengths: None,
         users: users(comparison),
         accuracy: accuracy(comparison),
         commands: commands(comparison, host),
+    }
+}
+
+impl Baseline {
+    fn of(comparison: &Comparison, differences: &Differences) -> Self {
+        let all = &comparison.configurations;
+        let choice = |(place, one): (usize, &Configuration)| {
+            Some((one.name.clone(), one.runs.first()?.number, place == differences.baseline))
+        };
+        let other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
+            name: all[*place].name.clone(),
+            total: differences.total(*place).map(Changed::of),
+            stages: stages.iter().map(Changed::of).collect(),
+        };
+        let is_known = |stages: &[StageDifference]| stages.iter().any(|stage| stage.found.is_some());
+        let others = differences.others.iter().filter(|(_, stages)| is_known(stages));
+        let found = others.clone().flat_map(|(_, stages)| stages.iter().filter_map(|stage| stage.found));
+        Self {
+            name: all.get(differences.baseline).map_or_else(String::new, |one| one.name.clone()),
+            choices: all.iter().enumerate().filter_map(choice).collect(),
+            address: Address::of(comparison),
+            is_too_short: found.into_iter().any(|found| found.interval.is_none()),
+            others: others.map(other).collect(),
+        }
     }
 }
 
@@ -188,12 +226,13 @@ fn common(comparison: &Comparison) -> Vec<String> {
 pub(super) fn rendered(
     shell: Shell,
     comparison: &Comparison,
-    courses: Option<&(Courses, Courses)>,
-    asked: Option<&str>,
+    means: &RunMeans,
+    (asked, baseline): (Option<&str>, Option<&str>),
 ) -> Result<String, crate::error::WebError> {
     let distributions = distributions(comparison, asked)?;
     let over_time = over_time(comparison, &crate::view::compare::tests::run_courses(comparison));
-    let compare = assemble(shell, comparison, courses, distributions, "localhost:8040");
+    let baseline = comparison.baseline(baseline)?;
+    let compare = assemble(shell, comparison, (means, baseline), distributions, "localhost:8040");
     let lengths = lengths(comparison, &crate::view::compare::lengths::tests::read(comparison));
     Ok(Compare { over_time, lengths, ..compare }.render().expect("renders"))
 }

@@ -12,7 +12,7 @@ const LETTER: (f64, f64) = (2.4, 6.0);
 /// How far a name stands from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);
 /// Most names that stand as one; the table has all.
-const MOST_NAMES: usize = 4;
+const MOST_NAMES: usize = 2;
 /// Beside its point, in ems.
 const RIGHT: (&str, &str) = (".7em", ".36em");
 
@@ -52,7 +52,7 @@ pub(crate) struct ScatterPoint {
     pub y: f64,
     /// Lower and upper end of its error bar.
     pub ends: Option<(f64, f64)>,
-    /// Stands beside it.
+    /// Stands beside it, unless it is empty.
     pub name: String,
 }
 
@@ -200,7 +200,7 @@ fn beside<'a>(
     texts: impl Iterator<Item = (usize, &'a str)>,
 ) -> Vec<Label> {
     let mut names: Vec<Label> = Vec::new();
-    for (dot, (place, text)) in dots.iter().zip(texts) {
+    for (dot, (place, text)) in dots.iter().zip(texts).filter(|(_, (_, text))| !text.is_empty()) {
         let at = |dx: f64, dy: f64, anchor, shift| Label {
             dot: (dot.x, dot.y),
             shift,
@@ -239,21 +239,20 @@ fn beside<'a>(
     names
 }
 
-/// `A, C – F, H`: neighbours of three and more from the first to the last, and where there are too many, how many more.
+/// `local, cloud and 4 more`: in the order of their points, each name once.
 fn listed(points: &[(usize, String)]) -> String {
     let mut sorted = points.to_vec();
     sorted.sort();
-    let mut pieces: Vec<(String, usize)> = Vec::new();
-    for neighbours in sorted.chunk_by(|(a, _), (b, _)| a + 1 == *b) {
-        match neighbours {
-            [(_, first), _, .., (_, last)] => pieces.push((format!("{first} – {last}"), neighbours.len())),
-            few => pieces.extend(few.iter().map(|(_, name)| (name.clone(), 1))),
+    let mut names: Vec<&str> = Vec::new();
+    for (_, name) in &sorted {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
         }
     }
-    let shown: Vec<&str> = pieces.iter().take(MOST_NAMES).map(|(text, _)| text.as_str()).collect();
-    match pieces[shown.len()..].iter().map(|(_, count)| count).sum::<usize>() {
-        0 => shown.join(", "),
-        more => format!("{} and {more} more", shown.join(", ")),
+    let shown = names[..names.len().min(MOST_NAMES)].join(", ");
+    match names.len().saturating_sub(MOST_NAMES) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
     }
 }
 
@@ -339,7 +338,7 @@ mod tests {
         };
         assert_eq!(of(&[4]), "E");
         assert_eq!(of(&[1, 0]), "A, B");
-        assert_eq!(of(&[5, 0, 2, 3, 4]), "A, C – F");
-        assert_eq!(of(&[0, 2, 4, 6, 8, 10, 11, 12]), "A, C, E, G and 4 more");
+        assert_eq!(of(&[5, 0, 2, 3, 4]), "A, C and 3 more");
+        assert_eq!(listed(&[(0, "lan".to_owned()), (1, "lan".to_owned())]), "lan");
     }
 }

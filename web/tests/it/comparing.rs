@@ -1,6 +1,8 @@
 //! Whether a run can be published, and runs side by side, over stored data.
 
 use axum::http::StatusCode;
+use peernet_report::compare::{Comparison, Differences};
+use peernet_results::ResultFolder;
 
 use crate::bed::Bed;
 use crate::factory::Line;
@@ -56,7 +58,7 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     };
     assert_eq!((counts(0), counts(1)), ((Some(380), Some(0)), (Some(170), Some(70))), "{compared}");
     let doubt = compared["doubts"][0].as_str().expect("a sentence");
-    assert!(doubt.ends_with(" of the rate that was ordered: B: 70 of 170 starts (41.2 %)."), "{doubt}");
+    assert!(doubt.ends_with(" of the rate that was ordered: #2: 70 of 170 starts (41.2 %)."), "{doubt}");
     assert!(bed.get("/compare?runs=1,2").await.text().contains(doubt));
     assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }
@@ -107,7 +109,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 
     let page = bed.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
-    assert!(page.text().contains("has the smallest mean of 3, "), "{}", page.text());
+    assert!(page.text().contains(" is the fastest: "), "{}", page.text());
     assert!(page.text().contains("<span>experiment pictures</span>"), "{}", page.text());
     // Six runs of which each has its distribution, and three configurations with a box over both of theirs.
     assert_eq!(page.text().matches("#distribution\">#").count(), 6, "{}", page.text());
@@ -154,7 +156,12 @@ async fn many_users_are_one_configuration_and_many_configurations_one_page() {
     let listed = bed.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = bed.get(&format!("/compare?experiment={id}")).await;
-    assert!(page.text().contains("has the smallest mean of 50, "), "{}", page.text());
+    assert!(
+        page.text().contains("<option value=") && page.text().contains("Difference to "),
+        "{}",
+        page.text()
+    );
+    assert_eq!(page.text().matches("<option value=").count(), 50, "{}", page.text());
     assert!(!page.text().contains("number of users"), "each was alone");
 }
 
@@ -169,7 +176,12 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     assert!(lo < value && value < hi, "{total}");
     // The form of the list of runs repeats the name.
     let page = bed.get("/compare?runs=1&runs=2").await;
-    assert!(page.text().contains("<h2 id=\"cd-h\">B less A</h2>"), "{}", page.text());
+    assert!(page.text().contains("<h2 id=\"cd-h\">Difference to "), "{}", page.text());
+    let other_way = bed.get("/api/v1/compare?runs=1,2&baseline=2").await.json();
+    assert_eq!((&compared["baseline"], &other_way["baseline"]), (&"A".into(), &"B".into()));
+    let turned = &other_way["differences"][0];
+    assert_eq!(turned["value"].as_f64(), Some(-value), "{turned}");
+    assert_eq!((&total["configuration"], &turned["configuration"]), (&"B".into(), &"A".into()));
     assert!(page.text().contains("http://127.0.0.1:8040/api/v1/runs/{1,2}/export"), "{}", page.text());
     assert!(page.text().contains("peernet compare run-1.csv run-2.csv"), "{}", page.text());
     let again = bed.get("/api/v1/compare?runs=1,1").await.json();
@@ -183,6 +195,7 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
         ("/compare?experiment=none", StatusCode::NOT_FOUND),
         ("/compare?runs=x", StatusCode::BAD_REQUEST),
         ("/compare?run=1", StatusCode::BAD_REQUEST),
+        ("/compare?runs=1,2&baseline=3", StatusCode::BAD_REQUEST),
         ("/api/v1/compare?runs=1&stage=upload", StatusCode::BAD_REQUEST),
         ("/api/v1/compare", StatusCode::BAD_REQUEST),
     ] {
@@ -190,8 +203,55 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     }
     let (page, api) = (bed.get("/compare?run=1").await, bed.get("/api/v1/compare?run=1").await);
     let known = "run: unknown, give runs or experiment";
-    assert!(page.text().contains(&format!("{known}, and with either stage")), "{}", page.text());
-    assert!(api.text().contains(&format!("{known}\"")), "{}", api.text());
+    assert!(page.text().contains(&format!("{known}, and with either stage and baseline")), "{}", page.text());
+    assert!(api.text().contains(&format!("{known}, and with either baseline\"")), "{}", api.text());
+}
+
+/// Counts and means are equal, deviations but for their last digits; quantiles are within the sketch's 1 %. The store knows means of
+/// seconds, the file single iterations: ends of an interval differ by less than a fifth of its width.
+#[tokio::test]
+async fn files_of_runs_and_store_give_the_same_comparison() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut runs = Vec::new();
+    for run in [1, 2] {
+        let file = folder.path().join(format!("run-{run}.csv"));
+        let exported = bed.get(&format!("/api/v1/runs/{run}/export")).await;
+        std::fs::write(&file, exported.text()).expect("the folder is writable");
+        runs.push(ResultFolder::open(&file).expect("a file of results"));
+    }
+    let of_files = Comparison::of(&runs);
+    let differences = Differences::of(&runs[0], &runs[1], 1);
+    let of_store = bed.get("/api/v1/compare?runs=1,2").await.json();
+    for (at, line) in of_files.lines.iter().enumerate() {
+        for name in ["sensing", "inference", "total"] {
+            let latency = line.latency(name).expect("measured");
+            let stages = of_store["configurations"][at]["stages"].as_array().expect("stages");
+            let stage = stages.iter().find(|stage| stage["name"] == name).expect("measured");
+            let known = |key: &str| stage[key].as_f64().expect("a number");
+            assert_eq!(stage["count"], latency.count, "{name}");
+            assert!((known("mean") / latency.mean - 1.0).abs() < 1e-9, "{name}: {stage} {latency:?}");
+            let std = latency.std.expect("several values");
+            assert!((known("std") - std).abs() < 1e-9 * std.max(latency.mean), "{name}: {stage} {latency:?}");
+        }
+    }
+    assert_eq!(of_store["best"], ["A", "B"][of_files.best.expect("both have a mean")]);
+    for stage in &differences.stages {
+        let of_stage = |found: &&serde_json::Value| found["name"] == stage.stage.as_str();
+        let found = of_store["differences"].as_array().expect("differences").iter().find(of_stage);
+        let Some(found) = found else { continue };
+        assert!((found["value"].as_f64().expect("a number") - stage.mean.value).abs() < 1e-9, "{found}");
+        let (lo, hi) = stage.mean.interval.expect("enough iterations");
+        let tolerance = 0.2 * (hi - lo);
+        for (end, of_file) in found["interval"].as_array().expect("two ends").iter().zip([lo, hi]) {
+            let end = end.as_f64().expect("a number");
+            assert!((end - of_file).abs() <= tolerance, "{}: {found} {lo} {hi}", stage.stage);
+        }
+        let is_near_zero = lo.abs().min(hi.abs()) < tolerance;
+        assert!(is_near_zero || found["certain"].as_bool() == stage.mean.is_distinct(), "{found} {stage:?}");
+    }
+    let compared = of_store["differences"].as_array().map_or(0, Vec::len);
+    assert!(compared >= 3, "{of_store}");
 }
 
 #[tokio::test]

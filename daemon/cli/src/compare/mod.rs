@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     /// Give each repeat of a configuration a line of its own.
     #[arg(long)]
     apart: bool,
-    /// Seed of the bootstrap that intervals and ties rest on: the same seed gives the same figures.
+    /// Seed of the bootstrap that the intervals of medians rest on: the same seed gives the same figures.
     #[arg(long, default_value_t = SEED)]
     seed: u64,
 }
@@ -65,7 +65,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Collected { runs, baseline, left_out } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = if arguments.apart { Repeats::Apart } else { Repeats::Pooled };
-    let mut comparison = Comparison::with(&runs, repeats, arguments.seed);
+    let mut comparison = Comparison::with(&runs, repeats);
     comparison.doubts.extend(left_out);
     let line_of = |run: usize| comparison.lines.iter().position(|line| line.runs.contains(&run));
     let first = match baseline {
@@ -170,11 +170,11 @@ mod tests {
             rows: Rows::default(),
         };
         let runs = [run(1), run(2)];
-        let told = |runs: &[Loaded], repeats| alone(&Comparison::with(runs, repeats, SEED));
+        let told = |runs: &[Loaded], repeats| alone(&Comparison::with(runs, repeats));
         let pooled = told(&runs, Repeats::Pooled).expect("they are one line");
         assert!(pooled.contains("one configuration") && pooled.contains("--apart"), "{pooled}");
         assert_eq!(told(&runs, Repeats::Apart), None);
-        let apart = Comparison::with(&runs, Repeats::Apart, SEED);
+        let apart = Comparison::with(&runs, Repeats::Apart);
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
         assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
         let single = told(&runs[..1], Repeats::Pooled).expect("there is no other");

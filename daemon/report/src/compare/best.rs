@@ -3,37 +3,31 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
-use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS, in_milliseconds, with_interval};
-use super::{Comparison, Difference, NOTHING, Sample, Statistic, difference, values};
+use super::ranking::{Ranking, computes};
+use super::render::{WHAT_IT_DOES_NOT, WHAT_IT_SAYS_OF_MEANS, in_milliseconds, with_interval};
+use super::{Comparison, Line, MeanEstimate, NOTHING, values};
 use crate::loaded::Loaded;
 use crate::table::{Captioned, Table};
 
-/// Finds the best line and what the others have more.
-pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded], seed: u64) {
-    let means = comparison
-        .lines
-        .iter()
-        .enumerate()
-        .filter_map(|(at, line)| Some((at, line.latency(comparison.by)?.mean)));
-    let best = means.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at);
-    let Some(best) = best.filter(|_| comparison.lines.len() > 1) else { return };
-    let values = |at: usize| {
-        let of_line = comparison.lines[at].runs.iter().map(|run| values(&runs[*run].rows, comparison.by));
-        Sample::new(of_line.collect())
+/// Ranks the lines, and notes what the others have more than the best. Lines whose model computes nothing are ranked only where no
+/// other is there.
+pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
+    let computes = |line: &Line| line.runs.iter().all(|run| computes(&runs[*run].record.facts));
+    let some_compute = comparison.lines.iter().any(computes);
+    let ranked = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == some_compute);
+    let estimate = |(at, line): (usize, &Line)| {
+        let of_line = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.by));
+        (at, MeanEstimate::of_values(&of_line.collect::<Vec<_>>()))
     };
-    let of_best = values(best);
-    let others = (0..comparison.lines.len()).filter(|at| *at != best);
-    let beyond: Vec<(usize, Option<Difference>)> =
-        others.map(|at| (at, difference(&of_best, &values(at), Statistic::Mean, seed))).collect();
-    for (at, difference) in beyond {
+    let ranked: Vec<_> = ranked.map(estimate).collect();
+    let is_ranked = |at: usize| ranked.iter().any(|(place, _)| *place == at);
+    let unranked = (0..comparison.lines.len()).filter(|at| !is_ranked(*at)).collect();
+    let Some(ranking) = Ranking::of(&ranked) else { return };
+    (comparison.ties, comparison.untested) = (ranking.ties(), ranking.untested());
+    (comparison.best, comparison.unranked) = (Some(ranking.best), unranked);
+    for (at, difference) in ranking.beyond {
         comparison.lines[at].beyond_best = difference;
-        match difference.and_then(|difference| difference.is_distinct()) {
-            Some(true) => {}
-            Some(false) => comparison.ties.push(at),
-            None => comparison.untested.push(at),
-        }
     }
-    comparison.best = Some(best);
 }
 
 /// How much larger the means of the others are than the best's: what three lines and more have in the place of
@@ -50,7 +44,7 @@ pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
         .into_owned(),
         table: beyond_best(comparison),
         notes: format!(
-            "In ms. {WHAT_IT_SAYS} Each holds for itself: they are not corrected for their number. \
+            "In ms. {WHAT_IT_SAYS_OF_MEANS} Each holds for itself: they are not corrected for their number. \
              {WHAT_IT_DOES_NOT}"
         ),
     })
@@ -74,8 +68,8 @@ fn beyond_best(comparison: &Comparison) -> Table {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Repeats;
     use super::super::tests::paper;
-    use super::super::{Repeats, SEED};
     use super::*;
     use crate::rows::Outcome;
 
@@ -121,7 +115,7 @@ cuda:0  can      105.550              +85.290  +85.290 to +85.290
         for (runs, repeats) in
             [(&runs[..2], Repeats::Pooled), (&runs[..2], Repeats::Apart), (&runs[..], Repeats::Pooled)]
         {
-            let comparison = Comparison::with(runs, repeats, SEED);
+            let comparison = Comparison::with(runs, repeats);
             assert_eq!((comparison.best, comparison.untested.as_slice()), (Some(0), [1].as_slice()));
             let told = "too few iterations to tell whether it differs from cuda:0";
             assert!(comparison.text().contains(told), "{}", comparison.text());

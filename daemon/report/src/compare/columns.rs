@@ -11,24 +11,27 @@ const LONG: usize = 120;
 
 /// Something that differs: its name and the label of each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Column {
-    pub(super) axis: String,
-    pub(super) labels: Vec<String>,
+pub struct Column {
+    /// Name of what differs.
+    pub axis: String,
+    /// Label of each configuration.
+    pub labels: Vec<String>,
 }
 
-/// What becomes of columns.
-pub(super) struct Chosen {
-    /// Those that are shown.
-    pub(super) columns: Vec<Column>,
+/// Columns of which some tell configurations apart.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ChosenColumns {
+    /// Those that tell the configurations apart.
+    pub columns: Vec<Column>,
     /// The others.
-    pub(super) rest: Vec<Column>,
+    pub rest: Vec<Column>,
 }
 
 /// Takes a column if it tells apart what those before it do not, or names what they have no label for; never one of hashes or
 /// paths, because folders have names that people gave.
-pub(super) fn choose(all: Vec<Column>) -> Chosen {
+pub fn choose_columns(all: Vec<Column>) -> ChosenColumns {
     let Some(configurations) = all.first().map(|column| column.labels.len()) else {
-        return Chosen { columns: all, rest: Vec::new() };
+        return ChosenColumns { columns: all, rest: Vec::new() };
     };
     let mut taken = vec![false; all.len()];
     let chosen = |taken: &[bool]| -> Vec<Column> {
@@ -48,12 +51,12 @@ pub(super) fn choose(all: Vec<Column>) -> Chosen {
     }
     let columns = chosen(&taken);
     let rest = all.into_iter().zip(taken).filter(|(_, taken)| !taken).map(|(column, _)| column).collect();
-    Chosen { columns, rest }
+    ChosenColumns { columns, rest }
 }
 
 /// Whether some of the labels of one column are hashes or paths, which tell people nothing, or lists that no table has room
 /// for.
-pub fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
+fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
     let is_hash = |word: &str| word.len() >= HASH && word.bytes().all(|byte| byte.is_ascii_hexdigit());
     labels.any(|label| {
         label.len() >= LONG || label.split(' ').any(|word| word.starts_with('/') || is_hash(word))
@@ -94,7 +97,13 @@ pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
 }
 
 impl Column {
-    fn is_opaque(&self) -> bool {
+    /// Returns whether not all labels are the same.
+    pub fn differs(&self) -> bool {
+        self.labels.windows(2).any(|pair| pair[0] != pair[1])
+    }
+
+    /// Returns whether the labels are hashes, paths or lists.
+    pub fn is_opaque(&self) -> bool {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 

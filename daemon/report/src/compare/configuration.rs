@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::columns::{self, Chosen, Column};
+use super::columns::{self, ChosenColumns, Column};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
@@ -69,8 +69,8 @@ impl Configurations {
             Column { axis, labels: labels.collect() }
         };
         let columns = all.axes.iter().cloned().enumerate().map(column);
-        let Chosen { mut columns, rest } =
-            columns::choose(columns.filter(|column| differ(&column.labels)).collect());
+        let ChosenColumns { mut columns, rest } =
+            columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
         let nameless = |group: usize| columns.iter().all(|column| column.labels[group] == NOTHING);
         let named = (0..groups.len()).all(|group| !nameless(group));
         let name = |place: usize, columns: &mut Vec<Column>| {

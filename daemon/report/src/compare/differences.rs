@@ -8,7 +8,8 @@ use std::thread::available_parallelism;
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
-use super::{Comparison, Difference, Sample, Statistic, difference, values};
+use super::median_bootstrap::{Sample, median_difference};
+use super::{Comparison, Difference, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
@@ -95,14 +96,17 @@ impl Differences {
 
 impl StageDifference {
     fn of(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
-        let of = |runs: &[&Loaded]| Sample::new(runs.iter().map(|run| values(&run.rows, stage)).collect());
-        let (a, b) = (of(baseline), of(other));
+        let values_of =
+            |runs: &[&Loaded]| -> Vec<Vec<f64>> { runs.iter().map(|run| values(&run.rows, stage)).collect() };
+        let (a, b) = (values_of(baseline), values_of(other));
+        let means = (MeanEstimate::of_values(&a)?, MeanEstimate::of_values(&b)?);
+        let samples = (Sample::new(&a), Sample::new(&b));
         Some(Self {
             stage: stage.to_owned(),
-            medians: (a.median()?, b.median()?),
-            means: (a.mean()?, b.mean()?),
-            mean: difference(&a, &b, Statistic::Mean, seed)?,
-            median: difference(&a, &b, Statistic::Median, seed)?,
+            means: (means.0.mean(), means.1.mean()),
+            mean: Difference::of_means(&means.0, &means.1),
+            medians: (samples.0.median()?, samples.1.median()?),
+            median: median_difference(&samples.0, &samples.1, seed)?,
             clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
         })
     }

@@ -2,24 +2,28 @@
 //!
 //! ```text
 //! Loaded, Loaded, … ── configuration ── Comparison ─┬─ text, Markdown, CSV, LaTeX
-//!                          blocks ── bootstrap ─────┼─ Differences (two lines of it)
+//!           difference (means) ─────────────────────┼─ Differences (two lines of it)
+//!           blocks ── median_bootstrap ─────────────┤
 //!                                                   └─ the best against the others (three lines and more)
 //! ```
 
 mod best;
 mod blocks;
-mod bootstrap;
 mod columns;
 mod configuration;
+mod difference;
 mod differences;
 mod doubts;
+mod median_bootstrap;
+mod ranking;
 mod render;
 
 pub use best::against_best;
-pub use bootstrap::{Difference, Sample, Statistic, difference};
-pub use columns::is_opaque;
+pub use columns::{ChosenColumns, Column, choose_columns};
+pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use doubts::skipped_starts;
+pub use ranking::{Ranking, computes};
 
 use peernet_statistics::{Moments, Summary};
 
@@ -34,7 +38,7 @@ use configuration::NOTHING;
 /// Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
-/// The seed where none is given: the same runs give the same figures.
+/// The seed of the bootstrap where none is given: the same runs give the same figures.
 pub const SEED: u64 = 1;
 
 /// Less than this share of iterations with a known delay is told.
@@ -64,6 +68,8 @@ pub struct Comparison {
     /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations, or
     /// none.
     pub untested: Vec<usize>,
+    /// Lines that are not ranked, because their model computes nothing.
+    pub unranked: Vec<usize>,
     /// What the best is the best of: `total`, or `stages-total` where not all runs have the former.
     pub by: &'static str,
     /// What else differs among the runs, in sentences.
@@ -116,11 +122,11 @@ pub struct Latency {
 impl Comparison {
     /// Compares runs; repeats are taken together.
     pub fn of(runs: &[Loaded]) -> Self {
-        Self::with(runs, Repeats::Pooled, SEED)
+        Self::with(runs, Repeats::Pooled)
     }
 
-    /// Compares runs. The seed is for what decides ties.
-    pub fn with(runs: &[Loaded], repeats: Repeats, seed: u64) -> Self {
+    /// Compares runs.
+    pub fn with(runs: &[Loaded], repeats: Repeats) -> Self {
         let (mut configurations, rest) = Configurations::and_the_rest(runs);
         if repeats == Repeats::Apart {
             configurations.add_repeats(runs);
@@ -136,9 +142,10 @@ impl Comparison {
             }
         }
         lines.iter_mut().for_each(|line| line.fill(runs, by));
-        let (ties, untested, doubts) = (Vec::new(), Vec::new(), doubts::sentences(runs, &lines));
-        let mut this = Self { axes, lines, best: None, ties, untested, by, rest, doubts };
-        best::mark(&mut this, runs, seed);
+        let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
+        let doubts = doubts::sentences(runs, &lines);
+        let mut this = Self { axes, lines, best: None, ties, untested, unranked, by, rest, doubts };
+        best::mark(&mut this, runs);
         this
     }
 }

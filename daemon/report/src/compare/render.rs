@@ -3,9 +3,9 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::{bound_ms, column_decimals, fixed, percent, range_ms};
 
-use super::bootstrap::ENOUGH;
 use super::{
-    Comparison, Difference, Differences, LATENCIES, Latency, Line, NEARLY_ALL, NOTHING, StageDifference,
+    Comparison, Difference, Differences, LATENCIES, Latency, Line, MIN_VALUES, NEARLY_ALL, NOTHING,
+    StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::table::{Captioned, Table, csv_text};
@@ -14,7 +14,10 @@ const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
 /// Of an interval.
 pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
-     (stationary bootstrap, percentiles).";
+     (of means: Welch, from batch means; of medians: stationary bootstrap).";
+/// The same of means alone.
+pub(super) const WHAT_IT_SAYS_OF_MEANS: &str = "The interval says how far the difference would vary if the same minutes were \
+     measured again (Welch, from batch means).";
 pub(super) const WHAT_IT_DOES_NOT: &str =
     "What changes from day to day is not in it: only repeats show that.";
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
@@ -54,7 +57,11 @@ impl Comparison {
             let mut cells: Vec<String> = line.labels.iter().map(label).collect();
             cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
             let untested = self.untested.contains(&at);
-            let tie = if untested { String::new() } else { flag(self.ties.contains(&at)) };
+            let tie = if untested || self.unranked.contains(&at) {
+                String::new()
+            } else {
+                flag(self.ties.contains(&at))
+            };
             cells.extend([flag(self.best == Some(at)), tie]);
             cells.extend(line.latencies.iter().flat_map(|latency| {
                 [number(latency.map(|latency| latency.mean)), number(latency.and_then(|latency| latency.std))]
@@ -174,23 +181,26 @@ impl Comparison {
         let best = &self.lines[self.best?];
         let names =
             |lines: &[usize]| lines.iter().map(|at| self.lines[*at].name()).collect::<Vec<_>>().join("; ");
-        let others = self.lines.len() - 1;
+        let others = self.lines.len() - 1 - self.unranked.len();
         let tested = others - self.untested.len();
         let mut told = Vec::new();
         if !self.ties.is_empty() {
             told.push(format!("with 95 % confidence it cannot be told from {}", names(&self.ties)));
-        } else if tested == others {
+        } else if tested == others && others > 0 {
             let all = if others == 1 { "the other" } else { "every other" };
             told.push(format!("{all} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
             told.push(format!(
-                "too few iterations to tell whether it differs from {} ({ENOUGH} of each run are needed)",
+                "too few iterations to tell whether it differs from {} ({MIN_VALUES} of each run are needed)",
                 names(&self.untested)
             ));
         }
-        let ties = told.join("; ");
-        Some(format!("The smallest mean total ({}) is that of {}; {ties}.", self.total(), best.name()))
+        if !self.unranked.is_empty() {
+            told.push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
+        }
+        let verdicts = told.join("; ");
+        Some(format!("The smallest mean total ({}) is that of {}; {verdicts}.", self.total(), best.name()))
     }
 
     /// Which of the totals the best is found by.

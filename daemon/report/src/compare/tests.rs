@@ -128,7 +128,7 @@ fn repeats_are_taken_together_and_others_are_not() {
         text.contains("Repeats are taken together; their mean totals: no, LAN: 17.5 – 19.5 ms."),
         "{text}"
     );
-    let apart = Comparison::with(&runs, Repeats::Apart, 1);
+    let apart = Comparison::with(&runs, Repeats::Apart);
     assert_eq!(apart.axes, ["resize", "network", "repeat"]);
     assert_eq!(apart.lines.len(), 3);
 }

@@ -23,7 +23,7 @@ pub(crate) use ended_early::lasted;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;
-pub use time_series::{Beginning, Outliers, TimeSeries, batch_means};
+pub use time_series::{Beginning, Outliers, TimeSeries};
 pub use trust_input::{Clocks, Counts, Missing, TrustInput};
 
 use std::cmp::Reverse;

@@ -4,16 +4,13 @@ use std::ops::Range;
 
 use peernet_statistics::Summary;
 
+use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 use crate::order::Ordered;
 
 /// Iterations that count as a run's beginning, at least.
 const BEGINNING: u64 = 20;
 /// Most blocks that a run is cut into, of which the first is its beginning.
 const MOST_BLOCKS: u64 = 200;
-/// Batches of which the trend is found, at most: more add nothing (Schmeiser 1982).
-const MOST_BATCHES: u64 = 30;
-/// Least iterations of a batch.
-const LEAST_BATCH: u64 = 10;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
 const DRIFT: f64 = 0.05;
 /// What makes the median of the distances from the median the standard deviation of a normal distribution.
@@ -34,8 +31,6 @@ pub struct TimeSeries {
     pub mean: f64,
     /// Medians of batches of about as many values each, in order: at most 30 of at least ten values.
     pub batches: Vec<f64>,
-    /// Their means, likewise.
-    pub batch_means: Vec<f64>,
     /// Median of the first half of the values and of the second.
     pub halves: Option<(f64, f64)>,
     /// The first values against the rest.
@@ -72,68 +67,20 @@ pub struct Outliers {
     pub influence: f64,
 }
 
-/// How many values there are at each place, in order of time.
-trait Weights {
-    fn len(&self) -> usize;
-    fn weight(&self, at: usize) -> u64;
-}
-
-/// Values in order of time, singly or summed up in buckets.
-trait Flow: Weights {
+/// A series with medians of its parts.
+trait Medians: Series {
     fn median(&self, range: Range<usize>) -> Option<f64>;
-    fn mean(&self, range: Range<usize>) -> Option<f64>;
 }
 
-impl Weights for [f64] {
-    fn len(&self) -> usize {
-        <[f64]>::len(self)
-    }
-
-    fn weight(&self, _at: usize) -> u64 {
-        1
-    }
-}
-
-impl Flow for [f64] {
+impl Medians for [f64] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         self[range].iter().copied().collect::<Ordered>().median()
     }
-
-    fn mean(&self, range: Range<usize>) -> Option<f64> {
-        let values = &self[range];
-        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-    }
 }
 
-/// Counts and means of buckets.
-impl Weights for [(u64, f64)] {
-    fn len(&self) -> usize {
-        <[(u64, f64)]>::len(self)
-    }
-
-    fn weight(&self, at: usize) -> u64 {
-        self[at].0
-    }
-}
-
-impl Weights for [Summary] {
-    fn len(&self) -> usize {
-        <[Summary]>::len(self)
-    }
-
-    fn weight(&self, at: usize) -> u64 {
-        self[at].count()
-    }
-}
-
-impl Flow for [Summary] {
+impl Medians for [Summary] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         merged(&self[range]).quantile(0.5)
-    }
-
-    fn mean(&self, range: Range<usize>) -> Option<f64> {
-        let moments = merged(&self[range]).moments;
-        (moments.count > 0).then_some(moments.mean)
     }
 }
 
@@ -195,70 +142,32 @@ impl TimeSeries {
         self.change().is_some_and(|share| share.abs() >= DRIFT)
     }
 
-    fn over_time<F: Flow + ?Sized>(flow: &F) -> Self {
-        let count = weight(flow);
+    fn over_time<S: Medians + ?Sized>(series: &S) -> Self {
+        let count = series.total_count();
         let medians = |ranges: &[Range<usize>]| -> Vec<f64> {
-            ranges.iter().filter_map(|range| flow.median(range.clone())).collect()
+            ranges.iter().filter_map(|range| series.median(range.clone())).collect()
         };
-        let ranges = batches(flow);
-        let (batches, batch_means) =
-            (medians(&ranges), ranges.into_iter().filter_map(|range| flow.mean(range)).collect());
-        let halves = match medians(&parts(flow, 2)).as_slice() {
+        let batches = medians(&series.parts((count / MIN_BATCH_VALUES).min(MAX_BATCHES)));
+        let halves = match medians(&series.parts(2)).as_slice() {
             [first, second] => Some((*first, *second)),
             _ => None,
         };
-        let blocks = parts(flow, (count / BEGINNING).min(MOST_BLOCKS));
+        let blocks = series.parts((count / BEGINNING).min(MOST_BLOCKS));
         let beginning =
             blocks.split_first().filter(|(_, later)| !later.is_empty()).and_then(|(first, later)| {
-                let median = flow.median(first.clone())?;
+                let median = series.median(first.clone())?;
                 let others = medians(later);
                 let as_high = others.iter().filter(|other| **other >= median).count();
                 Some(Beginning {
-                    count: first.clone().map(|at| flow.weight(at)).sum(),
+                    count: first.clone().map(|at| series.count(at)).sum(),
                     median,
-                    rest: flow.median(first.end..flow.len())?,
+                    rest: series.median(first.end..series.places())?,
                     as_high: as_high as f64 / others.len() as f64,
                     blocks: others.len(),
                 })
             });
-        Self { batches, batch_means, halves, beginning, ..Self::default() }
+        Self { batches, halves, beginning, ..Self::default() }
     }
-}
-
-/// The means of the batches of a course, as [`TimeSeries::batch_means`], of counts and means of buckets in order of time.
-pub fn batch_means(buckets: &[(u64, f64)]) -> Vec<f64> {
-    let mean = |range: Range<usize>| {
-        let (count, sum) = buckets[range]
-            .iter()
-            .fold((0, 0.0), |(all, sum), (count, mean)| (all + count, sum + mean * *count as f64));
-        (count > 0).then(|| sum / count as f64)
-    };
-    batches(buckets).into_iter().filter_map(mean).collect()
-}
-
-fn weight<W: Weights + ?Sized>(flow: &W) -> u64 {
-    (0..flow.len()).map(|at| flow.weight(at)).sum()
-}
-
-/// At most 30 parts of at least ten values.
-fn batches<W: Weights + ?Sized>(flow: &W) -> Vec<Range<usize>> {
-    parts(flow, (weight(flow) / LEAST_BATCH).min(MOST_BATCHES))
-}
-
-/// Parts of about the same weight, at most so many, none empty: buckets are not divided.
-fn parts<W: Weights + ?Sized>(flow: &W, parts: u64) -> Vec<Range<usize>> {
-    let all = weight(flow);
-    let (mut ranges, mut from, mut sum) = (Vec::new(), 0, 0);
-    for at in 0..flow.len() {
-        sum += flow.weight(at);
-        // The end of the part that is being filled lies at this share of all.
-        let end = u128::from(all) * (ranges.len() as u128 + 1);
-        if u128::from(sum) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
-            ranges.push(from..at + 1);
-            from = at + 1;
-        }
-    }
-    ranges
 }
 
 fn merged(summaries: &[Summary]) -> Summary {
@@ -282,17 +191,6 @@ mod tests {
     }
 
     #[test]
-    fn parts_are_of_about_the_same_weight_and_cover_everything() {
-        let values = vec![1.0; 103];
-        let ranges = parts(values.as_slice(), 10);
-        assert_eq!((ranges.len(), ranges[0].start, ranges[9].end), (10, 0, 103));
-        assert!(ranges.iter().all(|range| (10..=11).contains(&range.len())), "{ranges:?}");
-        let buckets: Vec<Summary> = [5, 50, 1, 1, 1].map(|count| summary(&vec![1.0; count])).to_vec();
-        assert_eq!(parts(buckets.as_slice(), 2), [0..2, 2..5]);
-        assert!(parts(values.as_slice(), 0).is_empty());
-    }
-
-    #[test]
     fn values_and_their_summaries_tell_the_same() {
         // A saw tooth with a tenth that is slow, and a slow beginning.
         let value = |n: u32| {
@@ -310,11 +208,6 @@ mod tests {
         assert_eq!((exact.count, stored.count, exact.outliers.max), (1200, 1200, stored.outliers.max));
         assert!(near(exact.median, stored.median) && (exact.mean - stored.mean).abs() < 1e-12);
         assert_eq!(exact.batches.len(), 30);
-        let means: Vec<(u64, f64)> =
-            buckets.iter().map(|bucket| (bucket.count(), bucket.moments.mean)).collect();
-        let of_means = batch_means(&means);
-        assert_eq!(of_means.len(), stored.batch_means.len());
-        assert!(of_means.iter().zip(&stored.batch_means).all(|(a, b)| (a - b).abs() < 1e-12));
         assert!(exact.batches.iter().zip(&stored.batches).all(|(a, b)| near(*a, *b)));
         assert_eq!(exact.outliers.count, stored.outliers.count, "{:?} {:?}", exact.outliers, stored.outliers);
         assert!(near(exact.outliers.influence, stored.outliers.influence));

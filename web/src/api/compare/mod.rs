@@ -13,7 +13,7 @@ use self::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded};
 use crate::state::App;
-use crate::view::compare::{Which, courses, difference, gather};
+use crate::view::compare::{Differences, Which, gather, run_means};
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -32,11 +32,15 @@ struct CompareQuery {
     /// are taken together.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
+    /// Number of a compared run: the others are compared with its configuration. Unless it is given, with the first one.
+    #[allow(dead_code, reason = "describes the parameter")]
+    #[param(value_type = Option<i64>)]
+    baseline: Option<String>,
 }
 
 /// Runs side by side. Means and standard deviations of several runs are exact, quantiles are of all runs of a configuration
-/// together and within 1 %; of two configurations the differences of the means are given with a 95 % interval (Welch, from
-/// the means of at most 30 stretches of each run).
+/// together and within 1 %. The differences of the means to the baseline are given with a 95 % interval (Welch, from the means of at
+/// most 30 batches of each run).
 #[utoipa::path(get, path = "/api/v1/compare", operation_id = "compareRuns", tag = "runs", params(CompareQuery), responses(
     (status = 200, body = Comparison),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -45,15 +49,15 @@ async fn compare(
     State(app): State<App>,
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
-    let which = Which::of(&query, "runs or experiment")?;
+    let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == "baseline");
+    let which = Which::of(&query, "runs or experiment, and with either baseline")?;
     let which = which.ok_or_else(|| {
         WebError::BadRequest("query parameter runs: name runs, or an experiment".to_owned())
     })?;
     let comparison = gather(app.store(), &which).await?;
-    let differences = match (comparison.configurations.as_slice(), courses(app.store(), &comparison).await?) {
-        ([first, second], Some((a, b))) => difference((first, &a), (second, &b)),
-        _ => Vec::new(),
-    };
+    let baseline = comparison.baseline(baseline.last().map(|(_, run)| run.as_str()))?;
+    let means = run_means(app.store(), &comparison).await?;
+    let differences = Differences::of(&comparison, &means, baseline);
     Ok(Json(Comparison::new(&comparison, &differences)))
 }
 

@@ -1,7 +1,5 @@
 //! Runs side by side, and experiments.
 
-use peernet_logger::Name;
-use peernet_report::batches;
 use peernet_store::{self as store, Figures};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -48,9 +46,16 @@ pub(crate) struct Comparison {
     /// What the configurations differ in.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
-    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare.
+    /// Settings in which they differ as well, and those that the experiment declares for all alike.
+    pub settings: Vec<Setting>,
+    /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare. Configurations whose
+    /// model only answers what it was sent are left out where others compute.
     pub best: Option<String>,
-    /// The second configuration less the first, where there are exactly two.
+    /// Letters of the configurations whose mean of `total` is larger than the lowest by no more than chance.
+    pub ties: Vec<String>,
+    /// Letter of the configuration that the others are compared with.
+    pub baseline: Option<String>,
+    /// Each other configuration less the baseline, stage by stage, where the interval is known.
     pub differences: Vec<Difference>,
     /// What keeps the figures from being taken as they stand, in sentences: starts that were skipped.
     pub doubts: Vec<String>,
@@ -72,8 +77,10 @@ pub(crate) struct LeftOut {
 /// Runs of one configuration, taken together.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Configuration {
-    /// What the dashboard calls it.
+    /// `A`, `B` and so on, in the order of the list.
     pub letter: String,
+    /// What differs from the others, in words; unique.
+    pub name: String,
     /// Its value on each axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
@@ -96,9 +103,19 @@ pub(crate) struct ComparedStage {
     pub figures: Figures,
 }
 
+/// A setting with its value in each configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub(crate) struct Setting {
+    pub name: String,
+    /// In the order of `configurations`.
+    pub values: Vec<String>,
+}
+
 /// A difference of two means, seconds.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Difference {
+    /// Letter of the configuration that is compared with the baseline.
+    pub configuration: String,
     pub name: String,
     pub value: f64,
     /// Lower and upper end of the 95 % interval.
@@ -108,17 +125,15 @@ pub(crate) struct Difference {
 }
 
 impl Comparison {
-    pub(crate) fn new(
-        comparison: &compare::Comparison,
-        differences: &[(Name, Option<batches::Difference>, compare::Changed)],
-    ) -> Self {
+    pub(crate) fn new(comparison: &compare::Comparison, differences: &compare::Differences) -> Self {
         let stage = |stage: &store::StageStatistics| ComparedStage {
             name: stage.stage.to_string(),
             unit: stage.unit.clone(),
             figures: stage.figures,
         };
-        let configuration = |one: &compare::Configuration| Configuration {
-            letter: one.letter.clone(),
+        let configuration = |(at, one): (usize, &compare::Configuration)| Configuration {
+            letter: letter(at),
+            name: one.name.clone(),
             values: one.values.clone(),
             runs: one.runs.iter().map(|run| run.number).collect(),
             starts: one.starts().all(),
@@ -126,23 +141,56 @@ impl Comparison {
             stages: one.stages.iter().map(stage).collect(),
         };
         let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };
-        let known = differences.iter().filter_map(|(name, found, _)| Some((name, (*found)?)));
+        let known = differences.others.iter().flat_map(|(place, stages)| {
+            let known = |stage: &compare::StageDifference| {
+                let found = stage.found?;
+                Some(Difference {
+                    configuration: letter(*place),
+                    name: stage.name.to_string(),
+                    value: found.value,
+                    interval: found.interval?.into(),
+                    certain: found.is_distinct()?,
+                })
+            };
+            stages.iter().filter_map(known).collect::<Vec<_>>()
+        });
+        let setting = |one: &compare::Setting| Setting { name: one.name.clone(), values: one.values.clone() };
+        let ranking = differences.ranking.as_ref();
         Self {
             experiment: comparison.experiment.as_ref().map(|(_, id)| id.clone()),
             axes: comparison.axes.clone(),
-            configurations: comparison.configurations.iter().map(configuration).collect(),
-            best: comparison.best().map(|at| comparison.configurations[at].letter.clone()),
-            differences: known
-                .map(|(name, found)| Difference {
-                    name: name.to_string(),
-                    value: found.value,
-                    interval: [found.interval.0, found.interval.1],
-                    certain: found.is_certain(),
-                })
-                .collect(),
+            settings: comparison.settings.iter().map(setting).collect(),
+            configurations: comparison.configurations.iter().enumerate().map(configuration).collect(),
+            best: ranking.map(|ranking| letter(ranking.best)),
+            ties: ranking.map(|ranking| ranking.ties().into_iter().map(letter).collect()).unwrap_or_default(),
+            baseline: (!comparison.configurations.is_empty()).then(|| letter(differences.baseline)),
+            differences: known.collect(),
             doubts: compare::doubts(comparison),
             left_out: comparison.left_out.iter().map(left_out).collect(),
             cut: comparison.cut,
         }
+    }
+}
+
+/// `A` to `Z`, then `AA`.
+fn letter(mut at: usize) -> String {
+    let mut text = String::new();
+    loop {
+        text.insert(0, char::from(b'A' + (at % 26) as u8));
+        at = match (at / 26).checked_sub(1) {
+            Some(rest) => rest,
+            None => return text,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::letter;
+
+    #[test]
+    fn configurations_have_letters() {
+        let letters: Vec<String> = [0, 1, 25, 26, 51, 52, 701, 702].map(letter).to_vec();
+        assert_eq!(letters, ["A", "B", "Z", "AA", "AZ", "BA", "ZZ", "AAA"]);
     }
 }

@@ -14,15 +14,15 @@ use super::check;
 use crate::error::WebError;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
-use crate::view::compare::Configuration;
-use crate::view::compare::tests::{comparison, configuration, course};
+use crate::view::compare::tests::{comparison, configuration, totals};
+use crate::view::compare::{Configuration, RunMeans};
 
-async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) -> String {
+async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-    let courses = means.map(|(a, b)| (vec![course(a, 20)], vec![course(b, 20)]));
-    let html =
-        rendered(shell, &comparison(configurations), courses.as_ref(), None).expect("nothing asked for");
+    let comparison = comparison(configurations);
+    let means = if is_long { totals(&comparison, 20) } else { RunMeans::new() };
+    let html = rendered(shell, &comparison, &means, (None, None)).expect("nothing asked for");
     check(&html);
     html
 }
@@ -30,15 +30,16 @@ async fn page_of(configurations: Vec<Configuration>, means: Option<(f64, f64)>) 
 async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-    rendered(shell, &comparison(configurations.to_vec()), None, Some(stage)).inspect(|html| check(html))
+    rendered(shell, &comparison(configurations.to_vec()), &RunMeans::new(), (Some(stage), None))
+        .inspect(|html| check(html))
 }
 
 #[tokio::test]
 async fn two_configurations_have_a_difference_with_its_interval() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two, Some((0.0241, 0.0160))).await;
+    let html = page_of(two, true).await;
     assert!(
-        html.contains("<h2 id=\"cd-h\">B less A</h2>") && html.contains("95&#x202f;% interval"),
+        html.contains("<h2 id=\"cd-h\">Difference to A</h2>") && html.contains("95&#x202f;% interval"),
         "{html}"
     );
     assert!(
@@ -52,14 +53,11 @@ async fn two_configurations_have_a_difference_with_its_interval() {
 #[tokio::test]
 async fn several_configurations_have_a_table_bars_and_a_plot() {
     let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
-    let html = page_of(many.collect(), None).await;
+    let html = page_of(many.collect(), false).await;
     let stacked = html.split("How the total spreads").next().expect("what stands before");
     assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
     assert!(html.contains("Latency against payload") && html.contains("sizes"), "{html}");
-    assert!(
-        html.contains("total of A, B, C, D, E, F, G, H: ") && html.contains("more per MB sent"),
-        "{html}"
-    );
+    assert!(html.contains("total: ") && html.contains("more per MB sent"), "{html}");
     let latency = html.split("id=\"cw-h\"").next().expect("what stands before");
     assert_eq!(
         latency.matches("<path class=\"fit").count(),
@@ -76,7 +74,7 @@ async fn accuracies_stand_beside_the_latencies() {
     let mut top = one.stages[0].clone();
     (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.842);
     one.stages.push(top);
-    let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], None).await;
+    let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], false).await;
     assert!(html.contains(">Top-1</th>") && html.contains(">84.2 <span class=\"pm\">("), "{html}");
 }
 
@@ -89,12 +87,12 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
         one.stages.push(top);
         one
     };
-    let html = page_of(vec![with(0, 0.7), with(1, 0.842)], None).await;
+    let html = page_of(vec![with(0, 0.7), with(1, 0.842)], false).await;
     assert!(html.contains("Accuracy against latency") && html.contains("B 84.2\u{202f}% at"), "{html}");
     assert!(html.contains("median total, ms, logarithmic"), "one takes sixteen times as long: {html}");
     let panel = html.split("Accuracy against latency").nth(1).expect("a panel");
     assert_eq!(panel.matches("class=\"whisk\"").count(), 2, "each with its interval: {panel}");
-    let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], None).await;
+    let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
     assert!(!html.contains("Accuracy against latency"), "one point is no plot");
 }
 
@@ -117,42 +115,67 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
         }
         one
     };
-    let html = page_of(vec![with(0, 1), with(1, 2), with(2, 4)], None).await;
+    let html = page_of(vec![with(0, 1), with(1, 2), with(2, 4)], false).await;
     assert!(html.contains("Latency against the number of users"), "{html}");
     assert!(html.contains("B: 48.1\u{202f}ms at 2 users, C: 80.2\u{202f}ms at 4 users"), "{html}");
     // 305 answers of each in a minute.
     assert!(html.contains(">10.2</td>") && html.contains(">5.08 – 5.08</td>"), "{html}");
     assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
-    let html = page_of(vec![with(0, 1), with(1, 1)], None).await;
+    let html = page_of(vec![with(0, 1), with(1, 1)], false).await;
     assert!(!html.contains("number of users"), "each was alone");
 }
 
 #[tokio::test]
-async fn too_little_for_an_interval_is_said_with_who_has_how_little() {
-    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+async fn interval_that_cannot_be_known_is_explained() {
+    let two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-    let courses = (vec![course(0.0241, 3)], vec![course(0.0160, 20)]);
-    let html = rendered(shell, &comparison(two), Some(&courses), None).expect("nothing asked for");
+    let html = rendered(shell, &two, &totals(&two, 3), (None, None)).expect("nothing asked for");
     check(&html);
-    assert!(html.contains("an interval needs 5 stretches on each side"), "{html}");
-    assert!(html.contains("of total, A has 3 and B has 20: A is too short to tell."), "{html}");
+    assert!(
+        html.contains("an interval needs at least 30 iterations of each run, in at least 5 stretches"),
+        "{html}"
+    );
+    assert!(
+        html.contains("cannot be told") && html.contains("too little is known of A to tell more"),
+        "{html}"
+    );
+}
+
+#[tokio::test]
+async fn baseline_can_be_chosen_among_configurations() {
+    let three = comparison((0..3).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect());
+    let (app, _folder) = samples::app().await;
+    let page = |baseline| {
+        let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
+        rendered(shell, &three, &totals(&three, 20), (None, Some(baseline)))
+    };
+    let html = page("2").expect("it is compared");
+    check(&html);
+    assert!(
+        html.contains("Difference to B</h2>") && html.contains("<option value=\"2\" selected>B</option>"),
+        "{html}"
+    );
+    let differences = html.split("id=\"cd-h\"").nth(1).expect("a panel");
+    assert_eq!(differences.matches("<details class=\"other\"").count(), 2, "{differences}");
+    assert!(differences.contains("<b>A</b>") && differences.contains("<b>C</b>"), "{differences}");
+    assert!(matches!(page("9"), Err(WebError::BadRequest(_))));
 }
 
 #[tokio::test]
 async fn runs_without_an_iteration_can_be_looked_at() {
     let mut empty = configuration(0, Remote, 1.0, 1e3);
     empty.stages.clear();
-    let html = page_of(vec![empty.clone(), Configuration { letter: "B".to_owned(), ..empty }], None).await;
+    let html = page_of(vec![empty.clone(), Configuration { name: "B".to_owned(), ..empty }], false).await;
     assert!(html.contains("No successful iteration of these runs is stored yet"), "{html}");
 }
 
 #[tokio::test]
 async fn starts_that_were_skipped_stand_below_the_title() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    assert!(!page_of(two.clone(), None).await.contains("skipped"));
+    assert!(!page_of(two.clone(), false).await.contains("skipped"));
     (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
-    let html = page_of(two, None).await;
+    let html = page_of(two, false).await;
     let head = html.split("<section").next().expect("a head");
     assert!(head.contains("that was ordered: B: 73 of 200 starts (36.5 %).</span>"), "{head}");
 }
@@ -161,7 +184,7 @@ async fn starts_that_were_skipped_stand_below_the_title() {
 async fn throughput_is_drawn_against_payload_with_its_numbers() {
     let many: Vec<_> =
         (0..5).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e5 * (at + 1) as f64)).collect();
-    let html = page_of(many.clone(), None).await;
+    let html = page_of(many.clone(), false).await;
     let panel = html.split("id=\"cw-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");
     assert_eq!(panel.matches("<circle class=\"f-upload cut\"").count(), 5, "{panel}");
@@ -172,12 +195,9 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
         5,
         "downloads are all of one size: {panel}"
     );
+    assert!(panel.contains("upload: ") && panel.contains("by the slope of a line"), "{panel}");
     assert!(
-        panel.contains("upload of A, B, C, D, E: ") && panel.contains("by the slope of a line"),
-        "{panel}"
-    );
-    assert!(
-        !page_of(many[..2].to_vec(), None).await.contains("Throughput against payload"),
+        !page_of(many[..2].to_vec(), false).await.contains("Throughput against payload"),
         "two are no plot"
     );
 }
@@ -185,7 +205,7 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
 #[tokio::test]
 async fn totals_and_inferences_are_boxes() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two, None).await;
+    let html = page_of(two, false).await;
     assert!(html.contains("How the total spreads") && html.contains("whiskers from p5 to p95"), "{html}");
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
 }
@@ -199,7 +219,7 @@ fn panel(html: &str) -> &str {
 #[tokio::test]
 async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two.clone(), None).await;
+    let html = page_of(two.clone(), false).await;
     let all = panel(&html);
     let titles =
         ["Total", "Sensing time", "Upload time", "Inference time", "Download time", "Upload throughput"];
@@ -233,13 +253,13 @@ async fn few_runs_have_all_distributions_at_once_and_one_at_a_time_on_request() 
     let refused = asked_for(&two, "<b>").await.expect_err("nobody has it").to_string();
     assert!(refused.contains("no run that is compared has \"<b>\"; ask for"), "{refused}");
 
-    let alone = page_of(two[..1].to_vec(), None).await;
+    let alone = page_of(two[..1].to_vec(), false).await;
     assert_eq!(panel(&alone).matches("<figcaption>").count(), 6);
     two.iter_mut().for_each(|one| {
         one.stages.clear();
         one.kept = Default::default();
     });
-    assert!(!page_of(two, None).await.contains("id=\"distributions\""));
+    assert!(!page_of(two, false).await.contains("id=\"distributions\""));
 }
 
 #[tokio::test]
@@ -251,7 +271,7 @@ async fn many_runs_have_one_quantity_at_a_time_and_the_first_of_each_configurati
         let again: Vec<_> = again.collect();
         one.runs.extend(again);
     }
-    let html = page_of(many, None).await;
+    let html = page_of(many, false).await;
     let drawn = panel(&html);
     assert_eq!((drawn.matches("<h3").count(), drawn.matches("<figcaption>").count()), (1, 24), "{drawn}");
     assert!(drawn.contains("24 of 100 runs: ") && drawn.contains("> ms, logarithmic</span>"), "{drawn}");

@@ -6,16 +6,16 @@ use super::super::compare::rendered;
 use super::check;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
-use crate::view::compare::Configuration;
 use crate::view::compare::lengths::tests::{answered, talking};
 use crate::view::compare::tests::{comparison, configuration};
+use crate::view::compare::{Configuration, RunMeans};
 
 const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-    let html = rendered(shell, &comparison(configurations), None, None).expect("renders");
+    let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None)).expect("renders");
     check(&html);
     html
 }
@@ -64,7 +64,7 @@ async fn what_there_is_no_room_for_is_named() {
     let panel = panel(&html);
     assert_eq!(panel.matches("<figcaption>").count(), 6, "{panel}");
     assert!(
-        panel.contains("The first 6 whose answers differ in length; those of G, H, I do, too."),
+        panel.contains("The first 6 whose answers differ in length; those of G; H; I do, too."),
         "{panel}"
     );
 }

@@ -12,12 +12,13 @@ use super::check;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
 use crate::view::compare::tests::{comparison, configuration, run_courses};
-use crate::view::compare::{Configuration, over_time};
+use crate::view::compare::{Configuration, RunMeans, over_time};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-    let html = rendered(shell, &comparison(configurations), None, None).expect("nothing asked for");
+    let html = rendered(shell, &comparison(configurations), &RunMeans::new(), (None, None))
+        .expect("nothing asked for");
     check(&html);
     let panel = html.split("id=\"cc-h\"").nth(1)?;
     panel.split("</section>").next().map(str::to_owned)
@@ -91,7 +92,7 @@ async fn runs_without_a_single_answer_are_named() {
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
         let shell = Shell::new(&app, &app.picture(), "/compare", "Compare");
-        rendered(shell, &comparison(all.to_vec()), None, None).expect("nothing asked for")
+        rendered(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None)).expect("nothing asked for")
     };
     let html = page(&all);
     check(&html);
@@ -102,19 +103,24 @@ async fn runs_without_a_single_answer_are_named() {
 }
 
 #[tokio::test]
-async fn a_run_of_fewer_than_a_few_points_says_how_long_it_was() {
+async fn short_run_says_how_long_it_was_and_shorter_one_is_not_drawn() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let whole = panel_of(vec![one.clone()]).await.expect("a panel");
     assert!(!whole.contains("from first to last start"), "{whole}");
-    one.runs[0].last_iteration = Some(samples::NOW + Span::from_nanos(5_300_000));
+    one.runs[0].last_iteration = Some(samples::NOW + Span::from_millis(2_530));
     let known = comparison(vec![one]);
-    let mut courses = run_courses(&known);
-    for course in courses.values_mut() {
-        let points = &mut course.series.stages[0].points;
-        points.truncate(1);
-        points[0].at = samples::NOW - Span::from_millis(150);
-        course.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
-    }
-    let short = over_time(&known, &courses).expect("a point");
-    assert_eq!(short.runs[0].said, "points of 1\u{202f}s, 5.30\u{202f}ms from first to last start");
+    let of_points = |count: usize| {
+        let mut courses = run_courses(&known);
+        for course in courses.values_mut() {
+            course.series.stages[0].points.truncate(count);
+            for (at, point) in course.series.stages[0].points.iter_mut().enumerate() {
+                point.at = samples::NOW + Span::from_seconds(at as i64) - Span::from_millis(150);
+            }
+            course.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
+        }
+        over_time(&known, &courses)
+    };
+    let short = of_points(3).expect("three points");
+    assert_eq!(short.runs[0].said, "points of 1\u{202f}s, 2.5\u{202f}s from first to last start");
+    assert!(of_points(2).is_none(), "two points say nothing about time");
 }

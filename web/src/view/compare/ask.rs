@@ -14,7 +14,7 @@ const USUAL: &str = "127.0.0.1:8040";
 /// What speaks against the means: starts that were skipped, and iterations without an answer.
 pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
-    let skipped = skipped_starts(configurations.iter().map(|one| (one.letter.clone(), one.starts())));
+    let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
     let unanswered = configurations.iter().filter_map(|one| {
         let counts = one.runs.iter().map(|run| run.counts);
         let (answered, all) = counts.fold((0, 0), |(answered, all), counts| {
@@ -25,7 +25,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
         (without > 0).then(|| {
             format!(
                 "{}: {} of {} iterations have no answer; the figures are those of the others.",
-                one.letter,
+                one.name,
                 count(without),
                 count(all)
             )
@@ -39,7 +39,7 @@ pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let of = comparison.configurations.iter().filter_map(|one| {
         let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;
         let all = one.runs.iter().map(|run| run.counts.ok).sum();
-        Some(format!("{}. {}", one.letter, unknown.sentence(all)))
+        Some(format!("{}. {}", one.name, unknown.sentence(all)))
     });
     of.collect()
 }

@@ -1,19 +1,20 @@
 //! What the runs of a comparison differ in.
 
-use peernet_report::compare::is_opaque;
+use peernet_report::compare::{ChosenColumns, Column, choose_columns};
 use peernet_statistics::number::NONE;
 use peernet_store::RunDetail;
-use peernet_stream::ExperimentPlace;
 
 use crate::view::place;
 
-/// What is not the same for all runs.
+/// What tells runs apart.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Differing {
     /// What becomes a column.
     pub(super) axes: Vec<String>,
     /// The value of each run on each axis.
     pub(super) values: Vec<Vec<String>>,
+    /// What differs as well, or is declared and the same for all; a value for each run.
+    pub(super) settings: Vec<Column>,
     /// Names of what differs as well, in hashes, paths or lists that no table has room for.
     pub(super) also: Vec<String>,
 }
@@ -21,44 +22,48 @@ pub(super) struct Differing {
 impl Differing {
     /// The axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let configuration = |run: &RunDetail| {
-            let place = run.summary.experiment.as_ref();
-            place.map_or(&[][..], |place: &ExperimentPlace| &place.configuration).to_vec()
+        let place = |run: &RunDetail| {
+            run.summary.experiment.as_ref().map_or_else(Vec::new, |place| place.configuration.clone())
         };
-        Self::tabulated(runs, configuration)
+        let all = tabulated(runs, place);
+        // Of a single configuration its declared values are what it is known by.
+        let has_several = all.iter().any(Column::differs);
+        let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
+        Self::of(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
-    /// What is known of the runs and not the same for all of them.
+    /// As few facts of the runs as tell them apart.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
-        let Self { axes, values, .. } = Self::tabulated(runs, known);
-        let differs = |at: usize| values.iter().any(|row| row[at] != values[0][at]);
-        // Several names for one difference are one difference.
-        let same = |a: usize, b: usize| values.iter().all(|row| row[a] == row[b]);
-        let differing: Vec<usize> =
-            (0..axes.len()).filter(|at| differs(*at) && !(0..*at).any(|before| same(before, *at))).collect();
-        let is_opaque = |at: &usize| is_opaque(values.iter().map(|row| row[*at].as_str()));
-        let (also, kept): (Vec<usize>, Vec<usize>) = differing.into_iter().partition(is_opaque);
-        let names = |places: &[usize]| places.iter().map(|at| axes[*at].clone()).collect();
-        let pick = |row: &Vec<String>| kept.iter().map(|at| row[*at].clone()).collect();
-        Self { axes: names(&kept), values: values.iter().map(pick).collect(), also: names(&also) }
+        let all = tabulated(runs, known).into_iter().filter(Column::differs);
+        Self::of(runs.len(), choose_columns(all.collect()))
     }
 
-    /// All names that any run has, in the order in which they come.
-    fn tabulated(runs: &[RunDetail], pairs: impl Fn(&RunDetail) -> Vec<(String, String)>) -> Self {
-        let rows: Vec<Vec<(String, String)>> = runs.iter().map(pairs).collect();
-        let mut axes: Vec<String> = Vec::new();
-        for (axis, _) in rows.iter().flatten() {
-            if !axes.contains(axis) {
-                axes.push(axis.clone());
-            }
+    fn of(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
+        let (also, settings): (Vec<Column>, Vec<Column>) = rest.into_iter().partition(Column::is_opaque);
+        let row = |run: usize| columns.iter().map(|column| column.labels[run].clone()).collect();
+        Self {
+            values: (0..runs).map(row).collect(),
+            axes: columns.iter().map(|column| column.axis.clone()).collect(),
+            settings,
+            also: also.into_iter().map(|column| column.axis).collect(),
         }
-        let value = |row: &[(String, String)], axis: &String| {
-            let found = row.iter().find(|(name, _)| name == axis);
-            found.map_or_else(|| NONE.to_owned(), |(_, value)| value.clone())
-        };
-        let values = rows.iter().map(|row| axes.iter().map(|axis| value(row, axis)).collect()).collect();
-        Self { axes, values, also: Vec::new() }
     }
+}
+
+/// Everything that is known of any run, in the order of its first appearance.
+fn tabulated(runs: &[RunDetail], known: impl Fn(&RunDetail) -> Vec<(String, String)>) -> Vec<Column> {
+    let facts: Vec<Vec<(String, String)>> = runs.iter().map(known).collect();
+    let mut columns: Vec<Column> = Vec::new();
+    for (run, (axis, value)) in
+        facts.iter().enumerate().flat_map(|(run, facts)| facts.iter().map(move |fact| (run, fact)))
+    {
+        let at = columns.iter().position(|column| column.axis == *axis).unwrap_or_else(|| {
+            columns.push(Column { axis: axis.clone(), labels: vec![NONE.to_owned(); runs.len()] });
+            columns.len() - 1
+        });
+        columns[at].labels[run].clone_from(value);
+    }
+    columns
 }
 
 fn known(run: &RunDetail) -> Vec<(String, String)> {
@@ -100,5 +105,14 @@ mod tests {
         assert_eq!(found.axes, ["Load"]);
         assert_eq!(found.values, [["closed"], ["20 Hz"]]);
         assert_eq!(found.also, ["Model files", "Model libraries"]);
+    }
+
+    #[test]
+    fn columns_are_as_few_as_tell_runs_apart() {
+        let of = |at, load: &str| detail(at, &[("Load", load), ("Threads", load), ("Sensor", "camera")]);
+        let found = Differing::of_runs(&[of(1, "closed"), of(2, "20 Hz")]);
+        assert_eq!(found.axes, ["Load"]);
+        let labels = ["closed", "20 Hz"].map(str::to_owned).to_vec();
+        assert_eq!(found.settings, [Column { axis: "Threads".to_owned(), labels }]);
     }
 }

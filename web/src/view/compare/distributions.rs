@@ -42,7 +42,7 @@ pub(crate) struct Group {
 /// One quantity of one run.
 pub(crate) struct RunHistogram {
     pub run: i64,
-    pub letter: String,
+    pub name: String,
     pub said: String,
     pub doubt: Option<Chip>,
     pub picture: SmallHistogram,
@@ -65,7 +65,7 @@ pub(crate) enum Address {
 }
 
 impl Address {
-    fn of(comparison: &Comparison) -> Self {
+    pub(crate) fn of(comparison: &Comparison) -> Self {
         let runs = || comparison.runs().map(|run| run.number.to_string()).collect::<Vec<_>>();
         match &comparison.experiment {
             Some((_, id)) => Self::Experiment(id.clone()),
@@ -117,9 +117,9 @@ impl Quantity {
                 median.said
             );
             let label = format!("{} of run {}: {said}", self.title, run.number);
-            let letter = one.letter.clone();
+            let name = one.name.clone();
             let picture = SmallHistogram::new(class, label, samples, &axis, median.within);
-            Some(RunHistogram { run: run.number, letter, said, doubt: median.doubt, picture })
+            Some(RunHistogram { run: run.number, name, said, doubt: median.doubt, picture })
         });
         let runs: Vec<RunHistogram> = runs.collect();
         let room = of.map(|all| {

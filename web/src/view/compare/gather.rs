@@ -3,19 +3,19 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_logger::{Name, stage};
-use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, StageMeans, Store};
+use peernet_report::compare::{Column, computes};
+use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, Store};
+use peernet_stream::Placement;
 
 use super::differing::Differing;
-use super::{Comparison, Configuration, done, letter, order};
+use super::names::names;
+use super::{Comparison, Configuration, Setting, done, order};
 use crate::error::WebError;
 
 /// Most runs that an address may name.
 pub(crate) const MOST_TYPED: usize = 12;
 /// Most runs of an experiment that are compared.
 pub(crate) const MOST_RUNS: u32 = 200;
-/// Most buckets that a run's course is read in.
-const BUCKETS: usize = 120;
 
 /// What an address asks to compare.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,56 +98,77 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
-    let Differing { axes, values, also } =
+    let computing = Computing::of(store, &details).await?;
+    let Differing { axes, values, settings, also } =
         if experiment.is_some() { Differing::of_experiment(&details) } else { Differing::of_runs(&details) };
     let kept: HashMap<i64, Arc<Kept>> =
         numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
     let mut groups: Vec<Group> = Vec::new();
-    for ((detail, statistics), values) in details.into_iter().zip(statistics).zip(values) {
+    for (at, ((detail, statistics), values)) in details.into_iter().zip(statistics).zip(values).enumerate() {
         let known = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
         match known {
             Some(group) => {
                 group.runs.push(detail.summary);
                 group.statistics.push(statistics);
             }
-            None => groups.push(Group { values, runs: vec![detail.summary], statistics: vec![statistics] }),
+            None => {
+                let settings = settings.iter().map(|column| column.labels[at].clone()).collect();
+                groups.push(Group {
+                    values,
+                    settings,
+                    runs: vec![detail.summary],
+                    statistics: vec![statistics],
+                });
+            }
         }
     }
     if experiment.is_some() {
         groups.sort_by(|a, b| order::labels(&a.values, &b.values));
     }
-    let configurations = groups.into_iter().enumerate().map(|(at, group)| {
+    let setting = |(at, column): (usize, &Column)| Setting {
+        name: column.axis.clone(),
+        values: groups.iter().map(|group| group.settings[at].clone()).collect(),
+    };
+    let settings = settings.iter().enumerate().map(setting).collect();
+    let named = names(&axes, groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())));
+    let configurations = groups.into_iter().zip(named).map(|(group, name)| {
         let RunStatistics { stages, bounds, kept } = RunStatistics::together(&group.statistics);
-        Configuration { letter: letter(at), values: group.values, runs: group.runs, stages, bounds, kept }
+        let computes = group.runs.iter().all(|run| computing.is_true_of(run));
+        Configuration { name, values: group.values, runs: group.runs, stages, bounds, kept, computes }
     });
-    Ok(Comparison { experiment, axes, also, configurations: configurations.collect(), kept, left_out, cut })
+    let configurations = configurations.collect();
+    Ok(Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut })
 }
 
-/// The means of each run of a configuration over time.
-pub(crate) type Courses = Vec<Vec<StageMeans>>;
+/// Which models only answer what they are sent.
+struct Computing(Vec<(Placement, bool)>);
 
-/// Reads the courses of both configurations where there are two.
-///
-/// # Errors
-/// When the store cannot be read.
-pub(crate) async fn courses(
-    store: &Store,
-    comparison: &Comparison,
-) -> Result<Option<(Courses, Courses)>, WebError> {
-    let [first, second] = comparison.configurations.as_slice() else { return Ok(None) };
-    let names: Vec<Name> = [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect();
-    let mut both = [Vec::new(), Vec::new()];
-    for (one, read) in [first, second].into_iter().zip(&mut both) {
-        for run in &one.runs {
-            read.push(store.means(run.number, &names, BUCKETS).await?);
+impl Computing {
+    /// Asks about one run of each model and place: what a list of runs says of them does not tell.
+    async fn of(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
+        let mut known: Vec<(Placement, bool)> = Vec::new();
+        for run in runs {
+            if known.iter().any(|(placement, _)| *placement == run.summary.placement) {
+                continue;
+            }
+            let facts = match run.facts.is_empty() {
+                true => store.run(run.summary.number).await?.map(|detail| detail.facts).unwrap_or_default(),
+                false => run.facts.clone(),
+            };
+            known.push((run.summary.placement.clone(), computes(&facts)));
         }
+        Ok(Self(known))
     }
-    let [first, second] = both;
-    Ok(Some((first, second)))
+
+    fn is_true_of(&self, run: &RunSummary) -> bool {
+        let known = self.0.iter().find(|(placement, _)| *placement == run.placement);
+        known.is_none_or(|(_, computes)| *computes)
+    }
 }
 
 struct Group {
     values: Vec<String>,
+    settings: Vec<String>,
     runs: Vec<RunSummary>,
     statistics: Vec<RunStatistics>,
 }

@@ -11,7 +11,6 @@ use peernet_store::{RunSummary, StageStatistics, Store};
 
 use growth::Growth;
 
-use super::pictures::named;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::look;
@@ -70,8 +69,8 @@ impl<'a> Varying<'a> {
 /// What was read of a configuration's iterations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Answers {
-    /// Its letter.
-    pub letter: String,
+    /// Its name.
+    pub name: String,
     /// Length, as measured, and seconds.
     pub points: Vec<(f64, f64)>,
     /// Whether all that are stored were read.
@@ -95,7 +94,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
         let most = (MOST_READ / drawn as u64).min(MOST_EACH);
         let answered = |run: &RunSummary| run.counts.ok.max(1);
         let whole: u64 = it.one.runs.iter().map(answered).sum();
-        let mut known = Answers { letter: it.one.letter.clone(), points: Vec::new(), is_whole: true };
+        let mut known = Answers { name: it.one.name.clone(), points: Vec::new(), is_whole: true };
         for run in &it.one.runs {
             // Warm-up and iterations without an answer are asked for, too: of a run that is read whole, all.
             let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
@@ -110,7 +109,6 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
 
 /// The picture of one configuration.
 pub(crate) struct LengthRow {
-    pub letter: String,
     pub name: String,
     pub plot: LengthPlot,
     /// What it shows, and what it rests on.
@@ -120,7 +118,7 @@ pub(crate) struct LengthRow {
 /// Pictures side by side.
 pub(crate) struct Lengths {
     pub rows: Vec<LengthRow>,
-    /// Letters of the configurations for which there is no room.
+    /// Names of the configurations for which there is no room.
     pub others: Option<String>,
     /// Whether points are counted into cells.
     pub is_counted: bool,
@@ -136,7 +134,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let longest = alike().map(|known| known.moments.max).fold(0.0, f64::max);
         let (unit, per_si, what, each) = it.unit(longest);
         let across = LengthAxis::of(alike(), &unit, per_si)?;
-        let known = answers.iter().find(|known| known.letter == it.one.letter);
+        let known = answers.iter().find(|known| known.name == it.one.name);
         let known = known.cloned().unwrap_or_default();
         let growth = Growth::of(&known.points);
         let slope = growth.as_ref().map(|growth| growth.sentence(what, each));
@@ -147,11 +145,10 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
             y: it.y,
             line: growth.as_ref().and_then(Growth::line),
         };
-        let label = format!("{}: inference against the length of the answer. {summed}", it.one.letter);
+        let label = format!("{}: inference against the length of the answer. {summed}", it.one.name);
         let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
         Some(LengthRow {
-            letter: it.one.letter.clone(),
-            name: named(&comparison.axes, it.one),
+            name: it.one.name.clone(),
             plot: LengthPlot::new(look::class(LATENCY), label, &values, (&across, &up)),
             said: std::iter::once(summed)
                 .chain(slope)
@@ -161,10 +158,10 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         })
     };
     let rows: Vec<LengthRow> = varying.iter().filter_map(row).collect();
-    let letters: Vec<&str> = rest.iter().map(|it| it.one.letter.as_str()).collect();
+    let others: Vec<&str> = rest.iter().map(|it| it.one.name.as_str()).collect();
     Some(Lengths {
         is_counted: rows.iter().any(|row| row.plot.is_counted()),
-        others: (!letters.is_empty()).then(|| letters.join(", ")),
+        others: (!others.is_empty()).then(|| others.join("; ")),
         rows,
     })
 }

@@ -2,12 +2,14 @@
 
 mod ask;
 mod choice;
+mod differences;
 mod differing;
 mod distributions;
 mod done;
 pub(crate) mod gather;
 pub(crate) mod lengths;
 mod median;
+mod names;
 mod order;
 mod payload;
 mod pictures;
@@ -17,18 +19,21 @@ mod table;
 #[cfg(test)]
 pub(crate) mod tests;
 mod throughput;
+mod title;
 mod users;
 
 pub(crate) use ask::{commands, doubts, unknown_labels};
+pub(crate) use differences::{Differences, RunMeans, StageDifference, run_means};
 pub(crate) use distributions::{Address, Distributions, distributions};
-pub(crate) use gather::{Courses, MOST_RUNS, Which, courses, gather};
+pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use series::{OverTime, over_time, run_courses};
 pub(crate) use spread::{BoxRow, boxes};
-pub(crate) use table::{Changed, Table, difference, open, title, too_short};
+pub(crate) use table::{Changed, Table};
 pub(crate) use throughput::{Throughput, throughput};
+pub(crate) use title::title;
 pub(crate) use users::{UsersRow, users};
 
 use std::collections::HashMap;
@@ -39,6 +44,7 @@ use peernet_statistics::Summary;
 use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
+use crate::error::WebError;
 use crate::view::trust;
 
 /// What is compared.
@@ -48,6 +54,8 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// What the configurations differ in.
     pub axes: Vec<String>,
+    /// Settings in which configurations differ as well, and those that an experiment declares for all alike.
+    pub settings: Vec<Setting>,
     /// Names of what chosen runs differ in as well, in hashes, paths and lists that no table has room for.
     pub also: Vec<String>,
     /// An experiment's by their labels, axis by axis; runs as they were asked for.
@@ -69,11 +77,18 @@ pub(crate) struct LeftOut {
     pub why: String,
 }
 
+/// A setting with its value in each configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Setting {
+    pub name: String,
+    pub values: Vec<String>,
+}
+
 /// Runs of one configuration, taken together.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Configuration {
-    /// `A`, `B` and so on: what pictures call it.
-    pub letter: String,
+    /// What differs from the others, in words; unique.
+    pub name: String,
     /// Its value on each axis.
     pub values: Vec<String>,
     /// Oldest first.
@@ -84,6 +99,8 @@ pub(crate) struct Configuration {
     pub bounds: Vec<Bound>,
     /// All that is kept of its runs together.
     pub kept: Arc<Kept>,
+    /// Whether its model computes something, and does not only answer what it was sent.
+    pub computes: bool,
 }
 
 impl Configuration {
@@ -122,16 +139,20 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// The place of the configuration with the lowest mean of the total; `None` where there is nothing to compare.
-    pub(crate) fn best(&self) -> Option<usize> {
-        let measured: Vec<(usize, f64)> = self
-            .configurations
-            .iter()
-            .enumerate()
-            .filter_map(|(at, one)| Some((at, one.total()?.mean)))
-            .collect();
-        let best = measured.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
-        (measured.len() > 1).then_some(best.0)
+    /// The place of the configuration that the others are compared with: that of the run that an address names, or the first.
+    ///
+    /// # Errors
+    /// When the run is not compared.
+    pub(crate) fn baseline(&self, run: Option<&str>) -> Result<usize, WebError> {
+        let Some(text) = run.filter(|text| !text.is_empty()) else { return Ok(0) };
+        let has = |number: i64| {
+            self.configurations.iter().position(|one| one.runs.iter().any(|run| run.number == number))
+        };
+        text.trim_start_matches('#').parse().ok().and_then(has).ok_or_else(|| {
+            WebError::BadRequest(format!(
+                "query parameter baseline: {text:?} is not the number of a compared run"
+            ))
+        })
     }
 
     /// The values of a node in one run, by its number.
@@ -142,17 +163,5 @@ impl Comparison {
     /// All runs, configuration by configuration.
     pub(crate) fn runs(&self) -> impl Iterator<Item = &RunSummary> {
         self.configurations.iter().flat_map(|one| &one.runs)
-    }
-}
-
-/// `A` to `Z`, then `AA`.
-pub(crate) fn letter(mut at: usize) -> String {
-    let mut text = String::new();
-    loop {
-        text.insert(0, char::from(b'A' + (at % 26) as u8));
-        at = match (at / 26).checked_sub(1) {
-            Some(rest) => rest,
-            None => return text,
-        };
     }
 }

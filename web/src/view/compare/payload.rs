@@ -4,13 +4,16 @@ use peernet_logger::{Name, stage};
 use peernet_report::fit::{Fit, Point, Weighted, least_squares};
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 
+use super::names::in_words;
 use super::{Comparison, Configuration};
 use crate::look;
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
-pub(super) const ALIKE: f64 = 1.1;
+const ALIKE: f64 = 1.1;
+/// Fewest sizes over which something is drawn.
+pub(super) const FEWEST_SIZES: usize = 3;
 /// Most groups that have lines of their own; with more nobody can tell them apart.
 const MOST_GROUPS: usize = 3;
 /// Name of the values that tell how often the first answer was right.
@@ -20,16 +23,13 @@ fn sent(one: &Configuration) -> Option<f64> {
     one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean).filter(|size| *size > 0.0)
 }
 
-/// Latency against payload, where at least three configurations sent payloads that differ by a tenth or more, and what
-/// lines through it say.
+/// Latency against payload, where payloads have at least three sizes, and what lines through it say.
 pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)> {
     let all: Vec<(&Configuration, f64)> =
         comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
     let sizes = || all.iter().map(|(_, size)| *size);
     let (least, most) = sizes().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(size), hi.max(size)));
-    if all.len() < 3 || most < least * ALIKE {
-        return None;
-    }
+    (distinct_sizes(sizes()) >= FEWEST_SIZES).then_some(())?;
     let groups = groups(comparison, &all);
     let mut said = Vec::new();
     let series = [stage::TOTAL, stage::UPLOAD].map(|name| {
@@ -39,7 +39,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
                 x: size / 1e3,
                 y: figures.mean * 1e3,
                 ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
-                name: one.letter.clone(),
+                name: name_in(comparison, &groups, one),
             })
         });
         let mut lines = Vec::new();
@@ -51,8 +51,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
                 from: ends.0 / 1e3,
                 to: ends.1 / 1e3,
             });
-            let letters = group.iter().map(|(one, _)| one.letter.as_str()).collect::<Vec<_>>().join(", ");
-            said.push(sentence(&name, &letters, &fit));
+            said.push(sentence(&name, group_name(comparison, group).as_deref(), &fit));
         }
         ScatterSeries { look: look::class(&name), name: name.to_string(), points: points.collect(), lines }
     });
@@ -92,16 +91,40 @@ pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64
     if groups.len() > MOST_GROUPS { vec![all.to_vec()] } else { groups }
 }
 
+/// Returns what a group has in common and others have not, in words; `None` where that is nothing.
+pub(super) fn group_name(comparison: &Comparison, group: &Group<'_>) -> Option<String> {
+    let value = |one: &Configuration, axis: usize| one.values.get(axis).cloned();
+    let first = group.first()?.0;
+    let is_common = |axis: &usize| group.iter().all(|(one, _)| value(one, *axis) == value(first, *axis));
+    let is_special =
+        |axis: &usize| comparison.configurations.iter().any(|one| value(one, *axis) != value(first, *axis));
+    let axes: Vec<usize> = (0..comparison.axes.len()).filter(is_common).filter(is_special).collect();
+    let names: Vec<String> = axes.iter().map(|axis| comparison.axes[*axis].clone()).collect();
+    let values: Vec<String> = axes.iter().filter_map(|axis| value(first, *axis)).collect();
+    Some(in_words(&names, &values)).filter(|words| !words.is_empty())
+}
+
+/// Returns the name of a point on an axis of sizes: that of its group, because the axis has the size.
+pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Configuration) -> String {
+    let of = groups.iter().find(|group| group.iter().any(|(other, _)| other.name == one.name));
+    of.and_then(|group| group_name(comparison, group)).unwrap_or_default()
+}
+
+/// Returns how many sizes there are that differ by a tenth or more.
+pub(super) fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
+    let mut distinct: Vec<f64> = Vec::new();
+    for size in sizes {
+        if distinct.iter().all(|known| *known > size * ALIKE || size > known * ALIKE) {
+            distinct.push(size);
+        }
+    }
+    distinct.len()
+}
+
 /// Seconds over bytes where there are three sizes, and the least and the largest of them. Each mean is weighted by how
 /// well it is known.
 pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
-    let mut sizes: Vec<f64> = Vec::new();
-    for (_, size) in group {
-        if sizes.iter().all(|known| *known > size * ALIKE || *size > known * ALIKE) {
-            sizes.push(*size);
-        }
-    }
-    (sizes.len() >= 3).then_some(())?;
+    (distinct_sizes(group.iter().map(|(_, size)| *size)) >= FEWEST_SIZES).then_some(())?;
     let known: Vec<_> = group.iter().filter_map(|(one, size)| Some((*size, one.figures(name)?))).collect();
     let weights: Option<Vec<f64>> = known
         .iter()
@@ -121,12 +144,13 @@ pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> 
     Some((fit, ends))
 }
 
-/// `total of A, B, C: 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
-fn sentence(name: &Name, letters: &str, fit: &Fit) -> String {
+/// `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
+fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
+    let of = group.map_or_else(String::new, |group| format!(" ({group})"));
     let (base, slope) = (fit.intercept.span(), fit.slope.span());
     let per_megabyte = (slope.0 * 1e6, slope.1 * 1e6);
     format!(
-        "{name} of {letters}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
+        "{name}{of}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
          each weighted by how well it is known.",
         within_ms(fit.intercept.value, base),
         interval_ms(base.0, base.1),
@@ -145,7 +169,7 @@ pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
             x: one.total()?.p50 * 1e3,
             y: scores.mean * 100.0,
             ends: known.map(|known| (known.interval.0 * 100.0, known.interval.1 * 100.0)),
-            name: one.letter.clone(),
+            name: one.name.clone(),
         })
     };
     let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();

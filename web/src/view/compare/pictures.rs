@@ -16,7 +16,6 @@ const MOST_HOSTS: usize = 4;
 
 /// A configuration's stages as a bar.
 pub(crate) struct StackRow {
-    pub letter: String,
     pub name: String,
     pub bar: Bar,
     pub total: (String, Option<String>),
@@ -43,18 +42,19 @@ pub(crate) struct Pair {
 
 /// Where a model ran.
 pub(crate) struct PlaceRow {
-    pub letter: String,
-    pub name: String,
+    /// Name of its configuration.
+    pub configuration: String,
+    /// Where the model ran, and for which hosts.
+    pub place: String,
     pub inference: (String, Option<String>),
     pub spread: BoxPlot,
 }
 
 /// The stages of all configurations on one scale, means with the standard deviation of the total.
-pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axes) {
+pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
     let all = &comparison.configurations;
     let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
     let scale = Scale::fit(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
-    let best = comparison.best();
     let row = |(at, one): (usize, &Configuration)| {
         let parts = parts(one);
         let total = one.total();
@@ -64,24 +64,13 @@ pub(crate) fn stacks(comparison: &Comparison) -> (Vec<StackRow>, Axes) {
             bar = bar.spread(mean, std, &scale);
         }
         StackRow {
-            letter: one.letter.clone(),
-            name: named(&comparison.axes, one),
+            name: one.name.clone(),
             total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
             bar,
             best: best == Some(at),
         }
     };
     (all.iter().enumerate().map(row).collect(), Axes::of(&scale))
-}
-
-/// What a configuration is in words; a bare number with what it counts.
-pub(super) fn named(axes: &[String], one: &Configuration) -> String {
-    let known = axes.iter().zip(&one.values).filter(|(_, value)| *value != NONE);
-    let words = known.map(|(axis, value)| match value.parse::<f64>() {
-        Ok(_) => format!("{axis} {value}"),
-        Err(_) => value.clone(),
-    });
-    words.collect::<Vec<_>>().join(", ")
 }
 
 /// Means of the stages; of a sensor alone its sensing.
@@ -101,10 +90,10 @@ fn parts(one: &Configuration) -> Vec<Part> {
 }
 
 fn label(one: &Configuration, parts: &[Part]) -> String {
-    let Some(total) = one.total() else { return format!("{}: nothing measured", one.letter) };
+    let Some(total) = one.total() else { return format!("{}: nothing measured", one.name) };
     let stages = parts.iter().map(|part| format!("{} {}", part.name, duration(part.seconds)));
     let stages = stages.collect::<Vec<_>>().join(", ");
-    format!("{}: mean {} of {} iterations. {stages}.", one.letter, duration(total.mean), total.count)
+    format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(total.mean), total.count)
 }
 
 /// Where all runs that are taken together went: `user-1, user-2 → rack-a`.
@@ -157,11 +146,11 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let row = |one: &Configuration| {
         let (figures, five): (_, Five) = (one.figures(&stage::INFERENCE)?, five(one)?);
         let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
-        let name = format!("{wher}, {}", routes(one));
-        let label = format!("{}, {name}, inference", one.letter);
+        let place = format!("{wher}, {}", routes(one));
+        let label = format!("{}, {place}, inference", one.name);
         let spread = BoxPlot::new(look::class(&stage::INFERENCE), &label, &five, &scale);
         let inference = mean_std_ms(figures.mean, figures.std);
-        Some(PlaceRow { letter: one.letter.clone(), name, inference, spread })
+        Some(PlaceRow { configuration: one.name.clone(), place, inference, spread })
     };
     let pair = |model: &String| {
         let mut places = of(model);

@@ -17,6 +17,8 @@ use crate::view::{counted, episodes, stack};
 const POINTS: usize = 100;
 const FEWEST: u64 = 20;
 const SAMPLES: u64 = 60;
+/// A run of fewer points than this is not drawn: its length in time says nothing.
+const FEWEST_POINTS: usize = 3;
 /// A run shorter than so many points is drawn longer or shorter than it was, by part of a point at each end.
 const FEW: f64 = 5.0;
 
@@ -51,7 +53,7 @@ pub(crate) struct OverTime {
 /// One run over time.
 pub(crate) struct RunPicture {
     pub run: i64,
-    pub letter: String,
+    pub name: String,
     pub said: String,
     pub picture: CoursePlot,
 }
@@ -90,6 +92,8 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
     let (chosen, of) = drawn(comparison);
     let known = chosen.into_iter().filter_map(|(one, run, name)| {
         let course = courses.get(&run.number)?;
+        let points = course.series.stages.iter().map(|stage| stage.points.len()).max().unwrap_or_default();
+        (points >= FEWEST_POINTS).then_some(())?;
         Some((one, run, &course.episodes, data(one, run, &name, course)))
     });
     let (runs, all): (Vec<_>, Vec<CourseData>) =
@@ -106,7 +110,7 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
         let said = [episodes::said(episodes), episodes::unanswered(episodes, run), width, short, beyond];
         RunPicture {
             run: run.number,
-            letter: one.letter.clone(),
+            name: one.name.clone(),
             said: said.into_iter().flatten().collect::<Vec<_>>().join(", "),
             picture: CoursePlot::new(data, &axes),
         }

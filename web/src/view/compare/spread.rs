@@ -3,13 +3,11 @@
 use peernet_logger::stage;
 use peernet_statistics::number::milliseconds;
 
-use super::pictures::named;
 use super::{Axes, Comparison, Configuration};
 use crate::svg::{BoxPlot, Five, Scale};
 
 /// A configuration's total as a box.
 pub(crate) struct BoxRow {
-    pub letter: String,
     pub name: String,
     pub median: String,
     pub quartiles: String,
@@ -24,11 +22,10 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
     let row = |(one, five): &(&Configuration, Five)| {
         let [p25, p50, p75] = five.middle.map(milliseconds);
         BoxRow {
-            letter: one.letter.clone(),
-            name: named(&comparison.axes, one),
+            name: one.name.clone(),
             median: p50,
             quartiles: format!("{p25} – {p75}"),
-            picture: BoxPlot::new("total", &format!("{}, total", one.letter), five, &scale),
+            picture: BoxPlot::new("total", &format!("{}, total", one.name), five, &scale),
         }
     };
     (known.iter().map(row).collect(), Axes::of(&scale))

@@ -57,7 +57,8 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
     let (kept, runs) = (kept(&stages), vec![run(at as i64 + 1, kind)]);
-    Configuration { letter: letter(at), values, runs, stages, bounds, kept }
+    let name = char::from(b'A' + at as u8).to_string();
+    Configuration { name, values, runs, stages, bounds, kept, computes: true }
 }
 
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
@@ -67,7 +68,8 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
         one.runs.iter().map(|run| (run.number, Arc::clone(&one.kept))).collect::<Vec<_>>()
     };
     let kept = configurations.iter().flat_map(kept).collect();
-    Comparison { experiment, axes, also: Vec::new(), configurations, kept, left_out: Vec::new(), cut: false }
+    let (settings, also, left_out) = (Vec::new(), Vec::new(), Vec::new());
+    Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut: false }
 }
 
 /// Samples with the means that stages have.
@@ -134,12 +136,6 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
 }
 
 #[test]
-fn configurations_have_letters() {
-    let letters: Vec<String> = [0, 1, 25, 26, 51, 52, 701, 702].map(letter).to_vec();
-    assert_eq!(letters, ["A", "B", "Z", "AA", "AZ", "BA", "ZZ", "AAA"]);
-}
-
-#[test]
 fn addresses_name_runs_or_an_experiment() {
     let of = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
@@ -155,62 +151,88 @@ fn addresses_name_runs_or_an_experiment() {
     assert!(of(&[("runs", &many)]).is_err());
 }
 
-#[test]
-fn the_title_says_which_is_faster_by_how_much() {
-    let two = comparison(vec![
-        configuration(0, PlacementKind::Local, 1.5, 1e3),
-        configuration(1, PlacementKind::Remote, 1.0, 1e3),
-    ]);
-    let (a, b) = (vec![course(0.0241, 20)], vec![course(0.0160, 20)]);
-    let found = difference((&two.configurations[0], &a), (&two.configurations[1], &b));
-    let (name, total, changed) = &found[0];
-    assert_eq!((name, changed.certain), (&stage::TOTAL, Some(true)));
-    let text = title(&two, total.as_ref());
-    assert!(text.starts_with("B takes 8.02") && text.contains("less than A (95\u{202f}%: 8.01"), "{text}");
-    assert_eq!(found[1].2.certain, None, "nothing is known of the course of the stages");
-    let equal = comparison(vec![
-        configuration(0, PlacementKind::Local, 1.5, 1e3),
-        configuration(1, PlacementKind::Remote, 1.5, 1e3),
-    ]);
-    let same = difference((&equal.configurations[0], &a), (&equal.configurations[1], &a));
-    assert_eq!(title(&equal, same[0].1.as_ref()), "A and B do not differ by more than chance");
+/// The courses of the totals of configurations, each of as many buckets as is said.
+pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
+    let of =
+        |one: &Configuration| one.runs.first().zip(one.total()).map(|(run, total)| (run.number, total.mean));
+    let measured = comparison.configurations.iter().filter_map(of);
+    measured.map(|(run, mean)| (run, course(mean, buckets))).collect()
+}
 
-    let three =
-        comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0 + at as f64, 1e3)).collect());
-    assert_eq!(
-        title(&three, None),
-        "A has the smallest mean of 3, 16.0\u{202f}ms; that of C is 3.0\u{202f}× as large"
-    );
-    let left = open(&three, None).expect("means do not tell");
-    assert!(left.contains("whether A is the fastest cannot be told"), "{left}");
-    assert!(left.ends_with("ask peernet compare about the folder of results"), "{left}");
-    let left = open(&Comparison { experiment: None, ..three }, None).expect("nor do runs");
-    assert!(left.ends_with("ask peernet compare as below"), "{left}");
-    let near = [1.0, 1.01, 1.02].into_iter().enumerate();
-    let near =
-        comparison(near.map(|(at, scale)| configuration(at, PlacementKind::Remote, scale, 1e3)).collect());
-    assert_eq!(
-        title(&near, None),
-        "A has the smallest mean of 3, 16.0\u{202f}ms",
-        "1.0 × as large is no news"
-    );
-    assert_eq!(open(&two, total.as_ref()), None, "the interval tells");
-    assert_eq!(title(&two, None), "B has the smaller mean, 16.0\u{202f}ms");
-    assert!(open(&two, None).expect("too short").contains("cannot be told from so little"));
-    assert!(title(&comparison(Vec::new()), None).contains("was finished yet"));
+fn title_of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> String {
+    title(comparison, &Differences::of(comparison, means, baseline))
+}
+
+fn scaled(scales: &[f64]) -> Comparison {
+    let one = |(at, scale): (usize, &f64)| configuration(at, PlacementKind::Remote, *scale, 1e3);
+    comparison(scales.iter().enumerate().map(one).collect())
 }
 
 #[test]
-fn the_title_counts_only_what_was_measured() {
+fn title_says_which_is_fastest_by_how_much() {
+    let two = scaled(&[1.5, 1.0]);
+    let found = Differences::of(&two, &totals(&two, 20), 0);
+    let total = found.total(1).expect("compared");
+    assert_eq!((total.is_distinct(), found.others.len()), (Some(true), 1));
+    let text = title(&two, &found);
+    assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
+    assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
+    assert_eq!(found.others[0].1[1].found, None, "nothing is known of the course of the stages");
+
+    let three = scaled(&[2.0, 1.0, 3.0]);
+    let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
+    assert!(text(2).contains("ms less than C"), "{}", text(2));
+    assert!(text(1).contains("ms less than A"), "the next one where the best is the baseline: {}", text(1));
+}
+
+#[test]
+fn title_names_no_fastest_where_that_cannot_be_told() {
+    let equal = scaled(&[1.5, 1.5, 1.5, 1.5, 9.0]);
+    let text = title_of(&equal, &totals(&equal, 20), 0);
+    assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
+    let short = scaled(&[1.0, 1.5, 2.0]);
+    let text = title_of(&short, &totals(&short, 3), 0);
+    let known = "A has the smallest mean of 3, 16.0\u{202f}ms; too little is known of B and C to tell more";
+    assert_eq!(text, known);
+    assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("was finished yet"));
+}
+
+#[test]
+fn configuration_that_computes_nothing_is_not_ranked() {
+    let mut all = scaled(&[2.0, 1.0, 3.0]);
+    all.configurations[1].computes = false;
+    let text = |all: &Comparison| title_of(all, &totals(all, 20), 0);
+    assert!(text(&all).starts_with("A is the fastest"), "{}", text(&all));
+    let found = Differences::of(&all, &totals(&all, 20), 0);
+    assert_eq!(
+        found.total(1).and_then(StageDifference::is_distinct),
+        Some(true),
+        "it is compared all the same"
+    );
+    all.configurations.iter_mut().for_each(|one| one.computes = false);
+    assert!(text(&all).starts_with("B is the fastest"), "where none computes all are ranked: {}", text(&all));
+}
+
+#[test]
+fn title_counts_only_what_was_measured() {
     let without = |failed: &[usize]| {
-        let mut all: Vec<Configuration> =
-            (0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect();
-        failed.iter().for_each(|at| all[*at].stages.clear());
-        title(&comparison(all), None)
+        let mut all = scaled(&[1.0, 1.5, 2.0]);
+        failed.iter().for_each(|at| all.configurations[*at].stages.clear());
+        title_of(&all, &totals(&all, 20), 0)
     };
-    assert_eq!(without(&[0]), "B has the smallest mean of 2 measured ones, 16.0\u{202f}ms");
+    assert!(without(&[0]).starts_with("B is the fastest"), "{}", without(&[0]));
     assert_eq!(without(&[0, 2]), "Only B has measured anything: there is nothing to compare it with");
     assert_eq!(without(&[0, 1, 2]), "No successful iteration of these runs is stored yet");
+}
+
+#[test]
+fn baseline_is_named_by_one_of_its_runs() {
+    let two = scaled(&[1.0, 2.0]);
+    let of = |run| two.baseline(run).map_err(|error| error.to_string());
+    assert_eq!((of(None), of(Some("")), of(Some("2")), of(Some("#1"))), (Ok(0), Ok(0), Ok(1), Ok(0)));
+    for wrong in ["3", "A"] {
+        assert!(of(Some(wrong)).is_err_and(|text| text.contains("baseline") && text.contains(wrong)));
+    }
 }
 
 #[test]
@@ -225,11 +247,7 @@ fn what_differs_in_more_than_the_size_has_a_line_of_its_own() {
     let both = comparison(both.enumerate().map(|(at, (size, load))| of(at, size, load)).collect());
     let (_, said) = payload(&both).expect("sizes");
     let begins: Vec<&str> = said.iter().filter_map(|text| text.split(':').next()).collect();
-    assert_eq!(
-        begins,
-        ["total of A, C, E", "total of B, D, F", "upload of A, C, E", "upload of B, D, F"],
-        "{said:?}"
-    );
+    assert_eq!(begins, ["total (50 Hz)", "total (closed)", "upload (50 Hz)", "upload (closed)"], "{said:?}");
 }
 
 #[test]
@@ -240,8 +258,9 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
     let (pairs, _) = pairs(&mixed);
-    assert_eq!((pairs.len(), pairs[0].places.len(), pairs[0].places[0].letter.as_str()), (1, 3, "B"));
-    assert!(payload(&mixed).is_some());
+    let first = pairs[0].places[0].configuration.as_str();
+    assert_eq!((pairs.len(), pairs[0].places.len(), first), (1, 3, "B"));
+    assert!(payload(&mixed).is_none(), "two sizes make no line");
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
     let run = many.runs.remove(0);
     for user in [10, 2, 1, 2] {
@@ -250,12 +269,10 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
     let (together, _) = super::pairs(&users);
     assert!(
-        together[0].places[1].name.starts_with("cloud, user-1, user-2, user-10 → "),
+        together[0].places[1].place.starts_with("cloud, user-1, user-2, user-10 → "),
         "{}",
-        together[0].places[1].name
+        together[0].places[1].place
     );
-    let (_, said) = payload(&mixed).expect("sizes");
-    assert!(said.is_empty(), "two sizes make no line: {said:?}");
     let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
     assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
 }

@@ -6,7 +6,7 @@ use peernet_statistics::number::{
     SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
 };
 
-use super::payload::{ALIKE, Group, groups, line};
+use super::payload::{FEWEST_SIZES, Group, distinct_sizes, group_name, groups, line, name_in};
 use super::{Comparison, Configuration};
 use crate::look;
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
@@ -29,7 +29,7 @@ pub(crate) struct Throughput {
 /// One configuration, one way.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ThroughputRow {
-    pub letter: String,
+    pub name: String,
     pub way: String,
     /// Mean size of a message with its log.
     pub size: String,
@@ -62,7 +62,7 @@ impl<'a> Known<'a> {
 
     fn row(&self, way: &Name) -> ThroughputRow {
         ThroughputRow {
-            letter: self.one.letter.clone(),
+            name: self.one.name.clone(),
             way: way.to_string(),
             size: bytes(self.bytes).to_string(),
             delay: stage_ms(self.delay),
@@ -71,26 +71,25 @@ impl<'a> Known<'a> {
     }
 
     /// MB/s over kB; an error bar without an upper end leaves the plot at `top`.
-    fn point(&self, top: f64) -> ScatterPoint {
+    fn point(&self, top: f64, name: String) -> ScatterPoint {
         ScatterPoint {
             x: self.bytes / 1e3,
             y: self.value * MEGABYTES,
             ends: self
                 .ends
                 .map(|(low, high)| (low * MEGABYTES, high.map_or(top, |high| high * MEGABYTES).min(top))),
-            name: self.one.letter.clone(),
+            name,
         }
     }
 }
 
-/// Each way whose payloads differ: at least three configurations, by a tenth or more.
+/// Each way whose payloads have at least three sizes.
 pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     let ways = WAYS.iter().filter_map(|(way, sizes)| {
         let known: Vec<Known<'_>> =
             comparison.configurations.iter().filter_map(|one| Known::of(one, way, sizes)).collect();
-        let ends =
-            known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), it| (lo.min(it.bytes), hi.max(it.bytes)));
-        (known.len() >= 3 && ends.1 >= ends.0 * ALIKE).then_some((way, known))
+        let sizes = distinct_sizes(known.iter().map(|it| it.bytes));
+        (sizes >= FEWEST_SIZES).then_some((way, known))
     });
     let ways: Vec<(&Name, Vec<Known<'_>>)> = ways.collect();
     let all = || ways.iter().flat_map(|(_, known)| known);
@@ -103,9 +102,10 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     let mut said = Vec::new();
     let series = ways.iter().map(|(way, known)| {
         let sized: Group<'_> = known.iter().map(|it| (it.one, it.bytes)).collect();
-        let lines =
-            groups(comparison, &sized).iter().filter_map(|group| level(way, group, &mut said)).collect();
-        let points = known.iter().map(|it| it.point(up.end() * 1.02)).collect();
+        let groups = groups(comparison, &sized);
+        let lines = groups.iter().filter_map(|group| level(comparison, way, group, &mut said)).collect();
+        let name = |it: &Known<'_>| name_in(comparison, &groups, it.one);
+        let points = known.iter().map(|it| it.point(up.end() * 1.02, name(it))).collect();
         ScatterSeries { look: look::class(way), name: way.to_string(), points, lines }
     });
     let series: Vec<ScatterSeries> = series.collect();
@@ -117,15 +117,20 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
 }
 
 /// What each further byte costs, as a level line: the throughput that is left when messages are large.
-fn level(way: &Name, group: &Group<'_>, said: &mut Vec<String>) -> Option<ScatterLine> {
+fn level(
+    comparison: &Comparison,
+    way: &Name,
+    group: &Group<'_>,
+    said: &mut Vec<String>,
+) -> Option<ScatterLine> {
     let (fit, ends) = line(group, way)?;
-    let letters = group.iter().map(|(one, _)| one.letter.as_str()).collect::<Vec<_>>().join(", ");
+    let of = group_name(comparison, group).map_or_else(String::new, |name| format!(" ({name})"));
     let Some((value, margin)) = rate(fit.slope) else {
-        said.push(format!("{way} of {letters}: too fast to tell from these sizes."));
+        said.push(format!("{way}{of}: too fast to tell from these sizes."));
         return None;
     };
     said.push(format!(
-        "{way} of {letters}: {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
+        "{way}{of}: {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
         throughput_with(value, margin),
         fit.points
     ));

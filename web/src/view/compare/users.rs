@@ -13,7 +13,7 @@ use crate::view::runs;
 /// A configuration with so many users.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct UsersRow {
-    pub letter: String,
+    pub name: String,
     pub users: String,
     /// Answers per second of all, and of the user that got the fewest and the most.
     pub rate: String,
@@ -86,7 +86,7 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
                 x: line.edges as f64,
                 y: figures.mean * 1e3,
                 ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
-                name: one.letter.clone(),
+                name: if curves.len() > 1 { one.name.clone() } else { String::new() },
             })
         };
         let points: Vec<Vec<ScatterPoint>> =
@@ -106,7 +106,7 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
     let up = Ruler::from_zero(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
     let said = curves.iter().flatten().filter_map(|(line, one)| {
         let total = one.total()?;
-        Some(format!("{}: {} at {}", one.letter, duration(total.mean), users_of(line)))
+        Some(format!("{}: {} at {}", one.name, duration(total.mean), users_of(line)))
     });
     let label = format!("Mean latency against the number of users. {}", said.collect::<Vec<_>>().join(", "));
     let unit = if across.is_logarithmic() { "users at once, logarithmic" } else { "users at once" };
@@ -126,7 +126,7 @@ fn between(a: &ScatterPoint, b: &ScatterPoint) -> Option<ScatterLine> {
 fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
     let told = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
     UsersRow {
-        letter: one.letter.clone(),
+        name: one.name.clone(),
         users: count(line.edges as u64),
         rate: told(line.rate, rate),
         each: line

@@ -46,7 +46,7 @@ pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
         let at = |n: u64| (n as f64 + 0.5) / most as f64;
         let point = |n: u64| Some((it.x.quantile(at(n))?, it.y.quantile(at(n))?));
         Answers {
-            letter: it.one.letter.clone(),
+            name: it.one.name.clone(),
             points: (0..most).filter_map(point).collect(),
             is_whole: most == it.x.count(),
         }
@@ -55,7 +55,7 @@ pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
 }
 
 fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
-    vec![Answers { letter: "A".to_owned(), points, is_whole }]
+    vec![Answers { name: "A".to_owned(), points, is_whole }]
 }
 
 #[test]
@@ -218,8 +218,8 @@ fn only_answers_that_differ_in_length_are_drawn_and_at_most_six() {
     assert!(lengths(&comparison(Vec::new()), &[]).is_none());
     all[1] = talking(1, "download-bytes", &alike);
     let found = lengths(&comparison(all.clone()), &read(&comparison(all))).expect("lengths");
-    let letters: Vec<&str> = found.rows.iter().map(|row| row.letter.as_str()).collect();
-    assert_eq!((letters.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
+    let names: Vec<&str> = found.rows.iter().map(|row| row.name.as_str()).collect();
+    assert_eq!((names.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
 }
 
 #[test]

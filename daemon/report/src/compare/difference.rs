@@ -1,0 +1,214 @@
+//! How far the difference of two means is known.
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
+
+/// Fewest values of each run that an interval is computed from.
+pub const MIN_VALUES: usize = 30;
+
+/// Fewest batches on each side that an interval is computed from.
+pub const MIN_BATCHES: usize = 5;
+
+/// A difference with its 95 % confidence interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// The second less the first.
+    pub value: f64,
+    /// The interval's ends; `None` where there are too few values.
+    pub interval: Option<(f64, f64)>,
+}
+
+impl Difference {
+    /// Returns the difference of the second mean to the first.
+    ///
+    /// The interval is Welch's (Biometrika 34, 1947), for unequal variances, of the means of batches. Both means are exact: batches
+    /// need not have the same length, so that the mean of their means is not quite the mean of all.
+    pub fn of_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
+        let value = second.mean - first.mean;
+        let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
+        Self { value, interval: half_width.map(|half| (value - half, value + half)) }
+    }
+
+    /// Returns half the width of the interval.
+    pub(super) fn margin(self) -> Option<f64> {
+        self.interval.map(|(lo, hi)| (hi - lo) / 2.0)
+    }
+
+    /// Returns the value, then the interval's ends.
+    pub(super) fn ends(self) -> [Option<f64>; 3] {
+        [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
+    }
+
+    /// Returns whether the interval leaves out zero, so that the difference is more than chance; `None` where there is no interval.
+    pub fn is_distinct(&self) -> Option<bool> {
+        self.interval.map(|(lo, hi)| lo > 0.0 || hi < 0.0)
+    }
+}
+
+/// The mean of a quantity over all runs of a configuration, and what tells how far it is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeanEstimate {
+    mean: f64,
+    /// Means of batches; empty where a run has too few values.
+    batches: Vec<f64>,
+}
+
+impl MeanEstimate {
+    /// Returns the estimate from the values of each run in the order in which they were measured; `None` without any value.
+    pub fn of_values(runs: &[Vec<f64>]) -> Option<Self> {
+        Self::of_series(runs.iter().map(Vec::as_slice))
+    }
+
+    /// Returns the estimate from buckets of each run in the order of time, which have the count and the mean of their values; `None`
+    /// without any value.
+    pub fn of_buckets(runs: &[Vec<(u64, f64)>]) -> Option<Self> {
+        Self::of_series(runs.iter().map(Vec::as_slice))
+    }
+
+    fn of_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
+        let measured = runs.filter(|run| run.total_count() > 0);
+        let (mut count, mut sum) = (0, 0.0);
+        for run in measured.clone() {
+            count += run.total_count();
+            sum += (0..run.places()).map(|at| run.sum(at)).sum::<f64>();
+        }
+        (count > 0).then_some(())?;
+        let is_enough = measured.clone().all(|run| run.total_count() >= MIN_VALUES as u64);
+        let batches = measured.filter(|_| is_enough).flat_map(batch_means).collect();
+        Some(Self { mean: sum / count as f64, batches })
+    }
+
+    /// Returns the mean of all values.
+    pub fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// Returns how many batches the interval of a difference would be computed from.
+    pub fn batches(&self) -> usize {
+        self.batches.len()
+    }
+
+    fn error(&self) -> Option<MeanError> {
+        let count = self.batches.len();
+        (count >= MIN_BATCHES).then_some(())?;
+        let (count, freedom) = (count as f64, count as f64 - 1.0);
+        let mean = self.batches.iter().sum::<f64>() / count;
+        let squares: f64 = self.batches.iter().map(|value| (value - mean).powi(2)).sum();
+        Some(MeanError { variance: squares / freedom / count, freedom })
+    }
+}
+
+/// Means of at most 30 batches of at least ten values; of a short run of five batches.
+fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
+    let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
+    run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()
+}
+
+/// Variance of a mean, with its degrees of freedom.
+struct MeanError {
+    variance: f64,
+    freedom: f64,
+}
+
+fn half_width(a: &MeanError, b: &MeanError) -> Option<f64> {
+    let variance = a.variance + b.variance;
+    if variance <= 0.0 {
+        return Some(0.0);
+    }
+    let freedom = variance.powi(2) / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom);
+    Some(StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975) * variance.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
+    use super::*;
+
+    /// Returns values of which each keeps a share of the one before.
+    fn run(keeps: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut last = 0.0;
+        let next = |_| {
+            // The sum of three is nearly normal.
+            let noise: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
+            last = keeps * last + noise;
+            mean + last
+        };
+        (0..count).map(next).collect()
+    }
+
+    fn of_values(runs: &[Vec<f64>]) -> MeanEstimate {
+        MeanEstimate::of_values(runs).expect("values")
+    }
+
+    /// By hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 × 1.04083.
+    #[test]
+    fn interval_is_that_of_welch() {
+        let of = |values: &[f64]| MeanEstimate {
+            mean: values.iter().sum::<f64>() / values.len() as f64,
+            batches: values.to_vec(),
+        };
+        let found =
+            Difference::of_means(&of(&[1.0, 2.0, 3.0, 4.0, 5.0]), &of(&[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]));
+        assert!((found.value - 2.5).abs() < 1e-12 && found.is_distinct() == Some(true));
+        let (lo, hi) = found.interval.expect("enough batches");
+        assert!((lo - 0.145_05).abs() < 1e-4 && (hi - 4.854_95).abs() < 1e-4, "{lo} {hi}");
+    }
+
+    #[test]
+    fn interval_contains_truth_as_often_as_it_says() {
+        for (count, keeps) in [(30, 0.0), (300, 0.0), (300, 0.6), (4_000, 0.6)] {
+            let contains = |seed: &u64| {
+                let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
+                    .map(|(mean, seed)| of_values(&[run(keeps, count, mean, seed)]));
+                let (lo, hi) = Difference::of_means(&a, &b).interval.expect("enough values");
+                lo <= 0.5 && 0.5 <= hi
+            };
+            let share = (0..400_u64).filter(contains).count() / 4;
+            assert!((89..=99).contains(&share), "{share} % of {count} values with correlation {keeps}");
+        }
+    }
+
+    #[test]
+    fn buckets_tell_what_their_values_tell() {
+        let runs = [run(0.6, 3_000, 10.0, 1), run(0.6, 1_000, 10.1, 2)];
+        let buckets = runs.clone().map(|values| {
+            let mean = |bucket: &[f64]| bucket.iter().sum::<f64>() / bucket.len() as f64;
+            values.chunks(25).map(|bucket| (bucket.len() as u64, mean(bucket))).collect::<Vec<_>>()
+        });
+        let of_buckets = |buckets: &Vec<(u64, f64)>| {
+            MeanEstimate::of_buckets(std::slice::from_ref(buckets)).expect("values")
+        };
+        let exact = Difference::of_means(&of_values(&runs[..1]), &of_values(&runs[1..]));
+        let stored = Difference::of_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
+        assert!((exact.value - stored.value).abs() < 1e-9);
+        let [exact, stored] = [exact, stored].map(|found| found.margin().expect("enough values"));
+        assert!((exact / stored - 1.0).abs() < 0.1, "{exact} {stored}");
+    }
+
+    #[test]
+    fn too_few_values_of_a_run_have_no_interval() {
+        let long = run(0.0, 300, 1.0, 1);
+        for runs in [vec![vec![1.0; 29]], vec![long.clone(), vec![1.0; 29]]] {
+            let found = Difference::of_means(&of_values(std::slice::from_ref(&long)), &of_values(&runs));
+            assert_eq!((found.interval, found.is_distinct()), (None, None));
+        }
+        let with_empty = of_values(&[long.clone(), Vec::new()]);
+        assert_eq!(with_empty, of_values(std::slice::from_ref(&long)), "a run without values says nothing");
+        assert_eq!(MeanEstimate::of_values(&[Vec::new()]), None);
+        let few_buckets = MeanEstimate::of_buckets(&[vec![(100, 1.0); 4]]).expect("values");
+        assert_eq!((few_buckets.batches(), few_buckets.mean()), (4, 1.0));
+        assert_eq!(Difference::of_means(&few_buckets, &few_buckets).interval, None);
+    }
+
+    #[test]
+    fn equal_values_differ_by_exactly_nothing() {
+        let same = of_values(&[vec![2.0; 40]]);
+        let found = Difference::of_means(&same, &same);
+        assert_eq!((found.interval, found.is_distinct()), (Some((0.0, 0.0)), Some(false)));
+    }
+}

@@ -1,0 +1,214 @@
+//! How far the difference of two medians is known.
+
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+
+use super::blocks;
+use super::difference::{Difference, MIN_VALUES};
+use crate::order::Ordered;
+
+/// Resamples: the ends of a 95 % interval are then the 50th from either side.
+const RESAMPLES: usize = 2000;
+/// Most pieces of a run: of a longer one, neighbours stay together from the start. So many tell the width of an interval to
+/// 2 %, as its ends are known of so many resamples, and a draw takes the same time however long the run was.
+const PIECES: usize = 2000;
+
+/// Values of runs that are taken together, each run's in the order in which they were measured.
+pub(super) struct Sample<'a> {
+    runs: &'a [Vec<f64>],
+    sorted: Ordered,
+}
+
+impl<'a> Sample<'a> {
+    /// Returns the sample of the values of each run.
+    pub(super) fn new(runs: &'a [Vec<f64>]) -> Self {
+        let sorted = runs.iter().flatten().copied().collect();
+        Self { runs, sorted }
+    }
+
+    /// Returns the median of all values; `None` without any.
+    pub(super) fn median(&self) -> Option<f64> {
+        self.sorted.median()
+    }
+
+    fn is_enough(&self) -> bool {
+        self.runs.iter().all(|run| run.is_empty() || run.len() >= MIN_VALUES)
+    }
+}
+
+/// Returns the difference of the median of `b` to that of `a`; `None` where one has no values.
+///
+/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is put together
+/// anew from blocks of itself, of random length, as long on average as [`blocks::length`] says. The median depends, to first order,
+/// only on which side of it the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37,
+/// 1966). So the blocks are as long as *that* series asks for, and the median of a resample is the quantile that is as far from the
+/// middle as the resample has more values on one side. A resample is therefore a sum, which the sums of a run's first values give
+/// without a look at the values.
+pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
+    resampled(a, b, seed, RESAMPLES)
+}
+
+fn resampled(a: &Sample<'_>, b: &Sample<'_>, seed: u64, resamples: usize) -> Option<Difference> {
+    let (first, second) = (Group::new(a)?, Group::new(b)?);
+    let value = second.median - first.median;
+    let interval = (a.is_enough() && b.is_enough()).then(|| {
+        let mut random = StdRng::seed_from_u64(seed);
+        let drawn = (0..resamples).map(|_| second.draw(&mut random) - first.draw(&mut random));
+        let drawn: Ordered = drawn.collect();
+        Some((drawn.quantile(0.025)?, drawn.quantile(0.975)?))
+    });
+    Some(Difference { value, interval: interval.flatten() })
+}
+
+/// A sample in a form that is quickly drawn from.
+struct Group<'a> {
+    sorted: &'a Ordered,
+    median: f64,
+    runs: Vec<Run>,
+}
+
+/// How many more values of a run lie above the median of the group than is usual there.
+struct Run {
+    /// Sums of the first pieces: none, one, two, …
+    sums: Vec<f64>,
+    /// Mean length of a block, in pieces.
+    block: f64,
+}
+
+impl<'a> Group<'a> {
+    fn new(sample: &'a Sample<'_>) -> Option<Self> {
+        let Sample { runs, sorted } = sample;
+        let median = sample.median()?;
+        let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
+        let usual = above as f64 / sorted.len() as f64;
+        let excess = |of: &f64| f64::from(u8::from(*of > median)) - usual;
+        let run = |values: &Vec<f64>| {
+            let pieces = values.chunks(values.len().div_ceil(PIECES));
+            let pieces: Vec<f64> = pieces.map(|piece| piece.iter().map(excess).sum()).collect();
+            let mut sums = vec![0.0];
+            sums.extend(pieces.iter().scan(0.0, |sum, piece| {
+                *sum += piece;
+                Some(*sum)
+            }));
+            Run { sums, block: blocks::length(&pieces) }
+        };
+        let runs = runs.iter().filter(|values| !values.is_empty()).map(run).collect();
+        Some(Self { sorted, median, runs })
+    }
+
+    /// Returns the median of a group that is put together anew.
+    fn draw(&self, random: &mut StdRng) -> f64 {
+        let mut sum = 0.0;
+        for run in &self.runs {
+            run.blocks(random, |from, to| sum += run.sums[to] - run.sums[from]);
+        }
+        self.sorted.quantile(0.5 + sum / self.sorted.len() as f64).unwrap_or(self.median)
+    }
+}
+
+impl Run {
+    /// Blocks from anywhere, as many pieces in all as the run has. The run is a circle: after its last piece comes its
+    /// first.
+    fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
+        let count = self.sums.len() - 1;
+        let ends = -1.0 / self.block;
+        let mut missing = count;
+        while missing > 0 {
+            let from = random.random_range(0..count);
+            let length = if self.block <= 1.0 {
+                1
+            } else {
+                // Geometric, of mean `block`.
+                let uniform: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
+                (uniform.ln() / ends.ln_1p()) as usize + 1
+            };
+            let length = length.min(missing);
+            let to = (from + length).min(count);
+            take(from, to);
+            take(0, from + length - to);
+            missing -= length;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns values of which each keeps a share of the one before.
+    fn run(keeps: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut last = 0.0;
+        let next = |_| {
+            // The sum of three is nearly normal.
+            let noise: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
+            last = keeps * last + noise;
+            mean + last
+        };
+        (0..count).map(next).collect()
+    }
+
+    fn difference(a: &[Vec<f64>], b: &[Vec<f64>], seed: u64) -> Option<Difference> {
+        median_difference(&Sample::new(a), &Sample::new(b), seed)
+    }
+
+    /// Returns how many of 100 intervals of runs of so many values contain the true difference of 0.5, in percent.
+    fn coverage(count: usize, keeps: f64) -> usize {
+        let contains = |seed: u64| {
+            let [a, b] =
+                [(10.0, 2 * seed), (10.5, 2 * seed + 1)].map(|(mean, seed)| [run(keeps, count, mean, seed)]);
+            let difference = resampled(&Sample::new(&a), &Sample::new(&b), seed, 300).expect("values");
+            let (lo, hi) = difference.interval.expect("enough");
+            lo <= 0.5 && 0.5 <= hi
+        };
+        (0..100).filter(|seed| contains(*seed)).count()
+    }
+
+    #[test]
+    fn interval_contains_truth_as_often_as_it_says() {
+        let (independent, dependent) = (coverage(300, 0.0), coverage(300, 0.6));
+        assert!(independent >= 90, "{independent} % of independent values");
+        assert!(dependent >= 88, "{dependent} % of dependent values");
+        let in_pieces = coverage(2 * PIECES + 1, 0.6);
+        assert!(in_pieces >= 88, "{in_pieces} % of values in pieces");
+    }
+
+    /// Of independent values: 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform values is 3 / 8 in
+    /// the middle.
+    #[test]
+    fn long_run_has_interval_of_textbook() {
+        let [a, b] = [(0.0, 1), (0.5, 2)].map(|(mean, seed)| [run(0.0, 50_000, mean, seed)]);
+        let found = difference(&a, &b, 3).expect("values");
+        let (lo, hi) = found.interval.expect("enough");
+        let expected = 1.96 * (2.0_f64 / 50_000.0).sqrt() * 4.0 / 3.0;
+        assert!(((hi - lo) / 2.0 / expected - 1.0).abs() < 0.1, "{lo} {hi}, not ±{expected}");
+        assert!((lo + hi - 2.0 * found.value).abs() < 0.3 * expected, "{lo} {hi}");
+    }
+
+    #[test]
+    fn median_of_frequent_values_stays_among_them() {
+        // Every fifth is one more, every fifth one less; the rest is the median itself.
+        let often = |add: f64| {
+            (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
+        };
+        let found = difference(&[often(0.0)], &[often(3.0)], 1).expect("values");
+        assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
+        // With one value many times, and with an even count, whatever is drawn.
+        let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
+        assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
+    }
+
+    #[test]
+    fn same_seed_gives_same_interval() {
+        let (a, b) = ([run(0.3, 100, 1.0, 1)], [run(0.3, 120, 1.2, 2)]);
+        assert_eq!(difference(&a, &b, 7), difference(&a, &b, 7));
+        assert_ne!(difference(&a, &b, 7), difference(&a, &b, 8));
+    }
+
+    #[test]
+    fn too_few_values_have_a_difference_and_no_interval() {
+        let few = difference(&[vec![1.0; 29]], &[vec![2.0; 300]], 1).expect("values");
+        assert_eq!((few.value, few.interval, few.is_distinct()), (1.0, None, None));
+        assert_eq!(difference(&[Vec::new()], &[vec![1.0]], 1), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! How far the means of configurations differ, and whether that is more than chance.
+
+use std::collections::HashMap;
+
+use futures::{StreamExt, TryStreamExt};
+use peernet_logger::{Name, stage};
+use peernet_report::compare::{Difference, MeanEstimate, Ranking};
+use peernet_store::{StageMeans, Store};
+
+use super::{Comparison, Configuration};
+use crate::error::WebError;
+
+/// Most buckets that a run is read in.
+const BUCKETS: usize = 120;
+/// Runs that are read at once.
+const READ_AT_ONCE: usize = 4;
+
+/// Means of the stages of each run, by its number.
+pub(crate) type RunMeans = HashMap<i64, Vec<StageMeans>>;
+
+/// The stages that are compared.
+fn compared() -> Vec<Name> {
+    [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect()
+}
+
+/// Reads the means of the stages over the time of each run.
+///
+/// # Errors
+/// When the store cannot be read.
+pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<RunMeans, WebError> {
+    let names = &compared();
+    let runs: Vec<i64> = comparison.runs().map(|run| run.number).collect();
+    let read = |run| async move { Ok((run, store.means(run, names, BUCKETS).await?)) };
+    futures::stream::iter(runs).map(read).buffered(READ_AT_ONCE).try_collect().await
+}
+
+/// Differences of all configurations to one of them.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Differences {
+    /// Place of the configuration that the others are compared with.
+    pub baseline: usize,
+    /// Place of each other one with its stages in their order, those of which nothing is known left out.
+    pub others: Vec<(usize, Vec<StageDifference>)>,
+    /// Which configuration has the smallest mean total, among those whose model computes something where there are any.
+    pub ranking: Option<Ranking>,
+}
+
+/// A stage of two configurations. Seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StageDifference {
+    pub name: Name,
+    /// Mean of the baseline and of the other, where it is known.
+    pub means: (Option<f64>, Option<f64>),
+    /// The other less the baseline, where both are known.
+    pub found: Option<Difference>,
+}
+
+impl StageDifference {
+    /// Whether the difference is more than chance; `None` where that cannot be told.
+    pub(crate) fn is_distinct(&self) -> Option<bool> {
+        self.found.and_then(|found| found.is_distinct())
+    }
+}
+
+impl Differences {
+    /// Compares all configurations with the one at `baseline`.
+    pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
+        let names = compared();
+        let all = &comparison.configurations;
+        let estimate = |one: &Configuration, name: &Name| {
+            let runs: Vec<Vec<(u64, f64)>> =
+                one.runs.iter().map(|run| buckets(means, run.number, name)).collect();
+            MeanEstimate::of_buckets(&runs)
+        };
+        let estimates: Vec<Vec<Option<MeanEstimate>>> =
+            all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
+        let stages = |place: usize| {
+            let mean = |place: usize, name: &Name| all[place].figures(name).map(|figures| figures.mean);
+            let stage = |(at, name): (usize, &Name)| {
+                let means = (mean(baseline, name), mean(place, name));
+                (means != (None, None)).then_some(())?;
+                let estimates = estimates[baseline][at].as_ref().zip(estimates[place][at].as_ref());
+                let found = estimates.map(|(first, second)| Difference::of_means(first, second));
+                Some(StageDifference { name: name.clone(), means, found })
+            };
+            (place, names.iter().enumerate().filter_map(stage).collect())
+        };
+        let others = (0..all.len()).filter(|place| *place != baseline).map(stages).collect();
+        // A sensor alone has no total, and is not ranked with pipelines.
+        let is_ranked = |place: &usize| {
+            let (one, some_compute) = (&all[*place], all.iter().any(|one| one.computes));
+            one.figures(&stage::TOTAL).is_some() && one.computes == some_compute
+        };
+        let ranked = (0..all.len()).filter(is_ranked).map(|place| (place, estimates[place][0].clone()));
+        Self { baseline, others, ranking: Ranking::of(&ranked.collect::<Vec<_>>()) }
+    }
+
+    /// The difference of the mean total of a configuration to the baseline.
+    pub(crate) fn total(&self, place: usize) -> Option<&StageDifference> {
+        let (_, stages) = self.others.iter().find(|(other, _)| *other == place)?;
+        stages.iter().find(|stage| stage.name == stage::TOTAL)
+    }
+}
+
+fn buckets(means: &RunMeans, run: i64, name: &Name) -> Vec<(u64, f64)> {
+    let of_run = means.get(&run).into_iter().flatten().filter(|stage| stage.stage == *name);
+    of_run.flat_map(|stage| stage.buckets.iter().map(|bucket| (bucket.count, bucket.mean))).collect()
+}

@@ -1,0 +1,52 @@
+//! Names of configurations, made of what differs between them.
+
+use peernet_statistics::number::NONE;
+use peernet_store::RunSummary;
+
+/// Returns a name for each configuration, given its value on each axis and its runs: its values, and the number of its first run where
+/// there are none or another configuration has the same.
+pub(super) fn names<'a>(
+    axes: &[String],
+    configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,
+) -> Vec<String> {
+    let (words, runs): (Vec<String>, Vec<&[RunSummary]>) =
+        configurations.map(|(values, runs)| (in_words(axes, values), runs)).unzip();
+    let name = |(words_of, runs): (&String, &&[RunSummary])| {
+        let is_unique = words.iter().filter(|other| *other == words_of).count() == 1;
+        let first = runs.first().map_or_else(String::new, |run| format!("#{}", run.number));
+        match (words_of.is_empty(), is_unique) {
+            (true, _) => first,
+            (false, true) => words_of.clone(),
+            (false, false) => format!("{words_of}, {first}"),
+        }
+    };
+    words.iter().zip(&runs).map(name).collect()
+}
+
+/// Returns the values of a configuration as words; a bare number with what it counts.
+pub(super) fn in_words(axes: &[String], values: &[String]) -> String {
+    let known = axes.iter().zip(values).filter(|(_, value)| *value != NONE);
+    let words = known.map(|(axis, value)| match value.parse::<f64>() {
+        Ok(_) => format!("{axis} {value}"),
+        Err(_) => value.clone(),
+    });
+    words.collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_stream::PlacementKind::Local;
+
+    use super::super::tests::run;
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_never_empty() {
+        let axes = ["where", "size"].map(str::to_owned);
+        let values = [["cloud", "224"], ["local", NONE], ["local", NONE], [NONE, NONE]]
+            .map(|values| values.map(str::to_owned));
+        let runs: Vec<Vec<RunSummary>> = (1..5).map(|number| vec![run(number, Local)]).collect();
+        let all = values.iter().map(|values| &values[..]).zip(runs.iter().map(Vec::as_slice));
+        assert_eq!(names(&axes, all), ["cloud, size 224", "local, #2", "local, #3", "#4"]);
+    }
+}

@@ -1,0 +1,68 @@
+//! What a comparison found, in a sentence.
+
+use peernet_report::compare::{Difference, Ranking};
+use peernet_statistics::number::{Estimate, SPACE, duration};
+
+use super::{Comparison, Configuration, Differences};
+
+/// Most configurations that a title names beside the best.
+const NAMED: usize = 2;
+
+/// Returns what the comparison found.
+pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> String {
+    let all = &comparison.configurations;
+    let Some(ranking) = differences.ranking.as_ref() else {
+        return match (
+            all.len(),
+            all.iter().filter(|one| one.total().is_some()).collect::<Vec<_>>().as_slice(),
+        ) {
+            (0, _) => "No run of this experiment was finished yet".to_owned(),
+            (1, _) => "One configuration: there is nothing to compare it with yet".to_owned(),
+            (_, [only]) => {
+                format!("Only {} has measured anything: there is nothing to compare it with", only.name)
+            }
+            (_, []) => "No successful iteration of these runs is stored yet".to_owned(),
+            _ => "These configurations have no total in common that could be compared".to_owned(),
+        };
+    };
+    let best = &all[ranking.best];
+    let mean = best.total().map_or_else(String::new, |total| duration(total.mean).to_string());
+    let (ties, untested) = (ranking.ties(), ranking.untested());
+    if !ties.is_empty() {
+        return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));
+    }
+    if !untested.is_empty() {
+        let among = match ranking.beyond.len() {
+            1 => format!("{} has the smaller mean, {mean}", best.name),
+            others => format!("{} has the smallest mean of {}, {mean}", best.name, others + 1),
+        };
+        return format!("{among}; too little is known of {} to tell more", names(all, &untested));
+    }
+    let Some((place, difference)) = compared_with(ranking, differences.baseline) else {
+        return format!("{} is the fastest: {mean}", best.name);
+    };
+    let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
+    let less = Estimate::new(difference.value, (lo, hi));
+    format!(
+        "{} is the fastest: {mean}, {}{SPACE}ms less than {} (95{SPACE}%: {})",
+        best.name,
+        less.value(),
+        all[place].name,
+        less.between()
+    )
+}
+
+/// The configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
+fn compared_with(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
+    let known = || ranking.beyond.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
+    let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
+    known().find(|(place, _)| *place == baseline).or_else(next)
+}
+
+fn names(all: &[Configuration], places: &[usize]) -> String {
+    let named: Vec<&str> = places.iter().take(NAMED).map(|place| all[*place].name.as_str()).collect();
+    match places.len() - named.len() {
+        0 => named.join(" and "),
+        more => format!("{} and {more} more", named.join(", ")),
+    }
+}
