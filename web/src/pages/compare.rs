@@ -200,7 +200,7 @@ impl Baseline {
         let other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
             name: all[*place].name.clone(),
             total: differences.total(*place).map(Changed::of),
-            stages: stages.iter().map(Changed::of).collect(),
+            stages: Changed::of_stages(stages),
         };
         let is_known = |stages: &[StageDifference]| stages.iter().any(|stage| stage.found.is_some());
         let others = differences.others.iter().filter(|(_, stages)| is_known(stages));

@@ -26,6 +26,17 @@ impl Estimate {
         Self { value, interval: (lo, hi), decimals }
     }
 
+    /// Returns how many decimals the interval supports.
+    pub fn decimals(&self) -> usize {
+        self.decimals
+    }
+
+    /// The same with so many decimals, as the others of its column have.
+    #[must_use]
+    pub fn with_decimals(self, decimals: usize) -> Self {
+        Self { decimals, ..self }
+    }
+
     /// Without its unit: `0.0183`, `−0.00070`.
     pub fn value(&self) -> String {
         self.shown(self.value)
@@ -76,6 +87,7 @@ mod tests {
         assert_eq!(told(of(0.018_31, 0.017_9, 0.018_7)), "0.01831 (0.01790 – 0.01870)");
         assert_eq!(told(of(6.304, 5.66, 6.93)), "6.30 (5.66 – 6.93)");
         assert_eq!(told(of(270.4, 250.0, 290.0)), "270 (250 – 290)");
+        assert_eq!(told(of(270.4, 250.0, 290.0).with_decimals(1)), "270.4 (250.0 – 290.0)");
         assert_eq!(told(of(0.000_3, 0.000_3, 0.000_3)), "0.000300 (0.000300)");
         assert_eq!(told(of(0.0, 0.0, 0.0)), "0.00 (0.00)");
     }

@@ -136,10 +136,7 @@ async fn interval_that_cannot_be_known_is_explained() {
         html.contains("an interval needs at least 30 iterations of each run, in at least 5 stretches"),
         "{html}"
     );
-    assert!(
-        html.contains("cannot be told") && html.contains("too little is known of A to tell more"),
-        "{html}"
-    );
+    assert!(html.contains("cannot be told") && html.contains("too little is known to tell more"), "{html}");
 }
 
 #[tokio::test]

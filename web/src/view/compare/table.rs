@@ -38,7 +38,7 @@ pub(crate) struct Header {
 /// One configuration. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    pub name: String,
+    /// On each axis; its name where there is no axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
@@ -58,9 +58,9 @@ impl Table {
         let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| known(name)).collect();
         let accuracies: Vec<_> = look::ACCURACIES.into_iter().filter(|(name, _)| known(name)).collect();
         let best = differences.ranking.as_ref().map(|ranking| ranking.best);
+        let has_axes = !comparison.axes.is_empty();
         let row = |(at, one): (usize, &Configuration)| Row {
-            name: one.name.clone(),
-            values: one.values.clone(),
+            values: if has_axes { one.values.clone() } else { vec![one.name.clone()] },
             runs: one.runs.iter().map(|run| run.number).collect(),
             iterations: count(one.total().map_or(0, |total| total.count)),
             cells: columns
@@ -85,7 +85,7 @@ impl Table {
         Self {
             rows: comparison.configurations.iter().enumerate().map(row).collect(),
             header: Header {
-                axes: comparison.axes.clone(),
+                axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
                 columns: columns.into_iter().map(|(_, shown)| shown).collect(),
                 accuracies: accuracies.into_iter().map(|(_, shown)| shown).collect(),
                 sent: known(&stage::UPLOAD_BYTES),
@@ -108,21 +108,40 @@ pub(crate) struct Changed {
     pub certain: Option<bool>,
 }
 
+/// Most decimals of a difference in ms.
+const MOST_DECIMALS: usize = 3;
+
 impl Changed {
+    /// The stages of a configuration, with one number of decimals for all.
+    pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
+        let decimals = stages.iter().filter_map(estimate).map(|estimate| estimate.decimals()).max();
+        let decimals = decimals.unwrap_or_default().min(MOST_DECIMALS);
+        stages.iter().map(|stage| Self::with(stage, |estimate| estimate.with_decimals(decimals))).collect()
+    }
+
+    /// A stage by itself.
     pub(crate) fn of(stage: &StageDifference) -> Self {
+        Self::with(stage, |estimate| estimate)
+    }
+
+    fn with(stage: &StageDifference, form: impl Fn(Estimate) -> Estimate) -> Self {
         let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0);
         let shown = COLUMNS.iter().find(|(known, _)| stage.name == **known);
-        let found = stage.found.map(|found| {
-            (found, Estimate::new(found.value, found.interval.unwrap_or((found.value, found.value))))
-        });
+        let has_interval = stage.found.is_some_and(|found| found.interval.is_some());
+        let estimate = estimate(stage).map(form);
         Self {
             name: shown.map_or(&*stage.name, |(_, shown)| shown).to_owned(),
             look: look::class(&stage.name),
             first: mean(stage.means.0),
             second: mean(stage.means.1),
-            difference: found.map_or_else(|| NONE.to_owned(), |(_, estimate)| estimate.signed()),
-            interval: found.and_then(|(found, estimate)| found.interval.map(|_| estimate.shift())),
+            difference: estimate.as_ref().map_or_else(|| NONE.to_owned(), Estimate::signed),
+            interval: estimate.as_ref().filter(|_| has_interval).map(Estimate::shift),
             certain: stage.is_distinct(),
         }
     }
+}
+
+fn estimate(stage: &StageDifference) -> Option<Estimate> {
+    let found = stage.found?;
+    Some(Estimate::new(found.value, found.interval.unwrap_or((found.value, found.value))))
 }

@@ -192,7 +192,7 @@ fn title_names_no_fastest_where_that_cannot_be_told() {
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
     let short = scaled(&[1.0, 1.5, 2.0]);
     let text = title_of(&short, &totals(&short, 3), 0);
-    let known = "A has the smallest mean of 3, 16.0\u{202f}ms; too little is known of B and C to tell more";
+    let known = "A has the smallest mean of 3, 16.0\u{202f}ms; too little is known to tell more";
     assert_eq!(text, known);
     assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("was finished yet"));
 }

@@ -36,7 +36,11 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => format!("{} has the smallest mean of {}, {mean}", best.name, others + 1),
         };
-        return format!("{among}; too little is known of {} to tell more", names(all, &untested));
+        let whom = match untested.len() < ranking.beyond.len() {
+            true => format!(" of {}", names(all, &untested)),
+            false => String::new(),
+        };
+        return format!("{among}; too little is known{whom} to tell more");
     }
     let Some((place, difference)) = compared_with(ranking, differences.baseline) else {
         return format!("{} is the fastest: {mean}", best.name);
