@@ -62,8 +62,8 @@ describe("the way of a person", () => {
 
 describe("what is drawn of little", () => {
   // The overview with these seconds in its first chart, and nothing that comes later.
-  async function first(change) {
-    const { page, errors, close } = await charted(browser, base, "/", (data) => change(data.charts[0]));
+  async function first(change, options) {
+    const { page, errors, close } = await charted(browser, base, "/", (data) => change(data.charts[0]), options);
     const series = await page.evaluate(() => {
       const all = globalThis.echarts.getInstanceByDom(document.querySelector(".live-chart")).getOption().series;
       return all.map(({ name, data }) => ({ name, data: (data || []).map((point) => ({ value: point.value?.[1] ?? point[1] ?? null, at: (point.value ?? point)[0], symbol: point.symbol ?? null })) }));
@@ -73,10 +73,31 @@ describe("what is drawn of little", () => {
   }
 
   test("a run of one second is seen: an area as wide as its bucket and a dot", async () => {
-    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: [9], means: { total: [8], inference: [5], "upload-throughput": [3] }, obstacles: [null, null], cpu: [], gpu: [] }));
+    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5], "upload-throughput": [3] }, obstacles: [null, null], cpu: [], gpu: [] }));
     assert.equal(of("inference").length, 2);
-    assert.deepEqual(of("p95").map(({ symbol }) => symbol), ["circle"]);
+    assert.deepEqual(of("p95").map(({ value }) => value), [9, 9]);
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
+  });
+
+  // Ten minutes at 2 Hz with one iteration of 1.4 s: a minute holds 120 iterations, a shorter bucket too few.
+  const slow = (chart) => {
+    const from = chart.from - (chart.from % 60), seconds = Array.from({ length: 600 }, (_, at) => at);
+    const total = seconds.map((at) => (at === 333 ? 705 : 10)), points = [0, 60, 120, 240, 300, 360, 420, 480, 540].map((at) => [from + at, 11]);
+    Object.assign(chart, { from, remote: false, n: seconds.map(() => 2), means: { total, inference: total }, p95: { size: 60, points }, cpu: [], gpu: [] });
+  };
+  test("percentiles and means are the same at every width, each as long as its bucket", async () => {
+    const drawings = [];
+    for (const width of [400, 1440, 2560]) {
+      const { errors, all } = await first(slow, { width });
+      assert.deepEqual(errors, []);
+      drawings.push({ p95: all("p95"), inference: all("inference") });
+    }
+    assert.deepEqual(drawings[0], drawings[1]);
+    assert.deepEqual(drawings[1], drawings[2]);
+    const { p95 } = drawings[0], values = p95.map(({ value }) => value);
+    assert.equal(Math.max(...values), 11, "no mean of percentiles of fewer iterations");
+    assert.equal(values.filter((value) => value == null).length, 1, "the line stops where a bucket has no percentile");
+    assert.deepEqual([p95[1].at - p95[0].at, values.length], [60e3, 19]);
   });
 
   test("the line of a host's CPU stops where nothing was heard of it", async () => {

@@ -25,7 +25,7 @@ pub use aggregator::{Aggregator, Running};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
 pub use picture::{
-    Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture, PipelinePicture,
-    RefusedFrames, RefusedHost, Totals, Window,
+    Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, PercentilePoint,
+    PercentileSeries, Picture, PipelinePicture, RefusedFrames, RefusedHost, Totals, Window,
 };
 pub use readiness::Readiness;

@@ -182,6 +182,31 @@ pub struct PipelinePicture {
     pub windows: [Window; 3],
     /// The last 600 seconds, oldest first; seconds without a report are absent.
     pub series: Vec<Arc<LiveSecond>>,
+    /// The 95th percentile of `total` over the same seconds.
+    pub total_p95: PercentileSeries,
+}
+
+/// The 95th percentile of `total` over time. Each is that of all iterations of its bucket: their sketches are merged.
+///
+/// The bucket is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s that holds enough iterations at the pipeline's
+/// rate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PercentileSeries {
+    /// Length of each bucket, seconds; `None` while even the longest would hold too few iterations.
+    pub bucket_s: Option<u32>,
+    /// Buckets that hold enough iterations, oldest first; the newest one may be under way.
+    pub points: Vec<PercentilePoint>,
+}
+
+/// The 95th percentile of one bucket.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PercentilePoint {
+    /// First second of the bucket, since the Unix epoch, on the edge's wall clock; a multiple of the bucket's length.
+    pub at: i64,
+    /// Successful iterations in the bucket.
+    pub count: u64,
+    /// 95th percentile of their `total`, seconds.
+    pub p95: f64,
 }
 
 /// What happened within the last seconds of the edge's wall clock.
@@ -215,8 +240,7 @@ pub struct LiveSecond {
     pub counts: OutcomeCounts,
     /// Means by node name in SI units, in the order of [`Window::values`].
     pub means: Vec<(Name, f64)>,
-    /// 95th percentile of `total` within the second, seconds; `None` when no iteration succeeded. Of few
-    /// samples: for a line over time, not for a table.
+    /// 95th percentile of `total` within the second, seconds; `None` when fewer than 60 iterations succeeded.
     pub total_p95: Option<f64>,
     /// How many delays of a direction deserve which verdict.
     pub verdicts: Vec<(Name, Verdict, u64)>,

@@ -1,4 +1,5 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
+// Means are added up here, percentiles are computed by the aggregator: a mean of percentiles is none.
 (() => {
   const KEPT = 600, RETRY = 2000;
   // Seconds between two figures of a host, which come every five, that mean that it was away.
@@ -33,9 +34,7 @@
     if (at < 0) return;
     const length = at + 1;
     grow(card.n, length);
-    grow(card.p95, length);
     card.n[at] = second.counts.ok;
-    card.p95[at] = second.total_p95 == null ? null : second.total_p95 * 1e3;
     const names = PEER.STAGES.concat(["total", "upload-throughput", "download-throughput"]);
     for (const name of names) {
       const value = second.means[name];
@@ -48,23 +47,37 @@
     const extra = card.n.length - KEPT;
     if (extra > 0) {
       card.from += extra;
-      for (const list of [card.n, card.p95, ...Object.values(card.means)]) list.splice(0, extra);
+      for (const list of [card.n, ...Object.values(card.means)]) list.splice(0, extra);
     }
     card.last = card.from + card.n.length - 1;
   }
 
+  // Takes in percentiles that arrive; false where those of other buckets are missing now.
+  function putPercentiles(card, { bucket_s: size, points }, complete) {
+    state++;
+    const same = size === card.p95.size, fresh = points.map(({ at, p95 }) => [at, p95 * 1e3]), times = new Set(points.map(({ at }) => at));
+    const kept = complete || !same ? [] : card.p95.points.filter(([at]) => !times.has(at) && at + size > card.from);
+    card.p95 = { size, points: kept.concat(fresh).sort((one, other) => one[0] - other[0]) };
+    return complete || same;
+  }
+  // Percentiles within the range as (begin, end, ms); none where the range is shorter than one bucket.
+  function percentiles(card, start, end) {
+    const { size, points } = card.p95;
+    if (!size || size > end - start) return [];
+    return points.filter(([at]) => at < end && at + size > start).map(([at, value]) => [Math.max(at, start) * 1e3, Math.min(at + size, end) * 1e3, value]);
+  }
+
   // The buckets of a card, made once for each state of all cards: the charts share their end and their scale.
   let state = 0;
-  function bucketed(card, width) {
-    const key = `${state} ${range} ${width}`;
-    if (card.view?.key !== key) card.view = { key, ...buckets(card, width) };
+  function bucketed(card) {
+    const key = `${state} ${range}`;
+    if (card.view?.key !== key) card.view = { key, ...buckets(card) };
     return card.view;
   }
-  function buckets(card, width) {
+  function buckets(card) {
     const end = Math.max(...cards.map((other) => other.last)) + 1, start = end - range;
     const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
-    // A slow pipeline gets buckets that hold an iteration each.
-    const size = PEER.bucket(width, range, rate > 0 ? Math.ceil(1.5 / rate) : 1);
+    const size = PEER.bucket(range, rate);
     const stages = PEER.STAGES.filter((stage) => stage !== "unattributed" && card.means[stage]);
     // Clocks that were never related: neither direction is known, their sum is.
     const both = card.remote && !card.means.upload && !card.means.download && card.means.unattributed;
@@ -72,7 +85,7 @@
     if (both) stages.splice(stages.filter((stage) => place(stage) < place("upload")).length, 0, "network");
     const rows = [];
     for (let from = Math.floor(start / size) * size; from < end; from += size) {
-      const row = { at: (from + size / 2) * 1e3, n: 0, reported: false, means: {}, p95: null, total: null };
+      const row = { at: (from + size / 2) * 1e3, n: 0, reported: false, means: {}, total: null };
       const seconds = [];
       for (let at = Math.max(from, card.from); at < from + size && at <= card.last; at++) {
         const index = at - card.from;
@@ -87,7 +100,6 @@
       };
       if (row.n > 0) {
         row.total = mean(card.means.total);
-        row.p95 = mean(card.p95);
         let left = row.total;
         for (const stage of stages) { if (stage === "network") continue; row.means[stage] = mean(card.means[stage]) ?? 0; left -= row.means[stage]; }
         if (both) { row.means.network = Math.max(0, left - (mean(card.means.unattributed) ?? 0)); left -= row.means.network; }
@@ -97,7 +109,7 @@
       }
       rows.push(row);
     }
-    return { rows, size, stages: stages.concat(["unattributed"]), start: start * 1e3, end: end * 1e3 };
+    return { rows, size, p95: percentiles(card, start, end), stages: stages.concat(["unattributed"]), start: start * 1e3, end: end * 1e3 };
   }
 
   // Seconds without a report, between seconds with one.
@@ -113,13 +125,15 @@
   }
 
   // One scale for all charts that are compared; it grows at once and shrinks after half a minute.
-  function shared(width) {
+  function shared() {
     let highest = 0;
     for (const card of cards) {
-      for (const row of bucketed(card, width).rows) {
-        const value = alone ? PEER.STAGES.filter((stage) => PEER.look(stage) === alone).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : Math.max(row.total || 0, row.p95 || 0);
+      const { rows, p95 } = bucketed(card);
+      for (const row of rows) {
+        const value = alone ? PEER.STAGES.filter((stage) => PEER.look(stage) === alone).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : row.total || 0;
         highest = Math.max(highest, value);
       }
+      if (!alone) for (const [, , value] of p95) highest = Math.max(highest, value);
     }
     const wanted = PEER.steps(highest), now = performance.now();
     if (wanted.max >= scale.max || now - scale.since > 30000) scale = { ...wanted, since: now };
@@ -140,6 +154,16 @@
   function dotted(points) {
     const isNone = (point) => point?.[1] == null;
     return points.map((point, index) => (!isNone(point) && isNone(points[index - 1]) && isNone(points[index + 1]) ? { value: point, symbol: "circle", symbolSize: PEER.px(0.3125) } : point));
+  }
+
+  // Each percentile is a level line as long as its bucket; buckets without one part the line.
+  function levels(p95) {
+    const points = [];
+    p95.forEach(([from, to, value], index) => {
+      if (index > 0 && p95[index - 1][1] < from) points.push([p95[index - 1][1], null]);
+      points.push([from, value], [to, value]);
+    });
+    return points;
   }
 
   // Means of one bucket between buckets with none: an area as wide as the bucket.
@@ -164,8 +188,8 @@
   }
 
   function options(card, node) {
-    const width = node.clientWidth, { rows, size, stages, start, end } = bucketed(card, width);
-    const seconds = range <= 60, ends = shared(width), below = strips(card, rows);
+    const { rows, size, p95, stages, start, end } = bucketed(card);
+    const seconds = range <= 60, ends = shared(), below = strips(card, rows);
     for (const strip of below) strip.max ??= PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
     const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => NUMBERS.tick(strip.max))), seconds);
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
@@ -177,7 +201,7 @@
       name: stage, type: "line", stack: "stages", symbol: "none", data: areas(rows, stage, size),
       lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
     }));
-    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: dotted(rows.map((row) => [row.at, row.p95])), lineStyle: { width: 1.25, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
+    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: levels(p95), lineStyle: { width: 1.25, color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
     below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: dotted(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
     const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
     series.push(PEER.marks(mine, gaps(card), plots));
@@ -188,7 +212,8 @@
         if (!PEER.isHovered(node) || !params.length) return "";
         const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
         const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: NUMBERS.figure(row.means[stage]) }));
-        lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: "p95", value: NUMBERS.figure(row.p95) });
+        const level = p95.find(([from, to]) => row.at >= from && row.at < to);
+        lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.figure(level?.[2]) });
         if (card.remote) lines.push({ name: "up, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down, MB/s", value: NUMBERS.significant(row.down) });
         return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
@@ -227,6 +252,7 @@
       const oldest = pipeline.seconds[0];
       if (card.missed || (oldest && card.n.length && oldest.at > card.last + 1)) catchUp(card);
       pipeline.seconds.forEach((second) => put(card, second));
+      if (!putPercentiles(card, pipeline.total_over_time, false)) catchUp(card);
       const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
       for (const name of ["cpu", "gpu"]) {
         const list = card[name];
@@ -245,7 +271,9 @@
     try {
       const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
       if (!answer.ok) throw new Error(`status ${answer.status}`);
-      (await answer.json()).seconds.forEach((second) => put(card, second));
+      const pipeline = await answer.json();
+      pipeline.seconds.forEach((second) => put(card, second));
+      putPercentiles(card, pipeline.total_over_time, true);
       card.missed = false;
       refresh();
     } catch { /* asked again with one of the next seconds */ }

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Arrivals, HostPicture, LinkPicture, LiveSecond, MetricsPoint, Picture,
-    PipelinePicture, RefusedHost, Totals, Window,
+    Aggregator, AggregatorConfig, Arrivals, HostPicture, LinkPicture, LiveSecond, MetricsPoint,
+    PercentilePoint, PercentileSeries, Picture, PipelinePicture, RefusedHost, Totals, Window,
 };
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
@@ -128,7 +128,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
             at,
             counts,
             means,
-            total_p95: Some(0.018 * scale),
+            total_p95: (counts.ok >= 60).then_some(0.018 * scale),
             verdicts: verdicts.to_vec(),
         })
     });
@@ -144,7 +144,19 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
         last_seen: NOW,
         windows: [1, 10, 60].map(|seconds| window(seconds, hz, scale, verdict)),
         series: series.collect(),
+        total_p95: percentiles(last, hz, scale),
     }
+}
+
+/// Percentiles of the last two minutes in buckets of 10 s, where those hold enough iterations.
+fn percentiles(last: i64, hz: f64, scale: f64) -> PercentileSeries {
+    let count = 10 * hz as u64;
+    if count < 60 {
+        return PercentileSeries::default();
+    }
+    let begins = (last - 120..=last).filter(|at| at % 10 == 0);
+    let points = begins.map(|at| PercentilePoint { at, count, p95: 0.018 * scale });
+    PercentileSeries { bucket_s: Some(10), points: points.collect() }
 }
 
 fn host_id() -> HostId {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
+use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture};
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, stage_ms};
@@ -87,13 +87,28 @@ struct ChartData {
     n: Vec<Option<u64>>,
     /// Means by node name: stages and `total` in ms, throughputs in MB/s.
     means: BTreeMap<&'static str, Vec<Short>>,
-    /// 95th percentile of `total` within the second, ms.
-    p95: Vec<Short>,
+    p95: PercentileData,
     /// Why a direction has no line.
     obstacles: Obstacles,
     /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
     cpu: Vec<(i64, Short)>,
     gpu: Vec<(i64, Short)>,
+}
+
+/// The 95th percentile of `total` in buckets.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct PercentileData {
+    /// Length of each bucket, seconds; null while none holds enough iterations.
+    size: Option<u32>,
+    /// First second of a bucket, and the percentile in ms.
+    points: Vec<(i64, Short)>,
+}
+
+impl PercentileData {
+    fn new(series: &PercentileSeries) -> Self {
+        let points = series.points.iter().map(|point| (point.at, Short(Some(point.p95 * 1e3))));
+        Self { size: series.bucket_s, points: points.collect() }
+    }
 }
 
 #[derive(Serialize)]
@@ -158,7 +173,7 @@ impl ChartData {
             from,
             n: vec![None; length],
             means: BTreeMap::new(),
-            p95: vec![Short(None); length],
+            p95: PercentileData::new(&pipeline.total_p95),
             obstacles: [Way::Up, Way::Down].map(|way| speed::obstacle_in(series, way)),
             cpu: Vec::new(),
             gpu: Vec::new(),
@@ -167,7 +182,6 @@ impl ChartData {
         for second in series {
             let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
             data.n[at] = Some(second.counts.ok);
-            data.p95[at] = Short(second.total_p95.map(|seconds| seconds * 1e3));
             for (name, factor) in drawn() {
                 if let Some(value) = mean(second, name) {
                     data.means.entry(name).or_insert_with(|| vec![Short(None); length])[at] =

@@ -36,9 +36,13 @@ impl Cell {
         Self { counts, values, bounds, verdicts }
     }
 
+    /// The total of its iterations; `None` when none succeeded.
+    pub(super) fn total(&self) -> Option<&Summary> {
+        self.values.iter().find(|(name, _)| *name == stage::TOTAL).map(|(_, summary)| summary)
+    }
+
     /// The second as the live charts draw it.
     pub(super) fn draw(&self, at: i64) -> LiveSecond {
-        let total = self.values.iter().find(|(name, _)| *name == stage::TOTAL);
         let mut means: Vec<(Name, f64)> = self
             .values
             .iter()
@@ -46,7 +50,7 @@ impl Cell {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        let total_p95 = total.and_then(|(_, summary)| summary.quantile(0.95));
+        let total_p95 = self.total().and_then(Figures::of).and_then(|figures| figures.p95);
         LiveSecond { at, counts: self.counts, means, total_p95, verdicts: self.verdicts.clone() }
     }
 

@@ -11,6 +11,7 @@ mod event_account;
 mod host;
 mod link;
 mod metrics_history;
+mod percentiles;
 mod pipeline;
 mod presence;
 pub(crate) mod task;

@@ -10,6 +10,7 @@ use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::bounds;
 use super::cell::Cell;
+use super::percentiles::Percentiles;
 use crate::picture::{LiveSecond, PipelinePicture, Window};
 
 /// The windows of the picture, in complete seconds.
@@ -34,6 +35,7 @@ pub(super) struct Pipeline {
     load: String,
     recent: Windows<Cell>,
     series: BTreeMap<i64, Arc<LiveSecond>>,
+    percentiles: Percentiles,
     /// The agent's clock at the last update.
     sent: WallTime,
     /// Our clocks at the last update.
@@ -52,6 +54,7 @@ impl Pipeline {
             load: String::new(),
             recent: Windows::new(RING_S),
             series: BTreeMap::new(),
+            percentiles: Percentiles::default(),
             sent,
             seen: now,
             picture: None,
@@ -69,6 +72,7 @@ impl Pipeline {
             // The clock was set back and shows these seconds again: what is known of them happened at other times.
             self.recent.forget_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
+            self.percentiles.forget_from(sent.unix_seconds());
         }
         (self.sent, self.seen) = (sent, now);
         (self.state, self.run, self.placement, self.load) = (live.state, live.run, live.placement, live.load);
@@ -82,11 +86,14 @@ impl Pipeline {
             }
             let cell = Cell::of(second, left_out);
             self.series.insert(at, Arc::new(cell.draw(at)));
+            self.percentiles.replace(at, cell.total());
             if at > newest - SKETCHES_S {
                 self.recent.replace(at, cell);
             }
         }
-        self.series = self.series.split_off(&(newest.saturating_sub(SERIES_S) + 1));
+        let oldest = newest.saturating_sub(SERIES_S) + 1;
+        self.series = self.series.split_off(&oldest);
+        self.percentiles.forget_before(oldest);
         self.picture = None;
     }
 
@@ -160,6 +167,7 @@ impl Pipeline {
             last_seen: self.seen.wall,
             windows: self.windows(now),
             series: self.series.values().cloned().collect(),
+            total_p95: self.percentiles.series(),
         });
         self.picture = Some(Arc::clone(&picture));
         picture

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{LiveSecond, Picture, PipelinePicture};
+use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -39,6 +39,39 @@ pub(crate) struct Pipeline {
     /// Seconds, oldest first: the last five in lists and events, the last 600 of a single pipeline. A second
     /// without a report is absent.
     pub seconds: Vec<Second>,
+    /// 95th percentile of `total` over the time of `seconds`.
+    pub total_over_time: TotalOverTime,
+}
+
+/// 95th percentile of `total` over time. Each is that of all iterations of its bucket: their sketches are merged.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TotalOverTime {
+    /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 that holds 60 iterations at
+    /// the pipeline's rate; null while even the longest holds fewer.
+    pub bucket_s: Option<u32>,
+    /// Buckets that hold 60 iterations or more, oldest first; the newest one may be under way.
+    pub points: Vec<TotalPoint>,
+}
+
+/// 95th percentile of `total` in one bucket.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TotalPoint {
+    /// First second of the bucket, since the Unix epoch, on the edge's wall clock.
+    pub at: i64,
+    /// Successful iterations in the bucket.
+    pub count: u64,
+    /// 95th percentile of their `total`, seconds.
+    pub p95: f64,
+}
+
+impl TotalOverTime {
+    /// The buckets that reach to `since` or beyond, in seconds since the Unix epoch.
+    fn since(series: &PercentileSeries, since: i64) -> Self {
+        let length = i64::from(series.bucket_s.unwrap_or(0));
+        let points = series.points.iter().filter(|point| point.at + length > since);
+        let points = points.map(|point| TotalPoint { at: point.at, count: point.count, p95: point.p95 });
+        Self { bucket_s: series.bucket_s, points: points.collect() }
+    }
 }
 
 /// What happened within the last seconds of the edge's wall clock.
@@ -65,7 +98,8 @@ pub(crate) struct Second {
     pub counts: Counts,
     /// Means by node name.
     pub means: BTreeMap<String, f64>,
-    /// 95th percentile of `total` within the second, seconds.
+    /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. For a line over time take
+    /// `total_over_time`: a mean of percentiles is none.
     pub total_p95: Option<f64>,
 }
 
@@ -93,6 +127,7 @@ impl Pipeline {
             bounds: window.bounds.iter().map(Bound::from).collect(),
         });
         let skip = picture.series.len().saturating_sub(seconds);
+        let since = picture.series.get(skip).map_or(i64::MAX, |second| second.at);
         Self {
             host: picture.host_name.to_string(),
             host_id: picture.host.to_string(),
@@ -105,6 +140,7 @@ impl Pipeline {
             last_seen: time(picture.last_seen),
             windows: windows.collect(),
             seconds: picture.series.iter().skip(skip).map(|second| Second::from(&**second)).collect(),
+            total_over_time: TotalOverTime::since(&picture.total_p95, since),
         }
     }
 }

@@ -3,6 +3,7 @@
 mod durable;
 mod leaving;
 mod links;
+mod over_time;
 
 use std::sync::Arc;
 

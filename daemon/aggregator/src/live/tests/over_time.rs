@@ -1,0 +1,105 @@
+//! The 95th percentile of the total over time, against exact computation.
+
+use super::{Bed, START, second};
+use crate::picture::PercentileSeries;
+
+/// What a pipeline shows after these seconds, each sent when it is over.
+fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
+    let mut bed = Bed::new();
+    for (at, totals) in seconds.iter().enumerate() {
+        bed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
+    }
+    bed.picture(seconds.len() as f64).pipelines[0].total_p95.clone()
+}
+
+fn exact_p95(mut totals: Vec<f64>) -> f64 {
+    totals.sort_by(f64::total_cmp);
+    let rank = 0.95 * (totals.len() - 1) as f64;
+    let (below, above) = (totals[rank.floor() as usize], totals[rank.ceil() as usize]);
+    below + (above - below) * rank.fract()
+}
+
+#[test]
+fn percentile_is_that_of_all_iterations_of_its_bucket() {
+    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in the 25th second.
+    let mut seconds: Vec<Vec<f64>> =
+        (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
+    seconds[25][3] = 1.4;
+    let found = series(&seconds);
+    assert_eq!(found.bucket_s, Some(10), "80 iterations; 5 s would hold 40");
+    assert_eq!(START.rem_euclid(10), 0);
+    assert_eq!(found.points.len(), 6);
+    for (bucket, point) in found.points.iter().enumerate() {
+        let held: Vec<f64> = seconds[10 * bucket..10 * bucket + 10].concat();
+        assert_eq!((point.at, point.count), (START + 10 * bucket as i64, 80));
+        let exact = exact_p95(held);
+        assert!((point.p95 - exact).abs() <= 0.0101 * exact, "{point:?}, but {exact}");
+        assert!(point.p95 < 0.014, "one iteration of 80 is no 95th percentile: {point:?}");
+    }
+}
+
+#[test]
+fn slow_pipeline_gets_buckets_that_hold_sixty_iterations() {
+    let bucket = |every: usize, each: usize| {
+        let seconds: Vec<Vec<f64>> =
+            (0..600).map(|at| if at % every == 0 { vec![0.010; each] } else { Vec::new() }).collect();
+        let found = series(&seconds);
+        assert!(found.points.iter().all(|point| point.count >= 60), "{found:?}");
+        (found.bucket_s, found.points.len())
+    };
+    assert_eq!(bucket(1, 100), (Some(1), 600));
+    assert_eq!(bucket(1, 30), (Some(5), 120), "2 s would hold 60, or 59 by chance");
+    assert_eq!(bucket(1, 2), (Some(60), 10));
+    assert_eq!(bucket(2, 1), (Some(300), 2));
+    assert_eq!(bucket(10, 1), (None, 0), "60 in ten minutes, with none to spare");
+}
+
+#[test]
+fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
+    let mut bed = Bed::new();
+    for at in 0..25 {
+        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+    }
+    let newest = |bed: &mut Bed, at| bed.picture(at).pipelines[0].total_p95.points.last().copied();
+    assert_eq!(newest(&mut bed, 25.0).map(|point| point.at), Some(START + 10), "the newest bucket holds 40");
+    for at in 25..28 {
+        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+    }
+    let point = newest(&mut bed, 28.0).expect("the newest bucket holds 64");
+    assert_eq!((point.at, point.count), (START + 20, 64));
+    // A second that is reported again is replaced, also in a bucket that was drawn.
+    bed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
+    let points = bed.picture(28.2).pipelines[0].total_p95.points.clone();
+    assert_eq!(points[1].count, 80);
+    assert!((points[1].p95 - 0.050).abs() < 0.001, "{points:?}");
+}
+
+#[test]
+fn percentiles_follow_a_clock_that_is_set_back() {
+    let mut bed = Bed::new();
+    for at in 0..40 {
+        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+    }
+    let host = bed.host;
+    let line = vec![super::pipeline("line", vec![second(15, &[0.010; 8], 0)])];
+    bed.live.take(super::update(host, super::wall(15.9), line), super::now(40.9));
+    let points = bed.picture(40.9).pipelines[0].total_p95.points.clone();
+    assert_eq!(
+        points.iter().map(|point| point.at - START).collect::<Vec<_>>(),
+        [0],
+        "48 in the second bucket"
+    );
+}
+
+#[test]
+fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
+    let mut seconds: Vec<Vec<f64>> = vec![vec![0.010; 8]; 100];
+    let mut bed = Bed::new();
+    seconds.extend(vec![vec![0.010; 8]; 100]);
+    for (at, totals) in seconds.iter().enumerate() {
+        let at = if at < 100 { at } else { at + 300 };
+        bed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
+    }
+    let found = bed.picture(500.0).pipelines[0].total_p95.clone();
+    assert_eq!((found.bucket_s, found.points.len()), (Some(10), 20));
+}
