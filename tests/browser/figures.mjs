@@ -73,7 +73,7 @@ describe("what is drawn of little", () => {
   }
 
   test("a run of one second is seen: an area as wide as its bucket and a dot", async () => {
-    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5], "upload-throughput": [3] }, obstacles: [null, null], cpu: [], gpu: [] }));
+    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5] }, transfers: { up: [[3e6, 1e6]], down: [null] }, obstacles: [null, null], cpu: [], gpu: [] }));
     assert.equal(of("inference").length, 2);
     assert.deepEqual(of("p95").map(({ value }) => value), [9, 9]);
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
@@ -83,7 +83,7 @@ describe("what is drawn of little", () => {
   const slow = (chart) => {
     const from = chart.from - (chart.from % 60), seconds = Array.from({ length: 600 }, (_, at) => at);
     const total = seconds.map((at) => (at === 333 ? 705 : 10)), points = [0, 60, 120, 240, 300, 360, 420, 480, 540].map((at) => [from + at, 11]);
-    Object.assign(chart, { from, remote: false, n: seconds.map(() => 2), means: { total, inference: total }, p95: { size: 60, points }, cpu: [], gpu: [] });
+    Object.assign(chart, { from, remote: false, n: seconds.map(() => 2), means: { total, inference: total }, transfers: { up: seconds.map(() => null), down: seconds.map(() => null) }, p95: { size: 60, points }, cpu: [], gpu: [] });
   };
   test("percentiles and means are the same at every width, each as long as its bucket", async () => {
     const drawings = [];

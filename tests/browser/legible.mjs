@@ -46,9 +46,9 @@ describe("charts", () => {
 
   test("values of any length are whole beside their axis", async () => {
     const change = (data) => {
-      const [chart] = data.charts, times = (list, factor) => list.map((value) => (value == null ? null : value * factor));
-      Object.assign(chart, { remote: true, obstacles: [null, null], means: { ...chart.means, "upload-throughput": chart.n.map(() => 23456.7), "download-throughput": chart.n.map(() => 0.000123) } });
-      chart.p95 = times(chart.p95, 1e5);
+      const [chart] = data.charts;
+      Object.assign(chart, { remote: true, obstacles: [null, null], transfers: { up: chart.n.map(() => [23456.7, 1]), down: chart.n.map(() => [0.000123, 1]) } });
+      chart.p95.points = chart.p95.points.map(([at, value]) => [at, value * 1e5]);
     };
     const { page, close } = await charted(browser, base, "/", change, { width: 400 });
     for (const { wanted, found, cut } of await plots(page)) {

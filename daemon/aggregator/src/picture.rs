@@ -12,7 +12,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use peernet_store::{Bound, ClockPoint, Figures, Stored};
+use peernet_store::{Bound, ClockPoint, Figures, Stored, Transfers};
 
 /// All agents, now.
 #[derive(Clone, Debug, Serialize)]
@@ -226,7 +226,13 @@ pub struct Window {
     /// Share of iterations without an answer (failed, lost, timeout), 0 to 1; `None` when there were none.
     pub lost_fraction: Option<f64>,
     /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then the user's own.
+    ///
+    /// A throughput's are of the single iterations: its mean is no speed over the window, which [`transfers`] gives.
+    ///
+    /// [`transfers`]: Window::transfers
     pub values: Vec<(Name, Figures)>,
+    /// What was sent, and how long it was on its way.
+    pub transfers: Transfers,
     /// How well the one-way delays are known: `upload`, `download`.
     pub bounds: Vec<Bound>,
 }
@@ -242,6 +248,8 @@ pub struct LiveSecond {
     pub means: Vec<(Name, f64)>,
     /// 95th percentile of `total` within the second, seconds; `None` when fewer than 60 iterations succeeded.
     pub total_p95: Option<f64>,
+    /// What was sent, and how long it was on its way.
+    pub transfers: Transfers,
     /// How many delays of a direction deserve which verdict.
     pub verdicts: Vec<(Name, Verdict, u64)>,
 }

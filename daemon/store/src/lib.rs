@@ -30,6 +30,7 @@ mod storage_clock;
 mod stored;
 #[cfg(test)]
 mod tests;
+mod transfer;
 mod types;
 mod wall_clock;
 mod write;
@@ -46,6 +47,7 @@ pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
+pub use transfer::{Transfer, Transfers};
 pub use types::{
     AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayAssumptions, DelayRow, Episodes,
     ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter,

@@ -146,7 +146,8 @@ pub struct Second {
     pub at: i64,
     /// Iterations by outcome, warm-up left out.
     pub counts: OutcomeCounts,
-    /// Summaries by node name: the stages, `total`, `unattributed`, throughputs and sizes, in SI units;
+    /// Summaries by node name: the stages, `total`, `unattributed`, throughputs and sizes, in SI units; those of
+    /// throughputs are of the ratios of single iterations;
     /// successful iterations only, warm-up left out.
     pub values: Vec<(Name, Summary)>,
     /// Half-widths of the clock bound of `upload` and `download` in seconds, and how often each verdict was

@@ -35,19 +35,22 @@
     const length = at + 1;
     grow(card.n, length);
     card.n[at] = second.counts.ok;
-    const names = PEER.STAGES.concat(["total", "upload-throughput", "download-throughput"]);
-    for (const name of names) {
+    for (const name of PEER.STAGES.concat(["total"])) {
       const value = second.means[name];
       if (value == null && !card.means[name]) continue;
       const list = (card.means[name] ||= []);
       grow(list, length);
-      list[at] = value == null ? null : name.endsWith("throughput") ? value / 8e6 : value * 1e3;
+      list[at] = value == null ? null : value * 1e3;
     }
     for (const list of Object.values(card.means)) grow(list, length);
+    for (const [way, sent] of [["up", second.transfers.upload], ["down", second.transfers.download]]) {
+      grow(card.transfers[way], length);
+      card.transfers[way][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
+    }
     const extra = card.n.length - KEPT;
     if (extra > 0) {
       card.from += extra;
-      for (const list of [card.n, ...Object.values(card.means)]) list.splice(0, extra);
+      for (const list of [card.n, ...Object.values(card.means), ...Object.values(card.transfers)]) list.splice(0, extra);
     }
     card.last = card.from + card.n.length - 1;
   }
@@ -98,14 +101,20 @@
         for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; any = true; }
         return any ? sum / row.n : null;
       };
+      // Bytes over the time that they were on their way; bytes per microsecond are MB/s.
+      const speed = (list) => {
+        let bytes = 0, time = 0;
+        for (const index of seconds) if (list[index]) { bytes += list[index][0]; time += list[index][1]; }
+        return time > 0 ? bytes / time : null;
+      };
       if (row.n > 0) {
         row.total = mean(card.means.total);
         let left = row.total;
         for (const stage of stages) { if (stage === "network") continue; row.means[stage] = mean(card.means[stage]) ?? 0; left -= row.means[stage]; }
         if (both) { row.means.network = Math.max(0, left - (mean(card.means.unattributed) ?? 0)); left -= row.means.network; }
         row.means.unattributed = Math.max(0, left ?? 0);
-        row.up = mean(card.means["upload-throughput"]);
-        row.down = mean(card.means["download-throughput"]);
+        row.up = speed(card.transfers.up);
+        row.down = speed(card.transfers.down);
       }
       rows.push(row);
     }
@@ -180,7 +189,7 @@
   function strips(card, rows) {
     const points = (key) => rows.map((row) => [row.at, row[key] ?? null]);
     if (card.remote) {
-      const strip = (key, color, why) => (why ? { name: `${key}: ${why}`, color, points: [], known: false } : { name: `${key}, MB/s`, color, points: points(key), known: true });
+      const strip = (key, color, why) => (why ? { name: `${key}: ${why}`, color, points: [], known: false } : { name: `${key} while sending, MB/s`, color, points: points(key), known: true });
       return [strip("up", "--s-upload", card.obstacles[0]), strip("down", "--s-download", card.obstacles[1])];
     }
     const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: parted(list), known: list.length > 0, max: 100 });
@@ -214,7 +223,7 @@
         const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: NUMBERS.figure(row.means[stage]) }));
         const level = p95.find(([from, to]) => row.at >= from && row.at < to);
         lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.figure(level?.[2]) });
-        if (card.remote) lines.push({ name: "up, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down, MB/s", value: NUMBERS.significant(row.down) });
+        if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.significant(row.down) });
         return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
       xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),

@@ -1,7 +1,8 @@
 //! Of pipelines.
 
-use peernet_aggregator::PipelinePicture;
+use peernet_aggregator::{PipelinePicture, Window};
 use peernet_logger::stage;
+use peernet_store::Transfer;
 use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;
@@ -70,15 +71,23 @@ pub(super) fn stages(scrape: &Scrape, to: &mut Sink<'_>) {
     }
 }
 
-/// Means of the throughputs.
-pub(super) fn throughput(scrape: &Scrape, to: &mut Sink<'_>) {
-    let ways = [("upload", stage::UPLOAD_THROUGHPUT), ("download", stage::DOWNLOAD_THROUGHPUT)];
+/// Speeds while sending.
+pub(super) fn speed(scrape: &Scrape, to: &mut Sink<'_>) {
+    each_way(scrape, to, |_, transfer| transfer.speed());
+}
+
+/// Traffic over wall time.
+pub(super) fn traffic(scrape: &Scrape, to: &mut Sink<'_>) {
+    each_way(scrape, to, |window, transfer| transfer.traffic(window.covered_s));
+}
+
+fn each_way(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&Window, Transfer) -> Option<f64>) {
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         let Some(window) = one.window(60) else { continue };
-        for (way, node) in &ways {
-            if let Some(figures) = window.value(node) {
-                to(&[host, name, way], Sample::Value(figures.mean));
+        for (way, transfer) in [("upload", window.transfers.up), ("download", window.transfers.down)] {
+            if let Some(value) = transfer.and_then(|transfer| of(window, transfer)) {
+                to(&[host, name, way], Sample::Value(value));
             }
         }
     }

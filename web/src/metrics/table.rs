@@ -113,7 +113,8 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "pipeline_window", "iterations"), OUTCOME, "Iterations within the window by outcome (ok, failed, lost, timeout), warm-up left out.", pipelines::iterations),
     metric((Gauge, "pipeline_rate", "hertz"), WINDOW, "Iterations of any outcome per second, over the window.", pipelines::rate),
     metric((Gauge, "pipeline_stage", "seconds"), STAGE, "Quantiles of the standard stages, total and unattributed over 60 s; successful iterations only.", pipelines::stages),
-    metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Mean throughput (upload, download) over 60 s.", pipelines::throughput),
+    metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Speed while sending (upload, download) over 60 s: bits over the time that they were on their way; absent while no delay is known.", pipelines::speed),
+    metric((Gauge, "pipeline_traffic", "bits_per_second"), DIRECTION, "Traffic (upload, download) of successful iterations: bits per second of wall time over 60 s.", pipelines::traffic),
 
     metric((Gauge, "link_connected", "bool"), LINK, "1 while the edge reports the link, else 0.", |s, to| links::each(s, to, |link| Some(Sample::truth(link.connected)))),
     metric((Gauge, "link_offset_half_width", "seconds"), LINK, "Half the width of the interval that contains the offset of the two clocks; absent while nothing is known.", |s, to| links::each(s, to, links::half_width)),

@@ -20,6 +20,7 @@ use crate::svg::Tracks;
 use crate::view::chip::Chip;
 use crate::view::incidents::IncidentLine;
 use crate::view::link::basis;
+use crate::view::link::carried::CarriedRow;
 use crate::view::link::chart::{OffsetView, tracks};
 use crate::view::link::connections::{self, DirectionRow, Route};
 use crate::view::link::course::Course;
@@ -110,7 +111,7 @@ impl Range {
 #[derive(Template)]
 #[template(
     path = "pages/link.html",
-    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "assumptions", "probes", "connections", "clocks", "incidents"]
+    blocks = ["title", "figures", "chart", "table", "verdicts", "origin", "assumptions", "probes", "pipelines", "connections", "clocks", "incidents"]
 )]
 pub(super) struct Link {
     shell: Shell,
@@ -136,6 +137,7 @@ pub(super) struct Link {
     assumptions: Pairs,
     probes: Pairs,
     reflector: Pairs,
+    carried: Vec<CarriedRow>,
     directions: Vec<DirectionRow>,
     connections: Vec<Route>,
     hosts: Vec<HostRow>,
@@ -203,6 +205,7 @@ pub(super) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Res
         ("origin", page.as_origin().render()?),
         ("assumptions", page.as_assumptions().render()?),
         ("probes", page.as_probes().render()?),
+        ("pipelines", page.as_pipelines().render()?),
         ("connections", page.as_connections().render()?),
         ("clocks", page.as_clocks().render()?),
     ];
@@ -294,6 +297,7 @@ pub(super) fn link_page(
         assumptions: basis::pairs(subject, now),
         probes: panels::probes(subject, now),
         reflector: panels::reflector(subject),
+        carried: CarriedRow::all(picture, subject),
         directions: connections::rows(subject),
         connections: connections::routes(subject),
         hosts: panels::hosts(subject),

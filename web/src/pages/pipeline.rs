@@ -184,9 +184,12 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
             name,
             unit: if cell.text == NONE { "" } else { "MB/s" },
             number: cell.text,
-            title: cell.title.unwrap_or_default(),
+            title: cell.title.unwrap_or_else(|| {
+                "speed while sending: bytes over the time that they were on their way".to_owned()
+            }),
         }
     };
+    let traffic = speed::traffic(kind, window);
     let lost = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
     let right = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
         let number = share(window.value(name)?.mean);
@@ -201,8 +204,14 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         Stat { name: "Rate", number: rate(window.rate_hz), unit: "/s", title: String::new() },
         Stat { name: "Iterations", number: count(window.counts.total()), unit: "", title: String::new() },
         Stat { name: "Lost", unit: if lost == NONE { "" } else { "%" }, number: lost, title: String::new() },
-        speed("Up", Way::Up),
-        speed("Down", Way::Down),
+        speed("Speed up", Way::Up),
+        speed("Speed down", Way::Down),
+        Stat {
+            name: "Traffic",
+            unit: if traffic.text == NONE { "" } else { "MB/s" },
+            number: traffic.text,
+            title: traffic.title.unwrap_or_default(),
+        },
     ];
     stats.into_iter().chain(right).collect()
 }

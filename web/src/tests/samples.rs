@@ -10,7 +10,9 @@ use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
-use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
+use peernet_store::{
+    Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored, Transfers,
+};
 use peernet_stream::{
     Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
     Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, NetworkName,
@@ -77,6 +79,15 @@ const MEANS: [(&str, f64); 11] = [
     ("unattributed", 0.0001),
 ];
 
+/// So many messages of 150 kB upwards that take `upload` seconds each, where that is known.
+fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
+    Transfers::of(|name| match name.as_str() {
+        "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
+        "upload" => Some((messages, upload?)),
+        _ => None,
+    })
+}
+
 /// A window whose means are `scale` times the usual ones.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let ok = (f64::from(seconds) * hz) as u64;
@@ -99,6 +110,7 @@ pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Win
         counts: OutcomeCounts { ok, ..OutcomeCounts::default() },
         rate_hz: hz,
         lost_fraction: (ok > 0).then_some(0.0),
+        transfers: transfers(ok, (known && ok > 0).then_some(0.0063 * scale)),
         values,
         bounds: bounds.to_vec(),
     }
@@ -129,6 +141,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
             counts,
             means,
             total_p95: (counts.ok >= 60).then_some(0.018 * scale),
+            transfers: transfers(counts.ok, Some(0.0063 * scale)),
             verdicts: verdicts.to_vec(),
         })
     });

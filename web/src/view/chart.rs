@@ -6,7 +6,7 @@ use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture}
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, stage_ms};
-use peernet_store::IncidentRow;
+use peernet_store::{IncidentRow, Transfer};
 use peernet_stream::PlacementKind;
 use serde::Serialize;
 
@@ -85,14 +85,22 @@ struct ChartData {
     from: i64,
     /// Successful iterations.
     n: Vec<Option<u64>>,
-    /// Means by node name: stages and `total` in ms, throughputs in MB/s.
+    /// Means by node name: stages and `total` in ms.
     means: BTreeMap<&'static str, Vec<Short>>,
+    transfers: TransferData,
     p95: PercentileData,
     /// Why a direction has no line.
     obstacles: Obstacles,
     /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
     cpu: Vec<(i64, Short)>,
     gpu: Vec<(i64, Short)>,
+}
+
+/// What was sent second by second: bytes of known delay, and the sum of these delays in µs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct TransferData {
+    up: Vec<Option<(Short, Short)>>,
+    down: Vec<Option<(Short, Short)>>,
 }
 
 /// The 95th percentile of `total` in buckets.
@@ -117,10 +125,15 @@ struct PageData<'a> {
     marks: &'a [Mark],
 }
 
-/// The node names whose means a chart draws, with the factor from SI to what it shows.
-fn drawn() -> impl Iterator<Item = (&'static str, f64)> {
-    let durations = look::STACK.iter().copied().chain(["total"]).map(|name| (name, 1e3));
-    durations.chain(["upload-throughput", "download-throughput"].map(|name| (name, 1.0 / 8e6)))
+/// The node names whose means a chart draws.
+fn drawn() -> impl Iterator<Item = &'static str> {
+    look::STACK.iter().copied().chain(["total"])
+}
+
+/// What was sent in one direction and its delays, where they are known.
+fn timed(transfer: Option<Transfer>) -> Option<(Short, Short)> {
+    let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
+    Some((Short(Some(transfer.timed_bytes)), Short(Some(transfer.seconds * 1e6))))
 }
 
 fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
@@ -173,6 +186,7 @@ impl ChartData {
             from,
             n: vec![None; length],
             means: BTreeMap::new(),
+            transfers: TransferData { up: vec![None; length], down: vec![None; length] },
             p95: PercentileData::new(&pipeline.total_p95),
             obstacles: [Way::Up, Way::Down].map(|way| speed::obstacle_in(series, way)),
             cpu: Vec::new(),
@@ -182,10 +196,12 @@ impl ChartData {
         for second in series {
             let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
             data.n[at] = Some(second.counts.ok);
-            for (name, factor) in drawn() {
+            data.transfers.up[at] = timed(second.transfers.up);
+            data.transfers.down[at] = timed(second.transfers.down);
+            for name in drawn() {
                 if let Some(value) = mean(second, name) {
                     data.means.entry(name).or_insert_with(|| vec![Short(None); length])[at] =
-                        Short(Some(value * factor));
+                        Short(Some(value * 1e3));
                 }
             }
         }

@@ -47,6 +47,7 @@ pub(crate) struct NowRow {
     pub lost: Cell,
     pub up: Cell,
     pub down: Cell,
+    pub traffic: Cell,
     pub clock: ClockCell,
     /// Means in the order of the table's columns, ms.
     pub stages: Vec<String>,
@@ -178,6 +179,7 @@ impl NowRow {
                 .map_or_else(|| Cell::none("no iteration in this time"), |lost| Cell::new(percent(lost))),
             up: speed::cell(pipeline.placement.kind, window, Way::Up),
             down: speed::cell(pipeline.placement.kind, window, Way::Down),
+            traffic: speed::traffic(pipeline.placement.kind, window),
             clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
             stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),
             total: stack.total.map_or_else(|| NONE.to_owned(), |total| stage_ms(total.mean)),

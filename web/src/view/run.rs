@@ -1,12 +1,15 @@
 //! What the page of a run shows of the store's answers.
 
 use peernet_clock::{Span, Verdict, WallTime};
+use peernet_logger::stage;
 use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_report::rows::SKIPPED_STARTS;
 use peernet_statistics::number::{
-    NONE, SPACE, count, difference_ms, figure, length, stage_ms, times, total_ms,
+    NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
 };
-use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
+use peernet_store::{
+    Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics, Transfer, Transfers,
+};
 use serde::Serialize;
 
 use super::clocks;
@@ -169,33 +172,67 @@ impl Stored<'_> {
         // What is counted is told above, as a share or a sum: quantiles of counts say little.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL].into_iter().chain(ACCURACIES);
         let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
-        let beside = self.known.stages.iter().filter(|stage| stage.unit != "s" && !counted(stage));
+        // A mean of the single iterations' throughputs is no speed: `sent` has one.
+        let ratio = |stage: &StageStatistics| {
+            [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
+        };
+        let wanted = |stage: &&StageStatistics| stage.unit != "s" && !counted(stage) && !ratio(stage);
+        let beside = self.known.stages.iter().filter(wanted);
         let shown = beside.map(|stage| {
             let (unit, factor) = shown_in(&stage.unit);
             let figures = &stage.figures;
-            let text = |value: f64| figure(value * factor);
-            let [mean, p50, max] = match self.uncertain_speed(stage) {
-                Some(between) => [between, NONE.to_owned(), NONE.to_owned()],
-                None => [figures.mean, figures.p50, figures.max].map(text),
-            };
+            let [mean, p50, max] =
+                [figures.mean, figures.p50, figures.max].map(|value| figure(value * factor));
             Other { name: stage.stage.to_string(), mean, p50, max, unit }
         });
-        shown.collect()
+        shown.chain(self.sent()).collect()
     }
 
-    /// What stands for a throughput whose delay is not known as a figure: its interval, or a dash.
-    fn uncertain_speed(&self, stage: &StageStatistics) -> Option<String> {
-        let way = [Way::Up, Way::Down].into_iter().find(|way| stage.stage == *way.throughput())?;
-        let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay())?;
-        let verdict = clocks::verdict(bound).filter(|verdict| *verdict != Verdict::Ok)?;
-        let delay = self
-            .known
-            .stages
-            .iter()
-            .find(|other| other.stage == *way.delay())
-            .map(|other| other.figures.mean);
-        let half = bound.half_width.filter(|_| verdict == Verdict::Limited).map(|width| width.p50);
-        Some(speed::interval(stage.figures.mean, delay, half).unwrap_or_else(|| NONE.to_owned()))
+    /// Speed while sending and traffic of both directions.
+    fn sent(&self) -> Vec<Other> {
+        let stage = |name: &str| self.known.stages.iter().find(|stage| stage.stage == *name);
+        let transfers =
+            Transfers::of(|name| stage(name).map(|stage| (stage.figures.count, stage.figures.mean)));
+        let row = |name, value: Option<String>| Other {
+            name,
+            mean: value.unwrap_or_else(|| NONE.to_owned()),
+            p50: NONE.to_owned(),
+            max: NONE.to_owned(),
+            unit: "MB/s".to_owned(),
+        };
+        let ways = [(Way::Up, "upload"), (Way::Down, "download")];
+        let sent = ways.into_iter().filter_map(|(way, name)| Some((way, name, way.of(&transfers)?)));
+        sent.flat_map(|(way, name, transfer)| {
+            let traffic = self.counted_seconds().and_then(|seconds| transfer.traffic(seconds));
+            [
+                row(format!("{name}: speed while sending"), self.speed(way, transfer)),
+                row(format!("{name}: traffic"), traffic.map(throughput)),
+            ]
+        })
+        .collect()
+    }
+
+    /// The speed while sending: a figure, or its interval where the delays are known only within a wide bound.
+    fn speed(&self, way: Way, transfer: Transfer) -> Option<String> {
+        let speed = transfer.speed()?;
+        let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay());
+        match bound.and_then(clocks::verdict) {
+            None | Some(Verdict::Ok) => Some(throughput(speed)),
+            Some(Verdict::Limited) => {
+                let delay = self.known.stages.iter().find(|stage| stage.stage == *way.delay());
+                let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
+                speed::interval(speed, delay.map(|stage| stage.figures.mean), half)
+            }
+            Some(_) => None,
+        }
+    }
+
+    /// Seconds of the run that statistics are of: the warm-up is left out. `None` where nothing tells how long they lasted.
+    fn counted_seconds(&self) -> Option<f64> {
+        let summary = &self.run.summary;
+        let from = self.episodes.warm_up_until.unwrap_or(summary.started);
+        let seconds = (runs::end(summary)? - from).seconds();
+        (seconds > 0.0 && self.standstill().is_none()).then_some(seconds)
     }
 
     /// The slowest iterations, on one scale.
@@ -250,7 +287,6 @@ impl Stored<'_> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_logger::stage;
     use peernet_store::{SeriesPoint, StageSeries};
     use peernet_stream::PlacementKind;
 

@@ -1,10 +1,13 @@
-//! Throughputs of the two directions, as far as their delays are known.
+//! Speeds while sending and traffic of the two directions, as far as their delays are known.
+//!
+//! *Speed while sending* is the bytes over the time that they were on their way, *traffic* the bytes over wall time.
 
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_clock::Verdict;
-use peernet_statistics::number::{throughput, throughput_between};
+use peernet_statistics::number::{NONE, throughput, throughput_between};
+use peernet_store::{Transfer, Transfers};
 use peernet_stream::PlacementKind;
 
 use super::clocks;
@@ -28,11 +31,11 @@ impl Way {
         }
     }
 
-    /// Name of the throughput's node.
-    pub(crate) const fn throughput(self) -> &'static str {
+    /// What was sent in this direction.
+    pub(crate) const fn of(self, transfers: &Transfers) -> Option<Transfer> {
         match self {
-            Self::Up => "upload-throughput",
-            Self::Down => "download-throughput",
+            Self::Up => transfers.up,
+            Self::Down => transfers.down,
         }
     }
 }
@@ -66,26 +69,44 @@ fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
     }
 }
 
-/// The throughput of a direction in MB/s; over a delay that is known within a wide bound, the interval.
+/// The speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
 pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let value = window.value(way.throughput());
-    match (obstacle(window, way), value) {
-        (None, Some(figures)) => Cell::new(throughput(figures.mean)),
-        (None, None) => Cell::none("no throughput was computed"),
-        (Some(why), value) => {
+    let speed = way.of(&window.transfers).and_then(|transfer| transfer.speed());
+    match (obstacle(window, way), speed) {
+        (None, Some(speed)) => Cell::new(throughput(speed)),
+        (None, None) => Cell::none("the sizes or the delays are not known"),
+        (Some(why), speed) => {
             let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
             let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
             let delay = window.value(way.delay()).map(|figures| figures.mean);
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
-            match value.filter(|_| limited).and_then(|value| interval(value.mean, delay, half)) {
+            match speed.filter(|_| limited).and_then(|speed| interval(speed, delay, half)) {
                 Some(text) => Cell { text, title: Some(why.to_owned()) },
                 None => Cell::none(why),
             }
         }
     }
+}
+
+/// The traffic up and down in MB/s, as `0.976 / 0.003`.
+pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
+    if kind != PlacementKind::Remote {
+        return Cell::none("one host: nothing is sent");
+    }
+    let ways = [Way::Up, Way::Down].map(|way| carried(window, way));
+    if ways.iter().all(Option::is_none) {
+        return Cell::none("no successful iteration in this time");
+    }
+    let [up, down] = ways.map(|carried| carried.map_or_else(|| NONE.to_owned(), throughput));
+    Cell { text: format!("{up} / {down}"), title: Some("up / down, of successful iterations".to_owned()) }
+}
+
+/// The traffic of a direction in bits per second.
+pub(crate) fn carried(window: &Window, way: Way) -> Option<f64> {
+    way.of(&window.transfers)?.traffic(window.covered_s)
 }
 
 /// The throughputs that follow from the ends of a delay's interval: without an upper one where the delay may be nothing.

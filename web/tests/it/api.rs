@@ -130,6 +130,55 @@ async fn live_and_stored_figures_are_served() {
 }
 
 #[tokio::test]
+async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
+    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+    let over_time = &one["total_over_time"];
+    assert_eq!(over_time["bucket_s"], 5, "150 iterations at 30 Hz; 2 s would hold 60 or 59: {over_time}");
+    let points = over_time["points"].as_array().expect("points");
+    assert!((12..=15).contains(&points.len()), "{over_time}");
+    for point in points {
+        assert_eq!(point["at"].as_i64().expect("a time") % 5, 0, "{point}");
+        assert!(point["count"].as_u64().is_some_and(|count| count >= 60), "{point}");
+        assert!(point["p95"].as_f64().is_some_and(|p95| p95 > 0.0), "{point}");
+    }
+    let seconds = one["seconds"].as_array().expect("seconds");
+    assert!(
+        seconds.iter().all(|second| second["total_p95"].is_null()),
+        "30 iterations in a second: {seconds:?}"
+    );
+
+    let listed = &bed.get("/api/v1/pipelines").await.json()["pipelines"][0]["total_over_time"];
+    let listed = listed["points"].as_array().expect("points").len();
+    assert!((1..=2).contains(&listed), "the buckets of the last five seconds: {listed}");
+}
+
+#[tokio::test]
+async fn speed_while_sending_is_bytes_over_transfer_times() {
+    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
+    let minute = &one["windows"][2];
+    let mean = |name: &str| {
+        let values = minute["values"].as_array().expect("values");
+        let found = values.iter().find(|value| value["name"] == name);
+        found.and_then(|value| value["mean"].as_f64()).unwrap_or_default()
+    };
+    let bits = 8.0 * (mean("upload-bytes") + mean("upload-logger-bytes"));
+    let upload = &minute["transfers"]["upload"];
+    let speed = upload["speed_bits_per_second"].as_f64().expect("delays are known");
+    assert!((speed / (bits / mean("upload")) - 1.0).abs() < 1e-6, "{upload}");
+    let traffic = upload["traffic_bits_per_second"].as_f64().expect("something was sent");
+    let rate =
+        minute["counts"]["ok"].as_f64().expect("a count") / minute["covered_s"].as_f64().expect("seconds");
+    assert!((traffic / (bits * rate) - 1.0).abs() < 1e-6 && traffic < speed, "{upload}");
+    let second = &one["seconds"][1]["transfers"]["upload"];
+    assert_eq!(second["bytes"], second["timed_bytes"], "all delays are known: {second}");
+
+    let local = bed.get("/api/v1/pipelines").await.json()["pipelines"][0]["windows"][2]["transfers"].clone();
+    assert_eq!(local, json!({ "upload": null, "download": null }));
+}
+
+#[tokio::test]
 async fn a_controller_asks_for_one_window_and_a_few_stages() {
     let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
     let all = bed.get("/api/v1/pipelines").await;

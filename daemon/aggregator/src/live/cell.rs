@@ -7,7 +7,7 @@ use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
 use crate::picture::{LiveSecond, Window};
-use peernet_store::{Bound, Figures, rank};
+use peernet_store::{Bound, Figures, Transfers, rank};
 
 /// What happened within some seconds. Names are few: a list is faster than a map.
 #[derive(Clone, Debug, Default)]
@@ -51,7 +51,15 @@ impl Cell {
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         let total_p95 = self.total().and_then(Figures::of).and_then(|figures| figures.p95);
-        LiveSecond { at, counts: self.counts, means, total_p95, verdicts: self.verdicts.clone() }
+        let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
+        LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
+    }
+
+    fn transfers(&self) -> Transfers {
+        Transfers::of(|name| {
+            let (_, summary) = self.values.iter().find(|(known, _)| known == name)?;
+            Some((summary.count(), summary.moments.mean))
+        })
     }
 
     /// The figures of a window of `seconds` complete seconds that covers `covered_s`.
@@ -67,6 +75,7 @@ impl Cell {
             rate_hz: total as f64 / covered_s,
             lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
             values,
+            transfers: self.transfers(),
             bounds: self.directions(),
         }
     }

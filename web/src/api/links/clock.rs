@@ -106,7 +106,8 @@ pub(crate) struct MedianDelay {
     pub value_s: f64,
     pub lo_s: f64,
     pub hi_s: f64,
-    /// Over `value_s`; where the verdict is `limited` only its interval, by `lo_s` and `hi_s`, is known.
+    /// Bits of that one message over `value_s`: messages of all pipelines of the link are among the delays. For the speed of
+    /// one pipeline take its `transfers`. Where the verdict is `limited` only its interval, by `lo_s` and `hi_s`, is known.
     pub bits_per_second: Option<f64>,
 }
 

@@ -66,9 +66,13 @@ impl Part {
         for window in &mut taken.windows {
             window.values.retain(|value| wanted(&value.name));
             window.bounds.retain(|bound| wanted(&bound.stage));
+            window.transfers.upload.take_if(|_| !wanted("upload"));
+            window.transfers.download.take_if(|_| !wanted("download"));
         }
         for second in &mut taken.seconds {
             second.means.retain(|name, _| wanted(name));
+            second.transfers.upload.take_if(|_| !wanted("upload"));
+            second.transfers.download.take_if(|_| !wanted("download"));
         }
         taken
     }

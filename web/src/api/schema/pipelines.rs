@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture};
+use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -86,8 +87,70 @@ pub(crate) struct Window {
     pub rate_hz: f64,
     /// Share of iterations without an answer, 0 to 1; null when there were none.
     pub lost_fraction: Option<f64>,
+    /// Of single iterations: for the speed over the window take `transfers`, not the mean of `upload-throughput`, which is
+    /// a mean of ratios.
     pub values: Vec<NodeFigures>,
+    pub transfers: TransferRates,
     pub bounds: Vec<Bound>,
+}
+
+/// How fast messages went, and how much they carried.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TransferRates {
+    /// From the edge to the cloud; null when nothing was sent.
+    pub upload: Option<TransferRate>,
+    /// From the cloud to the edge; null when nothing was sent.
+    pub download: Option<TransferRate>,
+}
+
+/// One direction, of successful iterations.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct TransferRate {
+    /// Speed while sending: the sum of bits over the sum of transfer times; null while no delay is known.
+    pub speed_bits_per_second: Option<f64>,
+    /// Traffic: the sum of bits over wall time.
+    pub traffic_bits_per_second: Option<f64>,
+}
+
+impl TransferRates {
+    fn new(transfers: &store::Transfers, wall_s: f64) -> Self {
+        let rate = |transfer: store::Transfer| TransferRate {
+            speed_bits_per_second: transfer.speed(),
+            traffic_bits_per_second: transfer.traffic(wall_s),
+        };
+        Self { upload: transfers.up.map(rate), download: transfers.down.map(rate) }
+    }
+}
+
+/// What was sent within a second, in sums that can be added up.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Transfers {
+    /// From the edge to the cloud; null when nothing was sent.
+    pub upload: Option<Transfer>,
+    /// From the cloud to the edge; null when nothing was sent.
+    pub download: Option<Transfer>,
+}
+
+/// One direction, of successful iterations. The speed while sending over any seconds is the sum of `timed_bytes` over the
+/// sum of `seconds`.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct Transfer {
+    /// Bytes of all messages, payload and metadata.
+    pub bytes: f64,
+    /// Bytes of the messages whose delay is known.
+    pub timed_bytes: f64,
+    /// Sum of these delays, seconds.
+    pub seconds: f64,
+}
+
+impl From<&store::Transfers> for Transfers {
+    fn from(transfers: &store::Transfers) -> Self {
+        let sums = |transfer: store::Transfer| {
+            let store::Transfer { bytes, timed_bytes, seconds } = transfer;
+            Transfer { bytes, timed_bytes, seconds }
+        };
+        Self { upload: transfers.up.map(sums), download: transfers.down.map(sums) }
+    }
 }
 
 /// One second of one pipeline.
@@ -96,11 +159,12 @@ pub(crate) struct Second {
     /// Seconds since the Unix epoch, on the edge's wall clock.
     pub at: i64,
     pub counts: Counts,
-    /// Means by node name.
+    /// Means by node name, of single iterations: for a speed take `transfers`.
     pub means: BTreeMap<String, f64>,
     /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. For a line over time take
     /// `total_over_time`: a mean of percentiles is none.
     pub total_p95: Option<f64>,
+    pub transfers: Transfers,
 }
 
 impl From<&LiveSecond> for Second {
@@ -110,6 +174,7 @@ impl From<&LiveSecond> for Second {
             counts: second.counts.into(),
             means: second.means.iter().map(|(name, mean)| (name.to_string(), *mean)).collect(),
             total_p95: second.total_p95,
+            transfers: Transfers::from(&second.transfers),
         }
     }
 }
@@ -124,6 +189,7 @@ impl Pipeline {
             rate_hz: window.rate_hz,
             lost_fraction: window.lost_fraction,
             values: NodeFigures::all(&window.values),
+            transfers: TransferRates::new(&window.transfers, window.covered_s),
             bounds: window.bounds.iter().map(Bound::from).collect(),
         });
         let skip = picture.series.len().saturating_sub(seconds);

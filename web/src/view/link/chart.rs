@@ -9,7 +9,7 @@ use super::super::chip::{Chip, severity};
 use super::super::incidents::IncidentLine;
 use super::super::speed::Way;
 use super::course::Course;
-use super::delays::{bounds, of_point, speed};
+use super::delays::{bounds, of_point};
 use super::{Subject, known, offset};
 use crate::svg::{Gap, Percent, RailSign, Ruler, Segment, Strip, Track, Tracks, pen};
 use crate::zone::Zone;
@@ -123,7 +123,6 @@ pub(crate) fn tracks(
     if !subject.same_clock() || course.probes().sent > 0 {
         all.push(round_trips(&plan));
     }
-    all.push(throughput(&plan));
     Tracks {
         label: finding(subject, &plan, incidents.len()),
         signs: signs(&plan, incidents, zone),
@@ -233,34 +232,6 @@ fn round_trips(plan: &Plan<'_>) -> Track {
         (plan.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0))
     });
     track.draw("lost", pen::ticks(lost));
-    track
-}
-
-fn throughput(plan: &Plan<'_>) -> Track {
-    let points = &plan.course.points;
-    // Over a delay that is known only as an interval so is the throughput.
-    let of = |point: &ClockPoint, wanted: Verdict| {
-        let second = point.up.filter(|second| second.verdict == wanted)?;
-        speed(&second.median?).map(|(lo, rate, hi)| (lo / 8e6, rate / 8e6, hi / 8e6))
-    };
-    let rates = points.iter().flat_map(|point| {
-        let certain = of(point, Verdict::Ok).map(|(_, rate, _)| rate);
-        [certain, of(point, Verdict::Limited).map(|(lo, rate, _)| rate.max(lo))]
-    });
-    let ruler = Ruler::from_zero(reach(rates.flatten()), 2);
-    let mut track = Track::new("throughput up, MB/s".to_owned(), &ruler);
-    track.note = "while sending · filled: limited, known only as an interval".to_owned();
-    track.draw(
-        "band up",
-        pen::band(plan.broken(points, |x, point| {
-            let (lo, _, hi) = of(point, Verdict::Limited)?;
-            Some((x, ruler.below(hi.min(ruler.end() * 2.0)), ruler.below(lo)))
-        })),
-    );
-    track.draw(
-        "line up",
-        pen::line(plan.broken(points, |x, point| Some((x, ruler.below(of(point, Verdict::Ok)?.1))))),
-    );
     track
 }
 

@@ -1,7 +1,7 @@
 //! The one-way delays of one direction over a few seconds.
 
 use peernet_clock::Verdict;
-use peernet_statistics::number::{EXACT, NONE, interval_ms, throughput, throughput_between, within_ms};
+use peernet_statistics::number::{EXACT, NONE, interval_ms, within_ms};
 use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
@@ -37,15 +37,6 @@ pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
 /// A delay in ms with the digits that its bounds support.
 pub(super) fn digits(point: &DelayPoint) -> String {
     within_ms(point.value.seconds(), bounds(point))
-}
-
-/// Bits per second as far as the delay's bounds tell; the upper end is infinite where the delay may be zero.
-pub(crate) fn speed(point: &DelayPoint) -> Option<(f64, f64, f64)> {
-    let rate = point.bits_per_second.filter(|rate| rate.is_finite() && *rate > 0.0)?;
-    let bits = rate * point.value.seconds();
-    let (lo, hi) = bounds(point);
-    let over = |delay: f64| if delay > 0.0 { bits / delay } else { f64::INFINITY };
-    Some((over(hi), rate, over(lo)))
 }
 
 impl Delays {
@@ -116,24 +107,6 @@ impl Delays {
         match self.verdict {
             None => "nothing was sent in the last 10 s",
             Some(verdict) => clocks::meaning(verdict),
-        }
-    }
-
-    /// The throughput in MB/s: a figure, its interval where the delay is known only as one, or a dash; with the
-    /// reason where it is not a figure.
-    pub(crate) fn throughput(&self) -> (String, &'static str) {
-        let known = self.median.as_ref().and_then(speed);
-        match (self.verdict, known) {
-            (None, _) => (NONE.to_owned(), "nothing was sent in the last 10 s"),
-            (Some(Verdict::Ok), Some((_, rate, _))) => (throughput(rate), ""),
-            // A stale interval is wide and holds all the same.
-            (Some(Verdict::Limited | Verdict::Stale), Some((lo, _, hi))) => {
-                (throughput_between((lo, Some(hi))), "known only within the clock bound")
-            }
-            (Some(Verdict::Ok | Verdict::Limited | Verdict::Stale), None) => {
-                (NONE.to_owned(), "the sizes are not known")
-            }
-            (Some(_), _) => (NONE.to_owned(), "the clocks do not tell this direction's delay"),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! One link, an edge and a cloud over one network, as its page shows it.
 
 pub(crate) mod basis;
+pub(crate) mod carried;
 pub(crate) mod chart;
 pub(crate) mod connections;
 pub(crate) mod course;

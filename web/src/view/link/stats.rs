@@ -49,7 +49,6 @@ pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
     if !subject.same_clock() || course.probes().sent > 0 {
         stats.extend([round_trip(course), lost(course)]);
     }
-    stats.extend([throughput(subject, Way::Up), throughput(subject, Way::Down)]);
     stats
 }
 
@@ -133,18 +132,4 @@ fn lost(course: &Course) -> Stat {
         "no probes".to_owned()
     };
     Stat::new("Probes lost", share, "%", line)
-}
-
-fn throughput(subject: &Subject<'_>, way: Way) -> Stat {
-    let delays = subject.delays(way);
-    let (number, why) = delays.throughput();
-    let name = if way == Way::Up { "Throughput up" } else { "Throughput down" };
-    let known = (number != NONE).then_some(number);
-    let line = match (known.is_some(), why.is_empty(), delays.verdict.is_some()) {
-        (true, true, _) => "while sending",
-        (true, false, _) => "interval: short for its bound",
-        (false, _, false) => "nothing sent",
-        (false, ..) => "delay not known",
-    };
-    Stat { title: why.to_owned(), ..Stat::new(name, known, "MB/s", line.to_owned()) }
 }

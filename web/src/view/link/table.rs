@@ -32,7 +32,6 @@ pub(crate) struct Direction {
     pub value: String,
     pub interval: String,
     pub sign: Option<Sign>,
-    pub throughput: String,
 }
 
 /// Rows of a table at most.
@@ -78,7 +77,6 @@ impl Direction {
             value: delays.value(),
             interval: delays.interval().unwrap_or_default(),
             sign: delays.chip().map(Sign::from),
-            throughput: delays.throughput().0,
         }
     }
 }

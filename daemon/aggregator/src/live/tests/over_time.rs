@@ -1,4 +1,7 @@
-//! The 95th percentile of the total over time, against exact computation.
+//! What charts draw over time, against exact computation.
+
+use peernet_logger::stage;
+use peernet_statistics::Summary;
 
 use super::{Bed, START, second};
 use crate::picture::PercentileSeries;
@@ -102,4 +105,33 @@ fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
     }
     let found = bed.picture(500.0).pipelines[0].total_p95.clone();
     assert_eq!((found.bucket_s, found.points.len()), (Some(10), 20));
+}
+
+#[test]
+fn speed_while_sending_adds_up_bytes_and_times() {
+    // Nine messages of 10 kB in 20 µs and one of 122 kB in 3.58 ms.
+    let messages = [vec![(10_000.0, 20e-6); 9], vec![(122_000.0, 3.58e-3)]].concat();
+    let summary = |of: fn(&(f64, f64)) -> f64| {
+        let mut summary = Summary::default();
+        messages.iter().for_each(|message| summary.record(of(message)));
+        summary
+    };
+    let ratios = summary(|(bytes, seconds)| 8.0 * bytes / seconds);
+    let mut sent = second(0, &[], 0);
+    sent.values = vec![
+        (stage::UPLOAD, summary(|(_, seconds)| *seconds)),
+        (stage::UPLOAD_BYTES, summary(|(bytes, _)| *bytes)),
+        (stage::UPLOAD_THROUGHPUT, ratios),
+    ];
+    let mut bed = Bed::new();
+    bed.send(0.99, vec![sent]);
+    let pipeline = &bed.picture(1.0).pipelines[0];
+    let exact = 8.0 * 212_000.0 / 3.76e-3;
+    for transfers in [pipeline.windows[1].transfers, pipeline.series[0].transfers] {
+        let up = transfers.up.expect("something was sent");
+        assert!((up.speed().expect("delays are known") / exact - 1.0).abs() < 1e-9, "{up:?}");
+        assert!((up.bytes - 212_000.0).abs() < 1e-6 && transfers.down.is_none(), "{up:?}");
+    }
+    let ratios = pipeline.windows[1].value("upload-throughput").expect("reported").mean;
+    assert!(ratios > 8.0 * exact, "the mean of ratios is another figure: {ratios}");
 }

@@ -31,18 +31,3 @@ fn a_negative_delay_is_never_shown() {
     });
     assert_eq!(Delays::merge(Way::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
 }
-
-#[test]
-fn a_limited_throughput_is_shown_as_its_interval() {
-    let known = |verdict| {
-        let point = DelayPoint {
-            value: Span::from_micros(1_000),
-            bounds: Interval { lo: Span::ZERO, hi: Span::from_micros(2_000) },
-            bits_per_second: Some(160e6),
-        };
-        Delays::merge(Way::Up, &[DelaySecond { count: 9, median: Some(point), verdict }]).throughput().0
-    };
-    assert_eq!(known(Verdict::Ok), "20.0");
-    assert_eq!(known(Verdict::Limited), "≥ 10.0");
-    assert_eq!(known(Verdict::Stepped), "—");
-}

@@ -1,0 +1,102 @@
+//! What iterations sent, and how long it was on its way.
+
+use peernet_clock::Direction;
+use peernet_logger::{Name, stage};
+use serde::Serialize;
+
+/// Sums over the messages of successful iterations in one direction.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Transfer {
+    /// Bytes of all messages, payload and metadata.
+    pub bytes: f64,
+    /// Bytes of the messages whose one-way delay is known.
+    pub timed_bytes: f64,
+    /// Sum of these delays, seconds.
+    pub seconds: f64,
+}
+
+impl Transfer {
+    /// The sums of a direction; `None` when nothing was sent in it. `of` gives how many samples of a name there are, and
+    /// their mean in its SI unit.
+    pub fn of(direction: Direction, of: impl Fn(&Name) -> Option<(u64, f64)>) -> Option<Self> {
+        let (payload, metadata, delay) = match direction {
+            Direction::Up => (stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD),
+            Direction::Down => (stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD),
+        };
+        let (messages, mean) = of(&payload)?;
+        let sum = |(count, mean): (u64, f64)| count as f64 * mean;
+        let bytes = sum((messages, mean)) + of(&metadata).map_or(0.0, sum);
+        let (timed, seconds) = of(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
+        // Sizes are known of every message. Where some delays are not, those that are count with their share of the bytes.
+        let share = (timed as f64 / messages.max(1) as f64).min(1.0);
+        Some(Self { bytes, timed_bytes: bytes * share, seconds })
+    }
+
+    /// Speed while sending in bits per second: the bytes over the time that they were on their way. `None` while no delay
+    /// is known.
+    pub fn speed(&self) -> Option<f64> {
+        (self.seconds > 0.0 && self.timed_bytes > 0.0).then(|| 8.0 * self.timed_bytes / self.seconds)
+    }
+
+    /// Traffic in bits per second: the bytes over so many seconds of wall time.
+    pub fn traffic(&self, wall_s: f64) -> Option<f64> {
+        (wall_s > 0.0).then(|| 8.0 * self.bytes / wall_s)
+    }
+}
+
+/// Both directions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Transfers {
+    /// From the edge to the cloud; `None` when nothing was sent.
+    pub up: Option<Transfer>,
+    /// From the cloud to the edge; `None` when nothing was sent.
+    pub down: Option<Transfer>,
+}
+
+impl Transfers {
+    /// The sums of both directions; `of` as for [`Transfer::of`].
+    pub fn of(of: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
+        Self { up: Transfer::of(Direction::Up, &of), down: Transfer::of(Direction::Down, &of) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A small message that is fast and a large one that is slow, as (bytes, seconds).
+    const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
+
+    fn means(name: &Name) -> Option<(u64, f64)> {
+        let mean = |of: fn((f64, f64)) -> f64| MESSAGES.map(of).iter().sum::<f64>() / 2.0;
+        match name.as_str() {
+            "upload-bytes" => Some((2, mean(|(bytes, _)| bytes))),
+            "upload" => Some((2, mean(|(_, seconds)| seconds))),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn speed_is_bytes_over_transfer_times_and_no_mean_of_ratios() {
+        let Transfers { up, down } = Transfers::of(means);
+        let up = up.expect("something was sent");
+        let speed = up.speed().expect("delays are known") / 8e6;
+        assert!((speed - 34.63).abs() < 0.01, "{speed} MB/s; the mean of the ratios is 1,017");
+        assert!((up.traffic(10.0).expect("ten seconds") / 8e6 - 0.0124).abs() < 1e-9);
+        assert_eq!((down, up.traffic(0.0)), (None, None));
+    }
+
+    #[test]
+    fn messages_without_known_delay_count_as_traffic_only() {
+        let of = |name: &Name| match name.as_str() {
+            "download-bytes" => Some((10, 1_000.0)),
+            "download-logger-bytes" => Some((10, 200.0)),
+            "download" => Some((4, 0.001)),
+            _ => None,
+        };
+        let down = Transfer::of(Direction::Down, of).expect("something was sent");
+        assert_eq!((down.bytes, down.timed_bytes, down.seconds), (12_000.0, 4_800.0, 0.004));
+        let unknown = |name: &Name| of(name).filter(|_| name.as_str() != "download");
+        assert_eq!(Transfer::of(Direction::Down, unknown).and_then(|down| down.speed()), None);
+    }
+}

@@ -1,0 +1,48 @@
+//! What a link carries, pipeline by pipeline: messages of different sizes have no speed in common.
+
+use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_logger::stage;
+use peernet_statistics::number::{NONE, bytes, rate};
+
+use super::super::now::Cell;
+use super::super::place;
+use super::super::speed::{self, Way};
+use super::{LATELY, Subject};
+
+/// One pipeline that uses the link.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct CarriedRow {
+    pub name: String,
+    pub href: String,
+    pub rate: String,
+    /// Mean size of a payload, up and down.
+    pub sizes: [String; 2],
+    /// Speed while sending in MB/s, up and down.
+    pub speeds: [Cell; 2],
+    pub traffic: Cell,
+}
+
+impl CarriedRow {
+    /// The pipelines that use the link, by name.
+    pub(crate) fn all(picture: &Picture, subject: &Subject<'_>) -> Vec<Self> {
+        let Some(link) = subject.live else { return Vec::new() };
+        let uses =
+            |one: &&PipelinePicture| one.host == link.edge && link.live.pipelines.contains(&one.pipeline);
+        picture.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
+    }
+
+    fn new(pipeline: &PipelinePicture) -> Option<Self> {
+        let window = pipeline.window(LATELY.seconds() as u32)?;
+        let size =
+            |name| window.value(name).map_or_else(|| NONE.to_owned(), |size| bytes(size.mean).to_string());
+        let kind = pipeline.placement.kind;
+        Some(Self {
+            name: pipeline.pipeline.to_string(),
+            href: place::pipeline_href(pipeline.host_name.as_str(), pipeline.pipeline.as_str()),
+            rate: rate(window.rate_hz),
+            sizes: [size(&stage::UPLOAD_BYTES), size(&stage::DOWNLOAD_BYTES)],
+            speeds: [Way::Up, Way::Down].map(|way| speed::cell(kind, window, way)),
+            traffic: speed::traffic(kind, window),
+        })
+    }
+}
