@@ -1,14 +1,18 @@
 //! The `[web]` table of the configuration file, and what can be checked before starting.
 
+mod warn;
+
 use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
+
+pub use self::warn::WarnConfig;
 
 use crate::server_names;
 use crate::zone::Zone;
 
 /// Where and how the dashboard and the REST API are served.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WebConfig {
     /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. Port 0 takes a free one.
@@ -19,6 +23,8 @@ pub struct WebConfig {
     pub server_names: Vec<String>,
     /// Zone of the times on the pages: `local`, `utc` or an offset such as `+01:00`. The API always uses UTC.
     pub time_zone: Zone,
+    /// From when on the overview warns.
+    pub warn: WarnConfig,
 }
 
 /// A value of the configuration that cannot work.
@@ -38,6 +44,7 @@ impl Default for WebConfig {
             allow_unauthenticated: false,
             server_names: Vec::new(),
             time_zone: Zone::default(),
+            warn: WarnConfig::default(),
         }
     }
 }
@@ -47,7 +54,7 @@ impl WebConfig {
     pub fn check(&self) -> Vec<Problem> {
         let names = self.server_names.iter().filter_map(|name| server_names::wrong_name(name));
         let names = names.map(|message| Problem { key: "server_names", message });
-        self.listen_address().err().into_iter().chain(names).collect()
+        self.listen_address().err().into_iter().chain(names).chain(self.warn.check()).collect()
     }
 
     /// The address to listen on, if the configuration allows it.

@@ -27,6 +27,6 @@ mod timeline;
 mod view;
 mod zone;
 
-pub use config::{Problem, WebConfig};
+pub use config::{Problem, WarnConfig, WebConfig};
 pub use serve::{Failure, Running, StartError, router, serve};
 pub use zone::{InvalidZone, Zone};

@@ -8,7 +8,7 @@ use peernet_store::{IncidentRow, Store, StoreError};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
-use crate::config::WebConfig;
+use crate::config::{WarnConfig, WebConfig};
 use crate::server_names::ServerNames;
 use crate::zone::Zone;
 
@@ -21,6 +21,7 @@ pub(crate) struct AppState {
     pub aggregator: Aggregator,
     pub clock: SharedClock,
     pub zone: Zone,
+    pub warn: WarnConfig,
     /// Names under which requests are answered.
     pub names: ServerNames,
     /// When serving began.
@@ -47,6 +48,7 @@ impl AppState {
         Arc::new(Self {
             aggregator,
             zone: config.time_zone,
+            warn: config.warn,
             names: ServerNames::new(&config.server_names),
             since: clock.wall(),
             clock,

@@ -106,13 +106,14 @@ fn links_lead_to_files_and_sections_that_exist() {
 }
 
 /// A section of the reference, and a file with a key or a value `zz` in what the section describes.
-const PROBES: [(&str, &str); 30] = [
+const PROBES: [(&str, &str); 31] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
     ("lifecycle", "[lifecycle]\nzz = 1"),
     ("aggregator", "[aggregator]\nzz = 1"),
     ("aggregatorretention", "[aggregator.retention]\nzz = 1"),
     ("web", "[web]\nzz = 1"),
+    ("webwarn", "[web.warn]\nzz = 1"),
     ("agent", "[agent]\nzz = 1"),
     ("spool", "[spool]\nzz = 1"),
     ("spool", "[spool]\ncompression = \"zz\""),

@@ -193,7 +193,7 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
         ],
         events: Events::of(host),
         stored: events::stored(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
-        pipelines: NowTable::new(&mine, 10).rows,
+        pipelines: NowTable::new(&mine).rows,
         name,
     }
 }

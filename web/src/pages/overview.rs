@@ -128,14 +128,14 @@ pub(super) fn overview(
     picture: &Picture,
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
-    let health = Health::of(picture, app.zone, app.since);
+    let health = Health::of(picture, app.zone, app.since, &app.warn);
     let pipelines = ordered(picture);
     let charts: Vec<ChartCard> = pipelines.iter().map(|one| ChartCard::new(one, picture, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
     Ok(Overview {
         shell: Shell::new(app, picture, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
-        now: NowTable::new(&pipelines, 10),
+        now: NowTable::new(&pipelines),
         hosts: HostLine::first(cut::OVERVIEW, picture, app.clock.identity(), app.zone),
         cut: [picture.pipelines.len(), picture.hosts.len()].map(|all| cut::words(cut::OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),

@@ -86,7 +86,7 @@ fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
         many => format!("{running} of {many} pipelines ran"),
     };
     let shown = &all[..all.len().min(cut::LIST)];
-    let rows = NowTable::new(shown, 10).rows;
+    let rows = NowTable::new(shown).rows;
     let lines = shown.iter().zip(rows).map(|(pipeline, figures)| Line {
         figures,
         host: pipeline.host_name.to_string(),

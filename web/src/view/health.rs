@@ -10,7 +10,8 @@ use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
 use super::now::{state_chip, trouble};
-use super::{awaited, link, place};
+use super::{awaited, link, place, warnings};
+use crate::config::WarnConfig;
 use crate::zone::Zone;
 
 /// At most so many notes are shown; the others are counted.
@@ -33,7 +34,7 @@ pub(crate) struct Health {
 
 impl Health {
     /// The health that a picture of an aggregator shows that serves since then.
-    pub(crate) fn of(picture: &Picture, zone: Zone, since: WallTime) -> Self {
+    pub(crate) fn of(picture: &Picture, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
         let mut notes = Vec::new();
         notes.extend(picture.refused.iter().map(|refused| Note {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
@@ -42,8 +43,8 @@ impl Health {
             text: format!("was turned away at {}: {}", zone.moment(refused.at).clock(), refused.reason),
             link: None,
         }));
-        notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, zone)));
-        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, picture)));
+        notes.extend(picture.hosts.iter().flat_map(|host| host_notes(host, picture.at, zone, warn)));
+        notes.extend(picture.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, picture, warn)));
         // The worst first; the sort is stable, so that notes of one kind stay in order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
 
@@ -61,7 +62,6 @@ impl Health {
             ("is ", "was ")
         };
         let rest = match notes.len() {
-            0 if running > 0 => ", all well".to_owned(),
             0 => String::new(),
             many => format!(", {many} to look at"),
         };
@@ -86,7 +86,7 @@ impl Health {
     }
 }
 
-fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
+fn host_notes(host: &HostPicture, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
     let name = host.description.name.to_string();
     let note =
         |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
@@ -118,10 +118,11 @@ fn host_notes(host: &HostPicture, zone: Zone) -> Vec<Note> {
         );
         notes.push(note(Chip::new(Tone::Warn, "stale", "behind"), text));
     }
+    notes.extend(warnings::of_host(host, now, warn).map(|(chip, text)| note(chip, text)));
     notes
 }
 
-fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture) -> Vec<Note> {
+fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture, warn: &WarnConfig) -> Vec<Note> {
     let subject = pipeline.pipeline.to_string();
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };
@@ -138,6 +139,7 @@ fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture) -> Vec<Note> {
             format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
+    notes.extend(warnings::of_pipeline(window, warn).into_iter().map(|(chip, text)| note(chip, text)));
     let link = link::of_placement(picture, pipeline.host_name.as_str(), &pipeline.placement);
     let value = |name: &Name| window.value(name).copied();
     notes.extend(Note::of_delays(&subject, &href, link.as_deref(), &window.bounds, value));

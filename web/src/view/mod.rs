@@ -26,6 +26,7 @@ pub(crate) mod stack;
 pub(crate) mod stages;
 pub(crate) mod storing;
 pub(crate) mod trust;
+pub(crate) mod warnings;
 pub(crate) mod waterfall;
 
 /// `1 link`, `3 links`.

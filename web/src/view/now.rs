@@ -16,9 +16,9 @@ use crate::svg::{Axis, Bar, Scale};
 
 /// How many times as long as the longest bar a whisker may make the axis.
 const TAIL: f64 = 2.0;
-/// Seconds of the window of every quantile: the shortest that holds enough iterations at 5 Hz. All come from it, since
-/// quantiles of different windows cannot be compared.
-const QUANTILES: u32 = 60;
+/// Seconds of the window of every figure: the shortest that holds enough iterations for a p99 at 5 Hz. Bars, quantiles and
+/// whiskers come from one window, since figures of different windows cannot be compared.
+const WINDOW_S: u32 = 60;
 
 /// Bars on a shared scale.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,7 +95,7 @@ pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
     state.reason().map(|reason| format!("{what}: {reason}"))
 }
 
-/// A quantile of `total` within the window of all quantiles.
+/// A quantile of `total`.
 fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>) -> (Option<f64>, Cell) {
     let value = total.and_then(of);
     let cell = value.map_or_else(
@@ -109,17 +109,18 @@ fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>
 }
 
 impl NowTable {
-    /// The pipelines as they are in the window of `seconds` (1, 10 or 60), with the quantiles of the last minute.
-    pub(crate) fn new(pipelines: &[&PipelinePicture], seconds: u32) -> Self {
+    /// The pipelines as they were in the last minute.
+    pub(crate) fn new(pipelines: &[&PipelinePicture]) -> Self {
         let windows: Vec<(&PipelinePicture, &Window)> =
-            pipelines.iter().filter_map(|one| Some((*one, one.window(seconds)?))).collect();
+            pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
-        // The longest window steadies the scale: it moves with the last minute, not with every figure. A tail that
-        // is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the axis.
+        // A tail that is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the
+        // axis.
         let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
-        let reach = windows.iter().map(|(pipeline, _)| {
-            let minute = pipeline.window(QUANTILES).and_then(|window| window.value(&stage::TOTAL));
-            minute.map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
+        let reach = windows.iter().map(|(_, window)| {
+            window
+                .value(&stage::TOTAL)
+                .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
         let scale = Scale::fit(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
         let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
@@ -151,9 +152,9 @@ impl NowRow {
         columns: &[&'static str],
     ) -> Self {
         let host = pipeline.host_name.as_str();
-        let minute = pipeline.window(QUANTILES).and_then(|window| window.value(&stage::TOTAL));
-        let (p95, p95_cell) = quantile(minute, peernet_store::P95_NEEDS, |total| total.p95);
-        let (p99, p99_cell) = quantile(minute, peernet_store::P99_NEEDS, |total| total.p99);
+        let total = window.value(&stage::TOTAL);
+        let (p95, p95_cell) = quantile(total, peernet_store::P95_NEEDS, |total| total.p95);
+        let (p99, p99_cell) = quantile(total, peernet_store::P99_NEEDS, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
         let mean =
             |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));
@@ -167,7 +168,7 @@ impl NowRow {
             ),
             state: state_chip(&pipeline.state),
             bar: stack.bar("", (p95, p99), scale),
-            p50: minute.map_or_else(
+            p50: total.map_or_else(
                 || Cell::none("no successful iteration in this time"),
                 |total| Cell::new(total_ms(total.p50)),
             ),

@@ -1,0 +1,69 @@
+//! The `[web.warn]` table of the configuration file: from when on the overview warns.
+
+use serde::{Deserialize, Serialize};
+
+use super::Problem;
+
+/// Limits beyond which the overview warns. An infinite one never does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WarnConfig {
+    /// p99 of a pipeline's total, as a multiple of its median, over the last minute.
+    pub p99_over_median: f64,
+    /// Busy share of a host's cores in percent, exceeded for ten seconds.
+    pub cpu_percent: f64,
+    /// Time of the total that no stage accounts for, without lateness, in percent of the total over the last minute.
+    pub unattributed_percent: f64,
+    /// Starts that were skipped, in percent of those that came due in the last minute.
+    pub skipped_percent: f64,
+    /// Lateness of the starts in percent of the total over the last minute.
+    pub late_percent: f64,
+}
+
+impl Default for WarnConfig {
+    fn default() -> Self {
+        Self {
+            p99_over_median: 5.0,
+            cpu_percent: 90.0,
+            unattributed_percent: 10.0,
+            skipped_percent: 0.1,
+            late_percent: 10.0,
+        }
+    }
+}
+
+impl WarnConfig {
+    /// What cannot be a limit.
+    pub(crate) fn check(&self) -> Vec<Problem> {
+        let Self { p99_over_median, cpu_percent, unattributed_percent, skipped_percent, late_percent } =
+            *self;
+        let limits = [
+            ("warn.p99_over_median", p99_over_median),
+            ("warn.cpu_percent", cpu_percent),
+            ("warn.unattributed_percent", unattributed_percent),
+            ("warn.skipped_percent", skipped_percent),
+            ("warn.late_percent", late_percent),
+        ];
+        let wrong = limits.into_iter().filter(|(_, limit)| limit.is_nan() || *limit < 0.0);
+        let problem = |(key, limit)| Problem {
+            key,
+            message: format!("{limit} is no limit: write 0 or more, or inf for no warning"),
+        };
+        wrong.map(problem).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_positive_numbers_or_infinite() {
+        assert_eq!(WarnConfig::default().check(), []);
+        let never = WarnConfig { cpu_percent: f64::INFINITY, ..WarnConfig::default() };
+        assert_eq!(never.check(), []);
+        let wrong = WarnConfig { late_percent: -1.0, cpu_percent: f64::NAN, ..WarnConfig::default() };
+        let keys: Vec<_> = wrong.check().into_iter().map(|problem| problem.key).collect();
+        assert_eq!(keys, ["warn.cpu_percent", "warn.late_percent"]);
+    }
+}

@@ -1,0 +1,192 @@
+//! Warnings of the overview: latencies that spread, busy processors, time that nothing accounts for, starts that do not
+//! keep the ordered rate.
+
+use peernet_aggregator::{HostPicture, MetricsPoint, Window};
+use peernet_clock::{Span, WallTime};
+use peernet_logger::stage;
+use peernet_report::rows::SKIPPED_STARTS;
+use peernet_statistics::number::{SPACE, count, duration, percent, times};
+
+use super::chip::{Chip, Tone};
+use crate::config::WarnConfig;
+use crate::look::LATENESS;
+
+/// A processor must have been busy for so long.
+const BUSY_FOR: Span = Span::from_seconds(10);
+/// Less unattributed time or lateness than this, seconds, is that of single instructions and of the scheduler.
+const LEAST_S: f64 = 1e-4;
+
+/// That a host's processors have been busy for ten seconds.
+pub(crate) fn of_host(host: &HostPicture, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let limit = warn.cpu_percent / 100.0;
+    let current = host.metrics.cpu.filter(|_| host.connected)?;
+    // The points within the time, and the one at its beginning.
+    let mut before = host.history.iter().rev();
+    let mut least = current;
+    loop {
+        let MetricsPoint { at, metrics } = &**before.next()?;
+        least = least.min(metrics.cpu?);
+        if now - *at >= BUSY_FOR {
+            break;
+        }
+    }
+    let text = || {
+        format!(
+            "has had its processors busy for 10{SPACE}s: {}{SPACE}% or more. Latencies measured meanwhile contain waiting.",
+            percent(least)
+        )
+    };
+    (least > limit).then(|| (Chip::new(Tone::Warn, "remark", "busy"), text()))
+}
+
+/// What is to be said of a pipeline's last minute.
+pub(crate) fn of_pipeline(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
+    [tail(minute, warn), unattributed(minute, warn), skipped(minute, warn), late(minute, warn)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+fn tail(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let total = minute.value(&stage::TOTAL)?;
+    let p99 = total.p99.filter(|p99| *p99 > warn.p99_over_median * total.p50)?;
+    let text = format!(
+        "has a p99 of {} in the last minute, {} the median of {}.",
+        duration(p99),
+        times(p99 / total.p50),
+        duration(total.p50)
+    );
+    Some((Chip::new(Tone::Warn, "slow", "tail"), text))
+}
+
+/// Seconds per iteration, and their share of the total.
+fn share(minute: &Window, seconds: f64) -> Option<f64> {
+    let total = minute.value(&stage::TOTAL)?;
+    (seconds > LEAST_S && total.mean > 0.0).then(|| seconds / total.mean)
+}
+
+/// Mean per successful iteration; of a name that not all of them have, its share.
+fn mean(minute: &Window, name: &str) -> f64 {
+    let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
+    minute.value(name).map_or(0.0, |known| known.mean * known.count as f64 / total.count.max(1) as f64)
+}
+
+fn unattributed(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let seconds = mean(minute, &stage::UNATTRIBUTED) - mean(minute, LATENESS);
+    let share = share(minute, seconds).filter(|share| *share > warn.unattributed_percent / 100.0)?;
+    let text = format!(
+        "has {} per iteration in no stage, {}{SPACE}% of its total in the last minute.",
+        duration(seconds),
+        percent(share)
+    );
+    Some((Chip::new(Tone::Warn, "unknown", "unattributed"), text))
+}
+
+fn skipped(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let skipped =
+        minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64).round();
+    let due = skipped + minute.counts.total() as f64;
+    let share =
+        (skipped > 0.0).then(|| skipped / due).filter(|share| *share > warn.skipped_percent / 100.0)?;
+    let text = format!(
+        "skipped {} starts in the last minute, {}{SPACE}% of those that came due: it does not keep its rate.",
+        count(skipped as u64),
+        percent(share)
+    );
+    Some((Chip::new(Tone::Warn, "gap", "skipped"), text))
+}
+
+fn late(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let seconds = mean(minute, LATENESS);
+    let share = share(minute, seconds).filter(|share| *share > warn.late_percent / 100.0)?;
+    let text = format!(
+        "starts {} late on average, {}{SPACE}% of its total in the last minute.",
+        duration(seconds),
+        percent(share)
+    );
+    Some((Chip::new(Tone::Warn, "slow", "late"), text))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::Verdict;
+    use peernet_logger::Name;
+
+    use super::*;
+    use crate::tests::samples::{self, NOW, figures};
+
+    /// The words of the warnings about a minute that was changed like this.
+    fn words(change: impl FnOnce(&mut Window)) -> Vec<&'static str> {
+        let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
+        change(&mut minute);
+        of_pipeline(&minute, &WarnConfig::default()).into_iter().map(|(chip, _)| chip.word).collect()
+    }
+
+    fn set(minute: &mut Window, name: &str, mean: f64) {
+        minute.values.retain(|(known, _)| known != name);
+        minute.values.push((Name::from(name.to_owned()), figures(mean, minute.counts.ok)));
+    }
+
+    fn total(minute: &mut Window) -> &mut peernet_store::Figures {
+        minute
+            .values
+            .iter_mut()
+            .find(|(name, _)| *name == stage::TOTAL)
+            .map(|(_, total)| total)
+            .expect("there")
+    }
+
+    #[test]
+    fn latencies_that_spread_are_warned_of() {
+        assert_eq!(words(|_| ()), [] as [&str; 0]);
+        let with_p99 = |p99| words(move |minute| (total(minute).p50, total(minute).p99) = (0.018, p99));
+        assert_eq!(with_p99(Some(0.311)), ["tail"], "17 times the median");
+        assert_eq!(with_p99(Some(0.085)), [] as [&str; 0]);
+        assert_eq!(with_p99(None), [] as [&str; 0], "too few iterations for a p99");
+    }
+
+    #[test]
+    fn time_in_no_stage_is_warned_of_without_lateness() {
+        assert_eq!(words(|minute| set(minute, "unattributed", 0.0018)), ["unattributed"]);
+        assert_eq!(words(|minute| set(minute, "unattributed", 0.0014)), [] as [&str; 0]);
+        let late = |minute: &mut Window| {
+            set(minute, "unattributed", 0.0018);
+            set(minute, LATENESS, 0.0017);
+        };
+        assert_eq!(words(late), ["late"]);
+    }
+
+    #[test]
+    fn starts_that_are_skipped_are_warned_of() {
+        assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.0)), [] as [&str; 0]);
+        assert_eq!(words(|minute| set(minute, SKIPPED_STARTS, 0.01)), ["skipped"]);
+        let patient = WarnConfig { skipped_percent: 2.0, ..WarnConfig::default() };
+        let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
+        set(&mut minute, SKIPPED_STARTS, 0.01);
+        assert_eq!(of_pipeline(&minute, &patient), []);
+        let said = &of_pipeline(&minute, &WarnConfig::default())[0].1;
+        assert!(said.starts_with("skipped 18 starts in the last minute"), "{said}");
+    }
+
+    #[test]
+    fn processors_are_busy_after_ten_seconds_only() {
+        // Busy shares now, five seconds ago, ten seconds ago and so on.
+        let busy = |shares: &[f64]| {
+            let mut host = samples::host("cam-1", "Orin");
+            let metrics = |share| peernet_stream::HostMetrics { cpu: Some(share), ..host.metrics.clone() };
+            let points = shares[1..].iter().enumerate().rev().map(|(index, share)| {
+                let at = NOW - Span::from_seconds(5 * (index as i64 + 1));
+                Arc::new(MetricsPoint { at, metrics: metrics(*share) })
+            });
+            host.history = points.collect();
+            host.metrics = metrics(shares[0]);
+            of_host(&host, NOW, &WarnConfig::default()).map(|(_, text)| text)
+        };
+        assert!(busy(&[0.97, 0.95, 0.94]).is_some_and(|text| text.contains("94")));
+        assert_eq!(busy(&[0.97, 0.95]), None, "for five seconds only");
+        assert_eq!(busy(&[0.97, 0.80, 0.94]), None);
+        assert_eq!(busy(&[0.80, 0.95, 0.94]), None);
+    }
+}
