@@ -1,6 +1,7 @@
 """An agent that observes a chain of nodes, of either version of ROS."""
 import json
 import statistics
+import time
 import urllib.error
 import urllib.request
 
@@ -8,7 +9,7 @@ from processes import Process, free_port, wait_until
 
 # Nodes of the chain: topics and the seconds that they take.
 HOPS = [("/camera", "/a", 0.005), ("/a", "/b", 0.02), ("/b", "/c", 0.05)]
-# Largest difference in seconds between what is reported and what was taken.
+# Largest difference in seconds between what is reported and what was taken, on a machine where nobody waits for a processor.
 TOLERANCE = 0.001
 # Messages that a median is taken of, here as by a node.
 WINDOW = 20
@@ -61,6 +62,20 @@ class Observer(Process):
         return [one for one in found["iterations"] if one["outcome"] == "ok"][-WINDOW:] if found else []
 
 
+def tolerance():
+    """Returns the largest difference between what is reported and what was taken, in seconds.
+
+    A node says what it took from the moment at which it runs until it publishes. What is reported begins and ends when the agent and
+    the next node are woken: on a busy machine both wait for a processor, as a sleeping process does.
+    """
+    late = []
+    for _ in range(WINDOW):
+        begun = time.perf_counter()
+        time.sleep(TOLERANCE)
+        late.append(time.perf_counter() - begun - TOLERANCE)
+    return TOLERANCE + 2 * statistics.median(late)
+
+
 def check_latencies(observer, relays):
     """Waits until the medians that the pipelines `hop0`, `hop1`, … report are those that the nodes say they took."""
 
@@ -76,7 +91,7 @@ def check_latencies(observer, relays):
 
         def agrees():
             found.append(compared(index))
-            return found[-1] is not None and abs(found[-1][0] - found[-1][1]) < TOLERANCE
+            return found[-1] is not None and abs(found[-1][0] - found[-1][1]) < tolerance()
 
         wait_until(agrees, lambda: f"medians of {seconds} s, reported and taken, within a millisecond: {found[-1]}", PATIENCE)
         reported, taken = found[-1]
@@ -104,7 +119,8 @@ def check_two_agents(peernetd, folder, ros_version, relays):
                 seconds = [value for value in seconds if value is not None]
                 if said and len(seconds) == WINDOW:
                     found[name] = (statistics.median(seconds), float(said.split()[1]))
-            return len(found) == len(HOPS) and all(abs(reported - taken) < TOLERANCE for reported, taken in found.values())
+            allowed = tolerance()
+            return len(found) == len(HOPS) and all(abs(reported - taken) < allowed for reported, taken in found.values())
 
         wait_until(agrees, lambda: f"stages of both hosts, reported and taken: {found}", PATIENCE)
         detail = observer.get(f"runs/{observer.run_of('chain')['number']}")
