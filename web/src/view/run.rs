@@ -7,9 +7,7 @@ use peernet_report::rows::SKIPPED_STARTS;
 use peernet_statistics::number::{
     NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
 };
-use peernet_store::{
-    Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics, Transfer, Transfers,
-};
+use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics, Transfer};
 use serde::Serialize;
 
 use super::clocks;
@@ -190,9 +188,7 @@ impl Stored<'_> {
 
     /// Speed while sending and traffic of both directions.
     fn sent(&self) -> Vec<Other> {
-        let stage = |name: &str| self.known.stages.iter().find(|stage| stage.stage == *name);
-        let transfers =
-            Transfers::of(|name| stage(name).map(|stage| (stage.figures.count, stage.figures.mean)));
+        let transfers = self.known.transfers();
         let row = |name, value: Option<String>| Other {
             name,
             mean: value.unwrap_or_else(|| NONE.to_owned()),

@@ -113,6 +113,13 @@ async fn live_and_stored_figures_are_served() {
         .sum();
     assert!((0.95..=1.0).contains(&share), "{share}");
     assert_eq!(stages["bounds"][0]["stage"], "upload");
+    let mean = |name: &str| {
+        let found = stages["stages"].as_array().expect("stages").iter().find(|stage| stage["name"] == name);
+        found.and_then(|stage| stage["mean"].as_f64()).expect("measured")
+    };
+    let speed = stages["speed_while_sending"]["upload_bits_per_second"].as_f64().expect("delays are known");
+    let exact = 8.0 * (mean("upload-bytes") + mean("upload-logger-bytes")) / mean("upload");
+    assert!((speed / exact - 1.0).abs() < 1e-9, "{speed}, but {exact}");
 
     let histogram = bed.get("/api/v1/runs/2/histogram?stage=upload&bins=20").await.json();
     let counts: u64 = histogram["counts"].as_array().expect("counts").iter().filter_map(Value::as_u64).sum();

@@ -9,6 +9,7 @@ use peernet_statistics::Summary;
 use serde::Serialize;
 
 use crate::figures::{Bound, Figures, rank};
+use crate::transfer::Transfers;
 
 /// Statistics of one node name over whole runs; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -48,6 +49,14 @@ impl RunStatistics {
         let mut all = Kept::default();
         runs.iter().for_each(|run| all.merge(&run.kept));
         Self::from(all)
+    }
+
+    /// What was sent, and how long it was on its way.
+    pub fn transfers(&self) -> Transfers {
+        Transfers::of(|name| {
+            let found = self.stages.iter().find(|stage| stage.stage == *name)?;
+            Some((found.figures.count, found.figures.mean))
+        })
     }
 }
 

@@ -36,6 +36,7 @@ async fn stages(
     Ok(Json(StageList {
         stages: known.stages.iter().map(Stage::from).collect(),
         bounds: known.bounds.iter().map(Bound::from).collect(),
+        speed_while_sending: SpeedWhileSending::from(&known.transfers()),
     }))
 }
 
@@ -113,6 +114,24 @@ pub(crate) struct StageList {
     pub stages: Vec<Stage>,
     /// How well the one-way delays are known, also where none has a value.
     pub bounds: Vec<Bound>,
+    pub speed_while_sending: SpeedWhileSending,
+}
+
+/// The sum of bits over the sum of transfer times. The mean of `upload-throughput` is another figure: a mean of the ratios of
+/// single iterations.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct SpeedWhileSending {
+    /// From the edge to the cloud; null when nothing was sent or no delay is known.
+    pub upload_bits_per_second: Option<f64>,
+    /// From the cloud to the edge; null when nothing was sent or no delay is known.
+    pub download_bits_per_second: Option<f64>,
+}
+
+impl From<&store::Transfers> for SpeedWhileSending {
+    fn from(transfers: &store::Transfers) -> Self {
+        let speed = |transfer: Option<store::Transfer>| transfer.and_then(|transfer| transfer.speed());
+        Self { upload_bits_per_second: speed(transfers.up), download_bits_per_second: speed(transfers.down) }
+    }
 }
 
 /// Statistics of one node name over a run.
