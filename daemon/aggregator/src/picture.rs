@@ -212,7 +212,8 @@ pub struct PercentilePoint {
 /// What happened within the last seconds of the edge's wall clock.
 ///
 /// Holds the given number of complete seconds and the one that is under way, so that a figure is neither
-/// late nor made of a few milliseconds; rates are over the time really covered.
+/// late nor made of a few milliseconds; rates are over the time really covered: that since the pipeline's first second
+/// where this is within the window.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Window {
     /// Complete seconds: 1, 10 or 60.

@@ -179,6 +179,11 @@ impl Pipeline {
         let end = if silence > SILENT { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
         let under_way = (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
+        // A pipeline that began within the window has no rate before; a moment after its begin has none yet.
+        let known_for = self
+            .series
+            .first_key_value()
+            .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + under_way).max(1.0));
         let mut sum = Cell::default();
         let mut merged = 0;
         // Each window holds the shorter one, and all hold the second under way.
@@ -188,7 +193,7 @@ impl Pipeline {
                 sum.merge(cell);
             }
             merged = cells;
-            sum.window(seconds, f64::from(seconds) + under_way)
+            sum.window(seconds, (f64::from(seconds) + under_way).min(known_for))
         })
     }
 }

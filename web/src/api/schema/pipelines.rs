@@ -80,7 +80,7 @@ impl TotalOverTime {
 pub(crate) struct Window {
     /// Complete seconds: 1, 10 or 60.
     pub seconds: u32,
-    /// Seconds really covered, with the one under way.
+    /// Seconds really covered, with the one under way: fewer where the pipeline began within the window.
     pub covered_s: f64,
     pub counts: Counts,
     /// Iterations of any outcome per second.

@@ -143,7 +143,8 @@ proptest! {
             let mut exact: Vec<f64> = within.iter().flatten().copied().collect();
             exact.sort_by(f64::total_cmp);
             prop_assert_eq!(window.seconds as usize, seconds);
-            prop_assert!((window.covered_s - seconds as f64 - under_way).abs() < 1e-6);
+            let covered = (seconds.min(end) as f64 + under_way).max(1.0);
+            prop_assert!((window.covered_s - covered).abs() < 1e-6);
             prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, within.len() as u64));
             prop_assert!((window.rate_hz - window.counts.total() as f64 / window.covered_s).abs() < 1e-9);
             let Some(figures) = window.value("total") else {

@@ -135,3 +135,14 @@ fn speed_while_sending_adds_up_bytes_and_times() {
     let ratios = pipeline.windows[1].value("upload-throughput").expect("reported").mean;
     assert!(ratios > 8.0 * exact, "the mean of ratios is another figure: {ratios}");
 }
+
+#[test]
+fn rate_of_a_young_pipeline_is_over_the_time_since_its_begin() {
+    let mut bed = Bed::new();
+    for at in 0..5 {
+        bed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);
+    }
+    let windows = &bed.picture(4.5).pipelines[0].windows;
+    assert_eq!(windows.each_ref().map(|window| window.covered_s), [1.5, 4.5, 4.5]);
+    assert_eq!(windows.each_ref().map(|window| window.rate_hz), [8.0; 3]);
+}
