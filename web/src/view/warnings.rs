@@ -32,7 +32,7 @@ pub(crate) fn of_host(host: &HostPicture, now: WallTime, warn: &WarnConfig) -> O
     }
     let text = || {
         format!(
-            "has had its processors busy for 10{SPACE}s: {}{SPACE}% or more. Latencies measured meanwhile contain waiting.",
+            "has had busy processors for 10{SPACE}s, never below {}{SPACE}%: latencies contain waiting.",
             percent(least)
         )
     };
