@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use futures::future::try_join_all;
 use sqlx::FromRow;
 
 use super::{corrupt, sql};
@@ -11,6 +12,8 @@ use crate::readers::Readers;
 use crate::types::Pairs;
 
 const WHAT: &str = "pairs of values";
+/// Parts of the sample that are read at once.
+const READ_AT_ONCE: usize = 4;
 /// Turned by this share of a stretch from one stretch to the next, places in them never repeat: the golden ratio.
 const TURN: f64 = 0.618_033_988_749_895;
 
@@ -69,16 +72,21 @@ pub(crate) async fn pairs(
     let ends = end(sql::NEXT, 0).await?.zip(end(sql::PREVIOUS, i64::MAX).await?);
     let Some((first, last)) = ends else { return Ok(Pairs::default()) };
     let numbers = spread(first, last, most);
-    let rows: Vec<Row> = sqlx::query_as(sql::PAIRS)
-        .bind(run)
-        .bind(serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?)
-        .bind(x)
-        .bind(y)
-        .fetch_all(&readers.pool())
-        .await
-        .map_err(readers.failed(WHAT))?;
+    let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {
+        sqlx::query_as(sql::PAIRS)
+            .bind(run)
+            .bind(serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))?)
+            .bind(x)
+            .bind(y)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))
+    };
+    // Iterations of a long run lie far apart in the file: whoever reads one waits for the disk.
+    let part = numbers.len().div_ceil(READ_AT_ONCE).max(1);
+    let rows = try_join_all(numbers.chunks(part).map(read)).await?;
     let mut found = BTreeMap::<i64, [Found; 2]>::new();
-    for row in rows {
+    for row in rows.into_iter().flatten() {
         let both = found.entry(row.iteration).or_default();
         let wanted = both.iter_mut().zip([row.is_x, row.is_y]).filter(|(_, is_wanted)| *is_wanted);
         wanted.for_each(|(one, _)| one.add(&row));
