@@ -2,7 +2,7 @@
 
 use crate::exit::Failure;
 use crate::output::say;
-use peernet_report::table::text;
+use peernet_analysis::table::text;
 use peernet_statistics::number::{bound_ms, column_decimals, fixed};
 use serde::Deserialize;
 use serde_json::Value;

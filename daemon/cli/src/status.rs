@@ -5,7 +5,7 @@ mod rehearsed;
 use crate::exit::Failure;
 use crate::output::say;
 use chrono::{DateTime, SecondsFormat};
-use peernet_report::table::text;
+use peernet_analysis::table::text;
 use peernet_statistics::number;
 use peernet_stream::PlacementKind;
 use serde::Deserialize;

@@ -5,14 +5,14 @@
 use std::hint::black_box;
 use std::sync::Arc;
 
+use peernet_analysis::compare::{Comparison, Differences, is_compared};
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::{Row, Rows};
+use peernet_analysis::summary::Summary;
+use peernet_analysis::trust::{Report, TrustInput};
 use peernet_clock::{Clock, ClockIdentity, DelaySource, Interval, OneWayDelay, Span, SystemClock, Verdict};
 use peernet_logger::{Anchor, HostId, Measure, NodeId, Rate, RunId, Transit, Tree, Unit, stage};
-use peernet_report::compare::{Comparison, Differences, is_compared};
-use peernet_report::loaded::Loaded;
-use peernet_report::record::RunRecord;
-use peernet_report::rows::{Row, Rows};
-use peernet_report::summary::Summary;
-use peernet_report::trust::{Report, TrustInput};
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Iteration, Outcome};
 

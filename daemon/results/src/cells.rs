@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use peernet_report::Passage;
-use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
+use peernet_analysis::Passage;
+use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 
 /// The columns of a `data.csv`: those that every file has, then what this run has beside them.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use peernet_report::WriteError;
+use peernet_analysis::WriteError;
 
 /// A folder of results that cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -5,10 +5,10 @@ use std::io::{BufWriter, ErrorKind, Write};
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
-use peernet_report::WriteError;
-use peernet_report::record::RunRecord;
-use peernet_report::rows::{FIXED_COLUMNS, RowRef, Rows};
-use peernet_report::summary::Summary;
+use peernet_analysis::WriteError;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::{FIXED_COLUMNS, RowRef, Rows};
+use peernet_analysis::summary::Summary;
 
 use super::cells::Header;
 use super::file_names::{DATA, RECORD, SUMMARIES};

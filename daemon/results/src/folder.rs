@@ -4,10 +4,10 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use peernet_report::WriteError;
-use peernet_report::loaded::Loaded;
-use peernet_report::record::RunRecord;
-use peernet_report::rows::Rows;
+use peernet_analysis::WriteError;
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
 
 use super::file_names::DATA;
 use super::{Finished, FolderError, Overwrite, RowWriter};

@@ -6,7 +6,7 @@
 //! RunRecord ────────────────────────────── run.json ──┘
 //! ```
 //!
-//! The types are those of `peernet_report`. The format is described in `docs/results.md`.
+//! The types are those of `peernet_analysis`. The format is described in `docs/results.md`.
 
 mod cells;
 mod error;
@@ -27,7 +27,7 @@ pub use ready::Overwrite;
 pub use writer::RowWriter;
 
 #[cfg(test)]
-#[path = "../../report/src/testing/iterations.rs"]
+#[path = "../../analysis/src/testing/iterations.rs"]
 mod iterations;
 #[cfg(test)]
 mod tests;

@@ -4,8 +4,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
+use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
 use peernet_clock::{DelaySource, Verdict};
-use peernet_report::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
 
 /// The published stages, whose sum the paper calls Total.
 const PUBLISHED_STAGES: [&str; 6] =

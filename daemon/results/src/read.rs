@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_report::accuracy::Accuracy;
-use peernet_report::loaded::{Loaded, NO_RECORD};
-use peernet_report::record::{Clocks, Counts, HostRecord, RunRecord};
-use peernet_report::rows::Rows;
+use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::loaded::{Loaded, NO_RECORD};
+use peernet_analysis::record::{Clocks, Counts, HostRecord, RunRecord};
+use peernet_analysis::rows::Rows;
 
 use super::FolderError;
 use super::file_names::{DATA, RECORD};

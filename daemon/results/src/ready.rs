@@ -4,8 +4,8 @@ use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use peernet_report::WriteError;
-use peernet_report::figures;
+use peernet_analysis::WriteError;
+use peernet_analysis::figure_files::figure_files;
 use serde::{Deserialize, Serialize};
 
 use super::FolderError;
@@ -72,7 +72,7 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
 /// is there no longer.
 pub(crate) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
     let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
-    results.chain(figures::files_in(dir))
+    results.chain(figure_files(dir))
 }
 
 /// Takes away what an earlier run left.

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_report::record::{ClockCounts, Counts};
-use peernet_report::rows::{SKIPPED_STARTS, Units};
-use peernet_report::summary::{Quantity, Scale, Summary};
-use peernet_report::table::{Table, csv_text};
-use peernet_report::trust::Starts;
+use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::record::{ClockCounts, Counts};
+use peernet_analysis::rows::{SKIPPED_STARTS, Units};
+use peernet_analysis::summary::{Quantity, Scale, Summary};
+use peernet_analysis::table::{Table, csv_text};
+use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{bound_ms, column_decimals, decimals, fixed};
 
 /// What stands where nothing is known.

@@ -4,8 +4,8 @@ use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use peernet_report::WriteError;
-use peernet_report::rows::Row;
+use peernet_analysis::WriteError;
+use peernet_analysis::rows::Row;
 
 use super::cells::{self, Header};
 
@@ -190,7 +190,7 @@ fn whole_rows(bytes: &[u8]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use peernet_report::rows::Outcome;
+    use peernet_analysis::rows::Outcome;
 
     fn row(iteration: u64) -> Row {
         Row {

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use peernet_report::record::RunRecord;
-use peernet_report::rows::{Outcome, Row, Rows};
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_tests::{Ended, Process, Site, SmallDisk, program};
 

@@ -7,7 +7,7 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures::stream;
-use peernet_report::rows::Row;
+use peernet_analysis::rows::Row;
 use peernet_results::Header;
 use peernet_store::{RunSummary, Store};
 use serde::Deserialize;

@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::http::header::HOST;
 use axum::routing::get;
-use peernet_report::compare::{MIN_BATCHES, MIN_VALUES};
+use peernet_analysis::compare::{MIN_BATCHES, MIN_VALUES};
 use peernet_statistics::number::NONE;
 use peernet_store::ExperimentSummary;
 

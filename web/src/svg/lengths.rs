@@ -1,7 +1,7 @@
 //! Two quantities of each iteration against each other, with the distribution of each beside the plot.
 
 use askama::Template;
-use peernet_report::figure::would_squeeze;
+use peernet_figures::drawing::would_squeeze;
 use peernet_statistics::Summary;
 
 use super::cloud::Cloud;

@@ -1,6 +1,6 @@
 //! How often a model was right, out of roll-ups.
 
-use peernet_report::accuracy::Accuracy;
+use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{SPACE, share};
 use peernet_store::Figures;
 

@@ -1,9 +1,9 @@
 //! What the page of a run shows of the store's answers.
 
+use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::stage;
-use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_report::rows::SKIPPED_STARTS;
 use peernet_statistics::number::{
     NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
 };

@@ -1,12 +1,12 @@
 //! "Can I publish this run?", from what the store knows of it.
 
-use peernet_logger::{Name, stage};
-use peernet_report::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
-use peernet_report::rows::LATENESS;
-use peernet_report::trust::{
+use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL, UnknownLabels};
+use peernet_analysis::rows::LATENESS;
+use peernet_analysis::trust::{
     Clocks, Counts, EndedEarly, Finding, Limits, Load, Missing, Progress, Publish, Report, Restarts, Starts,
     TimeSeries, TrustInput,
 };
+use peernet_logger::{Name, stage};
 use peernet_store::{RunDetail, RunStatistics, RunSummary, StageCourse, Store, StoreError};
 use peernet_stream::{EndReason, Grade};
 use serde::Deserialize;

@@ -2,9 +2,9 @@
 //! keep the ordered rate.
 
 use peernet_aggregator::{HostPicture, MetricsPoint, Window};
+use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
-use peernet_report::rows::SKIPPED_STARTS;
 use peernet_statistics::number::{SPACE, count, duration, percent, times};
 
 use super::chip::{Chip, Tone};

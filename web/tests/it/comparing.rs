@@ -1,7 +1,7 @@
 //! Whether a run can be published, and runs side by side, over stored data.
 
 use axum::http::StatusCode;
-use peernet_report::compare::{Comparison, Differences};
+use peernet_analysis::compare::{Comparison, Differences};
 use peernet_results::ResultFolder;
 
 use crate::bed::Bed;

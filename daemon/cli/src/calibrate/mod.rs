@@ -1,7 +1,7 @@
 //! `peernet calibrate`: the published study of a link as a command.
 //!
 //! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a
-//! peer's model `calibration`, which answers with what it was given, and [`peernet_report`] makes a study of it.
+//! peer's model `calibration`, which answers with what it was given, and [`peernet_analysis`] makes a study of it.
 
 mod arguments;
 mod folder;
@@ -11,13 +11,17 @@ mod sweep;
 
 pub(crate) use arguments::Arguments;
 
+use std::path::{Path, PathBuf};
+
 use crate::VERSION;
 use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::{Context, anyhow};
+use peernet_analysis::WriteError;
+use peernet_analysis::calibration::{Setting, Study};
 use peernet_clock::WallTime;
+use peernet_figures::draw_calibration;
 use peernet_inference::Scratch;
-use peernet_report::calibration::{Setting, Study};
 
 use crate::foreground::{Ended, Ready, Shows, Watched, listen};
 use folder::Folder;
@@ -83,7 +87,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let study = Study::new(setting, observed.samples, &observed.clocks);
     // Said first: a disk that is full must not take the result away.
     say(study.text());
-    let written = study.write(folder.path()).map_err(|error| {
+    let written = write(&study, folder.path()).map_err(|error| {
         let told = "the result is above, but not all of its files are written";
         Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(told))
     })?;
@@ -101,4 +105,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn rfc3339(at: WallTime) -> String {
     chrono::DateTime::from_timestamp_nanos(at.unix_nanos()).to_rfc3339_opts(chrono::SecondsFormat::Secs, true)
+}
+
+/// Writes the files of a study and its figures into a folder.
+fn write(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let mut written = study.write(folder)?;
+    written.extend(draw_calibration(study, folder)?);
+    Ok(written)
 }

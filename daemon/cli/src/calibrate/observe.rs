@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 
 use peernet_agent::Running;
+use peernet_analysis::calibration::Sample;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_networks::OpenError;
-use peernet_report::calibration::Sample;
 use peernet_statistics::number::bytes;
 use peernet_stream::{ClockSample, Event, HostClock, IncidentKind, Outcome};
 

@@ -1,8 +1,8 @@
 //! How far the sweep is.
 
+use peernet_analysis::calibration::Sample;
+use peernet_analysis::order::Ordered;
 use peernet_clock::{Direction, MonoTime};
-use peernet_report::calibration::Sample;
-use peernet_report::order::Ordered;
 use peernet_statistics::number::{bytes, fixed, milliseconds};
 
 use super::plan::Plan;

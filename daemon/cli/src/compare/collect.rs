@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use anyhow::anyhow;
-use peernet_report::loaded::Loaded;
+use peernet_analysis::loaded::Loaded;
 use peernet_results::{FolderError, ResultFolder};
 
 use super::copies::Copies;

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_report::loaded::Loaded;
+use peernet_analysis::loaded::Loaded;
 
 use super::experiment::Experiments;
 

@@ -12,9 +12,9 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_report::compare::{Comparison, Differences, Repeats, SEED, against_best, is_compared};
-use peernet_report::loaded::Loaded;
-use peernet_report::table::Captioned;
+use peernet_analysis::compare::{Comparison, Differences, Repeats, SEED, against_best, is_compared};
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::table::Captioned;
 
 pub(crate) use collect::{Collected, collect, distinct};
 
@@ -148,8 +148,8 @@ pub(crate) fn joined(first: String, others: impl Iterator<Item = String>) -> Str
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::record::RunRecord;
-    use peernet_report::rows::Rows;
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::rows::Rows;
     use peernet_stream::ExperimentPlace;
 
     use super::*;

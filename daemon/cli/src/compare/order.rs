@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_report::loaded::Loaded;
+use peernet_analysis::loaded::Loaded;
 
 use super::experiment::Experiments;
 
@@ -38,8 +38,8 @@ pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usi
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::record::RunRecord;
-    use peernet_report::rows::Rows;
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::rows::Rows;
     use peernet_stream::ExperimentPlace;
     use serde_json::json;
 

@@ -107,7 +107,8 @@ mod tests {
     }
 
     fn names(found: &Collected) -> Vec<String> {
-        let name = |run: &peernet_report::loaded::Loaded| run.folder.file_name().map(|name| name.to_owned());
+        let name =
+            |run: &peernet_analysis::loaded::Loaded| run.folder.file_name().map(|name| name.to_owned());
         found.runs.iter().filter_map(name).map(|name| name.to_string_lossy().into_owned()).collect()
     }
 

@@ -1,6 +1,6 @@
 //! The middle and the tail of a latency while it is being measured.
 
-use peernet_report::order::ENOUGH_FOR_P99;
+use peernet_analysis::order::ENOUGH_FOR_P99;
 use peernet_statistics::Summary;
 use peernet_statistics::number::milliseconds;
 

@@ -2,7 +2,7 @@
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
-use peernet_report::rows::{Outcome, Rows};
+use peernet_analysis::rows::{Outcome, Rows};
 use peernet_statistics::number::counted;
 use peernet_stream::EndReason;
 
@@ -83,7 +83,7 @@ const fn has(count: u64) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::rows::Row;
+    use peernet_analysis::rows::Row;
 
     use super::*;
 

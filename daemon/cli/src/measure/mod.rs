@@ -32,12 +32,12 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_agent::conditions;
-use peernet_report::WriteError;
-use peernet_report::figures;
-use peernet_report::record::RunRecord;
-use peernet_report::rows::Rows;
-use peernet_report::sensor_study::SensorStudy;
-use peernet_report::trust::{Report, TrustInput};
+use peernet_analysis::WriteError;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
+use peernet_analysis::sensor_study::SensorStudy;
+use peernet_analysis::trust::{Report, TrustInput};
+use peernet_figures as figures;
 use peernet_stream::Condition;
 
 use crate::foreground::{Ended, Ready, Watched};

@@ -6,8 +6,8 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::PipelineConfig;
+use peernet_analysis::record::{NetworkConfig, User};
 use peernet_clock::Span;
-use peernet_report::record::{NetworkConfig, User};
 use peernet_results::Overwrite;
 use serde::{Deserialize, Serialize};
 

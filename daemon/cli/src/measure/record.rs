@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use crate::VERSION;
 use peernet_agent::AgentConfig;
+use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::record::{
+    Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
+};
 use peernet_external::environment;
 use peernet_external::exec::with_arguments;
 use peernet_inference::MODEL_HASH;
-use peernet_report::accuracy::Accuracy;
-use peernet_report::record::{
-    Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
-};
 use peernet_stream::{Placement as Told, PlacementKind};
 use serde_json::{Map, Value};
 

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use peernet_report::record::RunRecord;
-use peernet_report::rows::Rows;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
 use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
 
 use super::Order;

@@ -4,10 +4,10 @@ use std::convert::Infallible;
 
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, Running};
+use peernet_analysis::rows::{Outcome, Row, Rows, Units};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_networks::OpenError;
-use peernet_report::rows::{Outcome, Row, Rows, Units};
 use peernet_results::RowWriter;
 use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};

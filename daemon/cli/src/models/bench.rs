@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
 use crate::output::say;
+use peernet_analysis::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
+use peernet_analysis::table::text;
 use peernet_logger::Tree;
-use peernet_report::order::{ENOUGH_FOR_P95, ENOUGH_FOR_P99, Ordered};
-use peernet_report::table::text;
 use peernet_statistics::number::{bytes, counted, milliseconds};
 use serde_json::{Value, json};
 

@@ -2,8 +2,8 @@
 
 use crate::exit::Failure;
 use crate::output::{complain, say};
+use peernet_analysis::table::text;
 use peernet_inference::bank::ModelOnDisk;
-use peernet_report::table::text;
 use peernet_sample::printable_line;
 use serde_json::{Value, json};
 

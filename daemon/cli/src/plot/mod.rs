@@ -8,8 +8,8 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_report::figures::{self, Columns, PlotError};
-use peernet_report::loaded::Loaded;
+use peernet_analysis::loaded::Loaded;
+use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
 use crate::compare::{Collected, collect, distinct};
@@ -156,7 +156,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::figures::MissingData;
+    use peernet_figures::MissingData;
 
     use super::*;
 

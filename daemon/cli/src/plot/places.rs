@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_report::loaded::Loaded;
+use peernet_analysis::loaded::Loaded;
 
 /// Folders for the figures.
 #[derive(Debug, PartialEq, Eq)]
@@ -64,8 +64,8 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_report::record::RunRecord;
-    use peernet_report::rows::Rows;
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::rows::Rows;
 
     use super::*;
 

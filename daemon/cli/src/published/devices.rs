@@ -7,9 +7,9 @@ use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use crate::small_file;
 use anyhow::{Context, anyhow};
+use peernet_analysis::record::NetworkConfig;
 use peernet_logger::Slug;
 use peernet_networks::{Address, NetworkKind, Ros2SessionSettings, UnknownAddress};
-use peernet_report::record::NetworkConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::output::complain;
-use peernet_report::loaded::RowsDamage;
-use peernet_report::record::{Counts, RunRecord};
+use peernet_analysis::loaded::RowsDamage;
+use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
 use peernet_stream::EndReason;

@@ -1,6 +1,6 @@
 //! What the file of an experiment says and its plan does not hold, so that it may change while the experiment lasts.
 
-use peernet_report::record::{NetworkConfig, RunRecord};
+use peernet_analysis::record::{NetworkConfig, RunRecord};
 
 use super::plan::Run;
 

@@ -1,8 +1,8 @@
 //! Run after run.
 
 use crate::exit::{Exit, Failure};
+use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
-use peernet_report::record::User;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::EndReason;
 

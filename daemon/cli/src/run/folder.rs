@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::small_file;
 use anyhow::anyhow;
+use peernet_analysis::figure_files::figure_files;
 use peernet_external::exec::with_arguments;
-use peernet_report::figures;
 
 use super::difference::differences;
 use super::plan::{Plan, Run};
@@ -112,7 +112,7 @@ impl Folder {
     /// When something cannot be removed (73).
     pub(super) fn clear_made(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
-        for path in tables.chain(figures::files_in(&self.path)).map(|name| self.path.join(name)) {
+        for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
             match fs::remove_file(&path) {
                 Err(error) if error.kind() != ErrorKind::NotFound => {
                     return Err(cannot_remove(&path, &error));

@@ -6,13 +6,13 @@ use std::path::Path;
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
-use peernet_report::WriteError;
-use peernet_report::compare::{Comparison, SEED};
-use peernet_report::figures::{self, Columns, Kind, PlotError};
-use peernet_report::loaded::Loaded;
-use peernet_report::table::Captioned;
-use peernet_report::trust::Publish;
-use peernet_report::users::Users;
+use peernet_analysis::WriteError;
+use peernet_analysis::compare::{Comparison, SEED};
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::table::Captioned;
+use peernet_analysis::trust::Publish;
+use peernet_analysis::users::Users;
+use peernet_figures::{self as figures, Columns, Kind, PlotError};
 use peernet_results::ResultFolder;
 use peernet_stream::Grade;
 

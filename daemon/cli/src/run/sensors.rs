@@ -1,8 +1,8 @@
 //! Sensors alone, side by side.
 
-use peernet_report::loaded::Loaded;
-use peernet_report::sensor_study::SensorStudy;
-use peernet_report::table::Table;
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::sensor_study::SensorStudy;
+use peernet_analysis::table::Table;
 use peernet_statistics::number::{fixed, milliseconds, significant};
 
 use super::plan::{Plan, Run};

@@ -1,6 +1,6 @@
 //! The table of the runs.
 
-use peernet_report::table::Table;
+use peernet_analysis::table::Table;
 
 use super::estimate::Estimates;
 use super::plan::Run;

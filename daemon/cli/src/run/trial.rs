@@ -7,10 +7,10 @@ use crate::exit::{Exit, Failure};
 use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorConfig;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
+use peernet_analysis::record::RunRecord;
 use peernet_clock::SharedClock;
 use peernet_inference::Scratch;
 use peernet_networks::Address;
-use peernet_report::record::RunRecord;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 

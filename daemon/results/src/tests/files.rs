@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::loaded::RowsDamage;
+use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, instant};
+use peernet_analysis::trust::{Report, TrustInput};
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_report::accuracy::Accuracy;
-use peernet_report::loaded::RowsDamage;
-use peernet_report::record::{Clocks, FORMAT, ModelRecord, instant};
-use peernet_report::trust::{Report, TrustInput};
 use proptest::prelude::*;
 
 use super::*;
@@ -19,7 +19,7 @@ fn header_of_fixed_columns_is_written_at_once() {
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let path = folder.writer().expect("writable").end().expect("writable");
     let text = std::fs::read_to_string(path).expect("it is there at once");
-    let published = peernet_report::rows::published().collect::<Vec<_>>().join(",");
+    let published = peernet_analysis::rows::published().collect::<Vec<_>>().join(",");
     assert_eq!(
         text,
         format!(

@@ -4,9 +4,9 @@ mod files;
 mod published;
 mod summary;
 
-use peernet_report::record::{Counts, RunRecord};
-use peernet_report::rows::{Column, Outcome, Row, Rows};
-use peernet_report::summary::Summary;
+use peernet_analysis::record::{Counts, RunRecord};
+use peernet_analysis::rows::{Column, Outcome, Row, Rows};
+use peernet_analysis::summary::Summary;
 
 use super::*;
 use crate::iterations::iterations;

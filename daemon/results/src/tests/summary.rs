@@ -1,7 +1,7 @@
 //! Summaries as text.
 
+use peernet_analysis::rows::Units;
 use peernet_logger::{Measure, Unit};
-use peernet_report::rows::Units;
 use peernet_statistics::number::counted;
 use peernet_stream::Outcome as Ended;
 

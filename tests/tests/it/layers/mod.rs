@@ -21,7 +21,7 @@ const LAYERS: [&[&str]; 8] = [
         "peernet-actuators",
         "peernet-report",
     ],
-    &["peernet-store", "peernet-results"],
+    &["peernet-store", "peernet-results", "peernet-figures"],
     &["peernet-aggregator", "peernet-agent"],
     &["peernet-web", "peernet-cli"],
     &["peernetd"],

@@ -1,8 +1,8 @@
 //! What the means of stored runs leave open: starts that were skipped, samples without a score, and how to ask of every
 //! iteration.
 
-use peernet_report::accuracy::{UNKNOWN_LABEL, UnknownLabels};
-use peernet_report::compare::skipped_starts;
+use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
+use peernet_analysis::compare::skipped_starts;
 use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
 

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
+use peernet_analysis::compare::{Difference, MeanEstimate, Ranking};
 use peernet_logger::{Name, stage};
-use peernet_report::compare::{Difference, MeanEstimate, Ranking};
 use peernet_store::{StageMeans, Store};
 
 use super::{Comparison, Configuration};

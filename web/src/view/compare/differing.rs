@@ -1,6 +1,6 @@
 //! What the runs of a comparison differ in.
 
-use peernet_report::compare::{ChosenColumns, Column, choose_columns};
+use peernet_analysis::compare::{ChosenColumns, Column, choose_columns};
 use peernet_statistics::number::NONE;
 use peernet_store::RunDetail;
 

@@ -1,8 +1,8 @@
 //! Distributions of single runs side by side, quantity by quantity, each on one axis: the total and the six that the
 //! published program draws.
 
+use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_logger::{Name, stage};
-use peernet_report::figures::HISTOGRAMS;
 use peernet_statistics::number::count;
 
 use super::Comparison;

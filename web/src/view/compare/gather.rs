@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_report::compare::{Column, computes};
+use peernet_analysis::compare::{Column, computes};
 use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
 

@@ -4,7 +4,7 @@ mod growth;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use peernet_report::figures::{LATENCY, answer_length, is_tokens, varies};
+use peernet_analysis::answer_length::{LATENCY, answer_length, is_tokens, varies};
 use peernet_statistics::Summary;
 use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};

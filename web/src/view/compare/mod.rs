@@ -39,7 +39,7 @@ pub(crate) use users::{UsersRow, users};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_report::trust::Starts;
+use peernet_analysis::trust::Starts;
 use peernet_statistics::Summary;
 use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;

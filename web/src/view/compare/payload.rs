@@ -1,7 +1,7 @@
 //! Latency against what was sent, and accuracy against latency.
 
+use peernet_analysis::fit::{Fit, Point, Weighted, least_squares};
 use peernet_logger::{Name, stage};
-use peernet_report::fit::{Fit, Point, Weighted, least_squares};
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
 
 use super::names::in_words;

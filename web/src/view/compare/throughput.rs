@@ -1,7 +1,7 @@
 //! Throughput against payload: what was sent over how long it took, and what the slope of the delays says.
 
+use peernet_analysis::fit::rate;
 use peernet_logger::{Name, stage};
-use peernet_report::fit::rate;
 use peernet_statistics::number::{
     SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
 };

@@ -1,6 +1,6 @@
 //! What a comparison found, in a sentence.
 
-use peernet_report::compare::{Difference, Ranking};
+use peernet_analysis::compare::{Difference, Ranking};
 use peernet_statistics::number::{Estimate, SPACE, duration};
 
 use super::{Comparison, Configuration, Differences};

@@ -1,7 +1,7 @@
 //! Latency against the number of users that measured at once, and how evenly they were served.
 
+use peernet_analysis::users::{Curve, Share, Totals, Users, UsersLine};
 use peernet_logger::stage;
-use peernet_report::users::{Curve, Share, Totals, Users, UsersLine};
 use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
 use peernet_store::RunSummary;
 

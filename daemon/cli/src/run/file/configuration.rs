@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use peernet_agent::AgentConfig;
 use peernet_agent::config::{Limit, PlacementConfig, WarmUp};
+use peernet_analysis::record::NetworkConfig;
 use peernet_inference::bank::ModelFolders;
-use peernet_report::record::NetworkConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};

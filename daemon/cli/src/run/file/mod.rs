@@ -23,7 +23,7 @@ use crate::exit::{Exit, Failure};
 use crate::expected::told;
 use crate::small_file;
 use anyhow::{Context, anyhow};
-use peernet_report::record::NetworkConfig;
+use peernet_analysis::record::NetworkConfig;
 use toml::{Table, Value};
 
 use axis::{AxisError, AxisTable};

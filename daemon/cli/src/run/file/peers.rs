@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use peernet_analysis::record::NetworkConfig;
 use peernet_networks::{NetworkKind, Ros2SessionSettings};
-use peernet_report::record::NetworkConfig;
 use toml::{Table, Value};
 
 use super::experiment::Network;

@@ -1,8 +1,8 @@
 //! What was found, for people.
 
+use peernet_analysis::table::text;
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
-use peernet_report::table::text;
 use peernet_statistics::number::{bytes, fixed};
 use peernet_store::maintenance::{Report, Severity};
 

@@ -4,10 +4,10 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 use chrono::{DateTime, Utc};
+use peernet_analysis::table::text;
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::say;
 use peernet_clock::WallTime;
-use peernet_report::table::text;
 use peernet_statistics::number::fixed;
 use peernet_store::maintenance::{RepairError, Repaired, repair};
 

@@ -1,6 +1,6 @@
 //! How latency grows with length.
 
-use peernet_report::fit::{Fit, Point, theil_sen};
+use peernet_analysis::fit::{Fit, Point, theil_sen};
 use peernet_statistics::number::{Estimate, SPACE, count};
 
 /// Fewest iterations that a line is drawn through.
@@ -16,7 +16,7 @@ pub(super) struct Growth {
 }
 
 impl Growth {
-    /// The line whose slope is the median of those of all pairs of iterations (`peernet_report::fit`): whatever the tail of
+    /// The line whose slope is the median of those of all pairs of iterations (`peernet_analysis::fit`): whatever the tail of
     /// the latencies and the distribution of the lengths, late answers hardly move it. `None` where there are too few.
     pub(super) fn of(points: &[(f64, f64)]) -> Option<Self> {
         (points.len() >= FEWEST).then_some(())?;

@@ -1,0 +1,82 @@
+//! Samples whose label is no class of the model: no answer to them could be right, so they are neither right nor wrong.
+
+use peernet_statistics::number::{counted, fixed};
+
+use crate::rows::Rows;
+
+/// The column that is 1 for such a sample.
+pub const UNKNOWN_LABEL: &str = "unknown-label";
+/// Facts of a run that hold examples behind a count: `100 of 100: dented, good`, `4: good, scratched, …`.
+const LABELS: &str = "Labels";
+const CLASSES: &str = "Classes";
+
+/// How many iterations have a label that is no class of the model, and what both sides' words are like.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UnknownLabels {
+    /// How many of those that count; at least one.
+    pub count: u64,
+    /// ` (the data set says …; the model knows …)`; empty where neither is known.
+    words: String,
+}
+
+impl UnknownLabels {
+    /// So many iterations of a run of which these facts are known; `None` of none.
+    pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
+        let words = |fact: &str, side: &str| {
+            let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
+            let (_, words) = text.split_once(": ")?;
+            Some(format!("{side} {words}"))
+        };
+        let sides = [words(LABELS, "the data set says"), words(CLASSES, "the model knows")];
+        let sides: Vec<String> = sides.into_iter().flatten().collect();
+        let words = if sides.is_empty() { String::new() } else { format!(" ({})", sides.join("; ")) };
+        (count > 0).then_some(Self { count, words })
+    }
+
+    /// Those among the rows that count.
+    pub fn of(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
+        Self::new(rows.counted(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
+    }
+
+    /// Together with those of another run, in the words of this one.
+    #[must_use]
+    pub(crate) fn with(self, other: &Self) -> Self {
+        Self { count: self.count + other.count, ..self }
+    }
+
+    /// A sentence; `all` is how many iterations count.
+    pub fn sentence(&self, all: u64) -> String {
+        let of = format!("{} of {}", fixed(self.count as f64, 0), counted(all, "iteration"));
+        format!("Not scored: {of}, {}.", self.reason())
+    }
+
+    /// Returns why they have no score, with examples.
+    pub fn reason(&self) -> String {
+        format!("because the label is no class of the model{}", self.words)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sentence(facts: &[(&str, &str)]) -> String {
+        let facts: Vec<_> =
+            facts.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+        UnknownLabels::new(2, &facts).expect("two").sentence(1_000)
+    }
+
+    #[test]
+    fn the_words_of_both_sides_are_shown_where_they_are_known() {
+        let labels = ("Labels", "30 of 30: dented, good");
+        let classes = ("Classes", "1000: tench, goldfish, …");
+        let plain = "Not scored: 2 of 1,000 iterations, because the label is no class of the model";
+        assert_eq!(
+            sentence(&[labels, classes]),
+            format!("{plain} (the data set says dented, good; the model knows tench, goldfish, …).")
+        );
+        assert_eq!(sentence(&[classes]), format!("{plain} (the model knows tench, goldfish, …)."));
+        assert_eq!(sentence(&[("Labels", "30 of 30")]), format!("{plain}."));
+        assert_eq!(UnknownLabels::new(0, &[]), None);
+    }
+}

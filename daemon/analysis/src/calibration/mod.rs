@@ -1,0 +1,139 @@
+//! The calibration of a link: one-way delay against size, the intercept of the linear fit, and what the clocks allow.
+//!
+//! The published study (IROS 2024, section on network timing) sent payloads of several sizes, fitted a line to the
+//! differences of the two hosts' stamps and read its intercept, −2.01 ms, as the error of every delay. Here the same is
+//! done with corrected delays, and the intercept stands beside what the clock relation says it can be: a real delay of
+//! an empty message, hence never negative, within the bounds of the smallest payload's.
+
+mod clocks;
+mod direction;
+mod failures;
+mod sample;
+mod tables;
+mod verdict;
+
+pub use clocks::Clocks;
+pub use direction::{Claim, DirectionStudy, Fits, Pair, SizeSummary, Throughput};
+pub use failures::Failures;
+pub use sample::Sample;
+pub use verdict::{Kind, Verdict};
+
+use std::path::{Path, PathBuf};
+
+use peernet_clock::Direction;
+use peernet_stream::ClockSample;
+use serde::Serialize;
+
+use crate::{WriteError, write_file};
+
+/// What was studied, as the one who studied it tells.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Setting {
+    /// Address of the peer.
+    pub peer: String,
+    /// The host that sent the payloads.
+    pub edge: String,
+    /// The host that answered, as it calls itself; `None` when it never did.
+    pub cloud: Option<String>,
+    /// Kind of network.
+    pub network: String,
+    /// When, RFC 3339.
+    pub started: String,
+    /// Version of the program.
+    pub version: String,
+    /// Payload sizes, bytes.
+    pub sizes_bytes: Vec<u64>,
+    /// How often each size was to be sent.
+    pub repeats: u64,
+    /// Whether it was ended early.
+    pub interrupted: bool,
+    /// Why it ended early, in words; `None` when the user ended it or nobody did.
+    pub ended: Option<String>,
+    /// How often the peer went away and came back while its clock remained the same. The clocks were related anew
+    /// each time.
+    pub reconnections: u64,
+    /// Whether the clock of either host was made wrong on purpose.
+    pub rehearsed: bool,
+}
+
+/// How the iterations ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Answered, warm-up left out: what everything below rests on.
+    pub measured: u64,
+    /// Warm-up.
+    pub warm_up: u64,
+    /// Without an answer.
+    pub failed: u64,
+}
+
+/// A calibration, whole. Seconds, bytes, bits per second.
+#[derive(Clone, Debug, Serialize)]
+pub struct Study {
+    /// What was studied.
+    pub setting: Setting,
+    /// How the iterations ended.
+    pub counts: Counts,
+    /// Why payloads were not answered, by outcome.
+    pub failures: Vec<Failures>,
+    /// What became of the clocks meanwhile.
+    pub clocks: Clocks,
+    /// Edge to cloud.
+    pub up: DirectionStudy,
+    /// Cloud to edge.
+    pub down: DirectionStudy,
+    /// What to make of it.
+    pub verdict: Verdict,
+    /// All iterations, in order.
+    #[serde(skip)]
+    pub samples: Vec<Sample>,
+}
+
+impl Study {
+    /// Makes a study of all iterations of a payload sweep and of the seconds of the clock relation during it.
+    pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
+        let count = |of: &dyn Fn(&Sample) -> bool| samples.iter().filter(|sample| of(sample)).count() as u64;
+        let counts = Counts {
+            measured: count(&Sample::counts),
+            warm_up: count(&|sample| sample.warm_up),
+            failed: count(&|sample| !sample.warm_up && !sample.counts()),
+        };
+        let up = DirectionStudy::new(Direction::Up, &samples);
+        let down = DirectionStudy::new(Direction::Down, &samples);
+        let clocks = Clocks::new(clocks, &samples);
+        let verdict = Verdict::of(&up, &down, &clocks).reconnected(setting.reconnections);
+        Self { failures: Failures::of(&samples), setting, counts, clocks, up, down, verdict, samples }
+    }
+
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into a folder that is there; returns what was written.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+        let written =
+            vec![folder.join("samples.csv"), folder.join("summary.csv"), folder.join("calibration.json")];
+        tables::samples(&self.samples, &written[0])?;
+        tables::summary(self, &written[1])?;
+        let json = serde_json::to_vec_pretty(self).map_err(WriteError::at(&written[2]))?;
+        write_file(&written[2], &json)?;
+        Ok(written)
+    }
+
+    /// What the terminal shows: a table of sizes, one of fits, why payloads were not answered, the verdict.
+    pub fn text(&self) -> String {
+        let rehearsal = "rehearsal: the clock of one of the hosts was made wrong on purpose";
+        let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };
+        let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
+        let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));
+        let parts = [&sizes, &fits, &failures, rehearsal, &self.verdict.sentence];
+        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+    }
+
+    /// Returns both directions, edge to cloud first.
+    pub fn directions(&self) -> [&DirectionStudy; 2] {
+        [&self.up, &self.down]
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,268 @@
+use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as Delay, WallTime};
+use peernet_logger::HostId;
+use peernet_stream::{NetworkName, ProbeCounts};
+
+use super::*;
+use crate::Passage;
+
+const SIZES: [u64; 8] = [100, 1_000, 10_000, 50_000, 100_000, 400_000, 1_000_000, 4_000_000];
+const REPEATS: u64 = 100;
+/// Seconds that an empty message takes, and seconds per byte: 60 µs, 1 GB/s.
+const FIXED: f64 = 60e-6;
+const PER_BYTE: f64 = 1e-9;
+/// Half the width of the clock bounds.
+const HALF: f64 = 50e-6;
+
+/// What differs from a good link.
+#[derive(Clone, Copy)]
+struct Link {
+    /// Error of the estimate within its bounds or beyond: added upwards, taken off downwards.
+    wrong: f64,
+    /// Offset of the raw stamps.
+    raw: f64,
+    /// Seconds per byte squared.
+    bend: f64,
+    verdict: Delay,
+    source: DelaySource,
+}
+
+const GOOD: Link =
+    Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
+
+/// Waiting behind others: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
+fn waiting(number: u64) -> f64 {
+    let random = (number.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11) as f64 / (1_u64 << 53) as f64;
+    let late = if number % 10 == 3 { 300e-6 } else { 0.0 };
+    -5e-6 * (1.0 - random).ln() + late * random
+}
+
+fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
+    let wire = payload + 120;
+    let bytes = wire as f64;
+    let true_delay = FIXED + PER_BYTE * bytes + link.bend * bytes * bytes + waiting(number);
+    let value = true_delay + sign * link.wrong;
+    let span = |seconds: f64| Span::from_seconds_f64(seconds);
+    let known = matches!(link.verdict, Delay::Ok | Delay::Limited);
+    let bounds = Interval { lo: span((true_delay - HALF).max(0.0)), hi: span(true_delay + HALF) };
+    let delay = OneWayDelay {
+        raw: span(true_delay + sign * link.raw),
+        value: known.then(|| span(value)),
+        bounds: known.then_some(bounds),
+        source: link.source,
+        verdict: link.verdict,
+    };
+    Passage { payload_bytes: payload, logger_bytes: 120, delay }
+}
+
+fn sweep(link: Link) -> Vec<Sample> {
+    let rounds = (0..REPEATS).flat_map(|round| SIZES.iter().map(move |size| (round, *size)));
+    rounds
+        .zip(1..)
+        .map(|((round, payload_bytes), number)| Sample {
+            number,
+            at: number as f64,
+            payload_bytes,
+            warm_up: round == 0,
+            outcome: "ok",
+            reason: None,
+            total: Some(1e-3),
+            up: Some(passage(link, payload_bytes, 2 * number, 1.0)),
+            down: Some(passage(link, payload_bytes, 2 * number + 1, -1.0)),
+        })
+        .collect()
+}
+
+fn study(samples: Vec<Sample>) -> Study {
+    let setting = Setting {
+        peer: "tcp://cloud:5551".to_owned(),
+        edge: "edge".to_owned(),
+        cloud: Some("cloud".to_owned()),
+        network: "zmq-tcp".to_owned(),
+        sizes_bytes: SIZES.to_vec(),
+        repeats: REPEATS,
+        ..Setting::default()
+    };
+    Study::new(setting, samples, &[])
+}
+
+#[test]
+fn a_good_link_is_found_good_and_its_line_is_found() {
+    let study = study(sweep(GOOD));
+    assert_eq!(study.counts, Counts { measured: 792, warm_up: 8, failed: 0 });
+    assert_eq!(study.verdict.kind, Kind::Trusted, "{}", study.verdict.sentence);
+    // Rounded up from 50 µs by as much as the median waits.
+    assert!((study.verdict.within.expect("trusted") - HALF).abs() < 10e-6);
+    for direction in study.directions() {
+        let fits = direction.fits.expect("eight sizes");
+        for fit in [fits.medians.least_squares, fits.medians.theil_sen, fits.samples.theil_sen] {
+            assert!((fit.intercept.value - FIXED - 3.5e-6).abs() < 4e-6, "{fit:?}");
+            assert!((fit.slope.value / PER_BYTE - 1.0).abs() < 0.01, "{fit:?}");
+        }
+        let throughput = direction.throughput.expect("delays grow with size");
+        assert!((throughput.value / 8e9 - 1.0).abs() < 0.01, "{throughput:?}");
+        let (lo, hi) = throughput.bounds.expect("there are clock bounds");
+        assert!(
+            lo < throughput.value
+                && throughput.value < hi.expect("the largest size takes longer than the bounds")
+        );
+    }
+    assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
+    // What the published way would have said: the offset of the clocks, either way.
+    let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
+    assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
+}
+
+#[test]
+fn a_wrong_clock_relation_is_told_from_a_bent_line() {
+    let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
+    assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
+    assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
+    // An empty message would take less than nothing.
+    assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
+
+    let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
+    assert_eq!(bent.verdict.kind, Kind::Inconclusive, "{}", bent.verdict.sentence);
+    assert!(bent.verdict.sentence.contains("straight line"), "{}", bent.verdict.sentence);
+}
+
+#[test]
+fn what_cannot_be_said_is_not_said() {
+    let kind = |link: Link| study(sweep(link)).verdict.kind;
+    assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), Kind::Stepped);
+    assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), Kind::Inconsistent);
+    assert_eq!(kind(Link { verdict: Delay::Unsynchronised, ..GOOD }), Kind::Unsynchronised);
+    assert_eq!(kind(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }), Kind::Exact);
+    assert_eq!(study(Vec::new()).verdict.kind, Kind::Insufficient);
+    let mut two = sweep(GOOD);
+    two.retain(|sample| sample.payload_bytes < 5_000);
+    assert_eq!(study(two).verdict.kind, Kind::Insufficient);
+}
+
+#[test]
+fn lost_answers_are_counted_and_kept_in_the_file() {
+    let mut samples = sweep(GOOD);
+    let lost = samples.last_mut().expect("there are some");
+    (lost.outcome, lost.up, lost.down) = ("lost", None, None);
+    lost.reason = Some("the connection broke: reset".to_owned());
+    let study = study(samples);
+    assert_eq!(study.counts, Counts { measured: 791, warm_up: 8, failed: 1 });
+    let folder = tempfile::tempdir().expect("a folder");
+    study.write(folder.path()).expect("writes");
+    let rows = std::fs::read_to_string(folder.path().join("samples.csv")).expect("written");
+    assert_eq!(rows.lines().count(), 801);
+    let lost = rows.lines().last().expect("there are rows");
+    assert!(lost.starts_with("800,800.000000,4000000,false,lost,0.001000000,,,"), "{lost}");
+    assert!(lost.ends_with(",the connection broke: reset"), "{lost}");
+}
+
+#[test]
+fn why_payloads_were_not_answered_is_counted_and_said() {
+    let mut samples = sweep(GOOD);
+    let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
+        let answered = samples.iter_mut().filter(|sample| sample.counts());
+        for sample in answered.take(count) {
+            (sample.outcome, sample.up, sample.down) = (outcome, None, None);
+            sample.reason = reason.map(str::to_owned);
+        }
+    };
+    fail(&mut samples, 3, "failed", Some("too large"));
+    fail(&mut samples, 1, "failed", Some("overloaded"));
+    fail(&mut samples, 2, "timeout", None);
+    let study = study(samples);
+    let failures = [("failed", 4, Some("too large")), ("timeout", 2, None)];
+    let failures = failures.map(|(outcome, count, reason)| Failures {
+        outcome,
+        count,
+        commonest_reason: reason.map(str::to_owned),
+    });
+    assert_eq!(study.failures, failures);
+    let said = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 not in time";
+    assert!(study.text().contains(said), "{}", study.text());
+}
+
+#[test]
+fn on_one_clock_nothing_has_bounds_to_print() {
+    let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
+    let text = study.text();
+    let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
+    // A row per size, what the clock bounds allow either way, and the verdict.
+    assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
+}
+
+/// A second of a relation that says that the cloud is so many milliseconds ahead.
+fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
+    let at = WallTime::from_unix_nanos(at * 1_000_000_000);
+    let estimate = Span::from_millis(ahead_ms);
+    let offset = Offset {
+        at,
+        estimate,
+        bounds: Interval { lo: estimate - Span::from_micros(50), hi: estimate + Span::from_micros(50) },
+        source: DelaySource::InBand,
+        sources: Vec::new(),
+        verdict: Delay::Ok,
+        skew_ppm: None,
+        exchanges: 100,
+        age: None,
+    };
+    ClockSample {
+        peer: HostId::random(),
+        peer_name: "cloud".parse().expect("a name"),
+        at,
+        window,
+        max_drift_ppm: 50.0,
+        upper: None,
+        lower: None,
+        offset: Some(offset),
+        probes: ProbeCounts::default(),
+        exchanges: peernet_clock::ExchangeCounts::default(),
+        round_trip: None,
+        up: None,
+        down: None,
+        network: NetworkName::default(),
+        basis: None,
+    }
+}
+
+#[test]
+fn a_peer_that_was_away_is_told_and_trusted_only_if_its_clock_is_the_same() {
+    let study = |seconds: &[ClockSample]| {
+        Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), seconds)
+    };
+    let same = study(&[second(1, 7, 1_000), second(2, 7, 1_000), second(9, 8, 1_000)]);
+    assert_eq!((same.verdict.kind, same.clocks.steps), (Kind::Trusted, 0), "{}", same.verdict.sentence);
+    assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
+    assert!(same.verdict.sentence.contains("related anew"), "{}", same.verdict.sentence);
+    // Ten minutes of drift by 50 ppm are 30 ms.
+    let drifted = study(&[second(1, 7, 1_000), second(601, 8, 1_029)]);
+    assert_eq!(drifted.clocks.steps, 0);
+    let another = study(&[second(1, 7, 1_000), second(9, 8, 1_001)]);
+    assert_eq!((another.verdict.kind, another.clocks.steps), (Kind::Stepped, 1));
+}
+
+#[test]
+fn all_files_are_written_and_say_their_units() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let written = study(sweep(GOOD)).write(folder.path()).expect("writes");
+    let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+    assert_eq!(names, ["samples.csv", "summary.csv", "calibration.json"]);
+    let json = std::fs::read(folder.path().join("calibration.json")).expect("written");
+    let json: serde_json::Value = serde_json::from_slice(&json).expect("JSON");
+    assert_eq!((&json["verdict"]["kind"], &json["up"]["direction"]), (&"trusted".into(), &"up".into()));
+    assert_eq!(json["down"]["sizes"].as_array().map(Vec::len), Some(SIZES.len()));
+}
+
+#[test]
+fn the_terminal_shows_every_size_and_line() {
+    let text = study(sweep(GOOD)).text();
+    for part in [
+        "100 B ",
+        "4 MB ",
+        "upload: least squares, medians",
+        "download: as published: raw stamps",
+        "can be trusted to ±",
+    ] {
+        assert!(text.contains(part), "{part} is missing in\n{text}");
+    }
+    let widest = text.lines().take(9).map(|line| line.chars().count()).max();
+    assert!(widest.is_some_and(|widest| widest <= 120), "{text}");
+}

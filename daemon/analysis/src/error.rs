@@ -1,0 +1,28 @@
+//! What can go wrong when results are written.
+
+use std::path::{Path, PathBuf};
+
+/// A file of results that could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write {}: {reason}", path.display())]
+pub struct WriteError {
+    /// Which file.
+    pub path: PathBuf,
+    /// Why.
+    pub reason: String,
+}
+
+impl WriteError {
+    /// What an error in writing a file becomes.
+    pub fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
+        move |error| Self { path: path.to_owned(), reason: error.to_string() }
+    }
+}
+
+/// Writes a file whole.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
+    std::fs::write(path, content).map_err(WriteError::at(path))
+}

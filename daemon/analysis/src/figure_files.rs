@@ -1,0 +1,90 @@
+//! Which files of a folder are figures.
+
+use std::fs::{File, read_dir};
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+/// The published histograms: name of the file, column, what it is.
+pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
+    ("sensing-time", "sensing", "Sensing time"),
+    ("upload-time", "upload", "Upload time"),
+    ("inference-time", "inference", "Inference time"),
+    ("download-time", "download", "Download time"),
+    ("upload-throughput", "upload-throughput", "Upload throughput"),
+    ("download-throughput", "download-throughput", "Download throughput"),
+];
+
+/// What each is written as.
+const ENDINGS: [&str; 2] = ["png", "svg"];
+/// Figures of which there is one.
+const SINGLE: [&str; 5] = ["series", "length", "stacked", "accuracy", "paired"];
+/// Figures of which there may be several, numbered from the second on.
+const NUMBERED: [&str; 3] = ["payload-latency", "payload-throughput", "users"];
+/// Bytes of the longest header that is read.
+const LONGEST_HEADER: u64 = 1 << 20;
+
+/// Names of the files in a folder that figures of its results are written to, whichever kind was drawn.
+pub fn figure_files(dir: &Path) -> Vec<String> {
+    let columns = columns(&dir.join("data.csv"));
+    let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);
+    let files = entries.filter(|entry| entry.file_type().is_ok_and(|kind| !kind.is_dir()));
+    let names = files.filter_map(|entry| entry.file_name().into_string().ok());
+    names.filter(|name| is_figure(name, &columns)).collect()
+}
+
+fn is_figure(name: &str, columns: &[String]) -> bool {
+    let Some((stem, ending)) = name.rsplit_once('.') else { return false };
+    let is_numbered = || {
+        let number = NUMBERED.iter().find_map(|figure| stem.strip_prefix(figure));
+        number.is_some_and(|rest| {
+            rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
+        })
+    };
+    let is_column = || {
+        let column = stem.strip_suffix("-histogram");
+        column.is_some_and(|column| columns.iter().any(|known| known == column))
+    };
+    ENDINGS.contains(&ending)
+        && (SINGLE.contains(&stem)
+            || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
+            || is_numbered()
+            || is_column())
+}
+
+/// The columns of rows, each of which may have a histogram; none where there are no rows.
+fn columns(data: &Path) -> Vec<String> {
+    let header = || -> Option<String> {
+        let file = data.is_file().then(|| File::open(data).ok())??;
+        BufReader::new(file.take(LONGEST_HEADER)).lines().next()?.ok()
+    };
+    let header = header().unwrap_or_default();
+    header.split(',').map(|column| column.trim_matches('"').to_owned()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_known_by_their_names_and_other_files_are_not_touched() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
+        let figures = [
+            "download-time.svg",
+            "paired.svg",
+            "payload-latency-3.png",
+            "stacked.png",
+            "total-histogram.png",
+            "users-2.svg",
+            "users.png",
+        ];
+        let others = ["my-histogram.png", "stacked.pdf", "stacked-old.png", "users-photo.png", "notes.txt"];
+        for name in figures.iter().chain(&others) {
+            std::fs::write(folder.path().join(name), "").expect("writable");
+        }
+        std::fs::create_dir(folder.path().join("series.png")).expect("writable");
+        let mut found = figure_files(folder.path());
+        found.sort();
+        assert_eq!(found, figures);
+    }
+}

@@ -1,0 +1,35 @@
+//! Everything that is computed from recorded iterations: fits, comparisons, verdicts, tables, studies.
+//!
+//! ```text
+//! samples ── calibration (a study: fits, bounds, verdict) ── table   CSV, text, Markdown, LaTeX
+//!                └─ fit, order                                 │
+//! iterations ── rows ─┬─ loaded (record, rows) ── compare ─────┘
+//!                     └─ accuracy, trust, summary
+//! ```
+//!
+//! Pure but for writing tables. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
+
+pub mod accuracy;
+pub mod answer_length;
+mod batches;
+pub mod calibration;
+pub mod compare;
+mod error;
+pub mod figure_files;
+pub mod fit;
+pub mod loaded;
+pub mod order;
+mod passage;
+pub mod record;
+pub mod rows;
+mod run_trust_input;
+pub mod sensor_study;
+pub mod summary;
+pub mod table;
+#[cfg(test)]
+mod testing;
+pub mod trust;
+pub mod users;
+
+pub use error::{WriteError, write_file};
+pub use passage::Passage;

@@ -1,0 +1,80 @@
+//! Results of a run as they are read back, and whether they are those of a whole run.
+
+use std::path::PathBuf;
+
+use peernet_statistics::number::counted;
+
+use crate::accuracy::UnknownLabels;
+use crate::record::{Counts, RunRecord};
+use crate::rows::Rows;
+use crate::run_trust_input::cut_short;
+
+/// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
+pub const NO_RECORD: &str =
+    "there is no run.json: the run is under way or was killed, or data.csv came here alone";
+
+/// Results that were read back.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// Where from.
+    pub folder: PathBuf,
+    /// What the run was.
+    pub record: RunRecord,
+    /// Its iterations, in order.
+    pub rows: Rows,
+}
+
+/// Rows that are not all that `run.json` counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RowsDamage {
+    /// There are as many, and they are not the same.
+    #[error("data.csv has other outcomes or another warm-up than run.json counts")]
+    Outcomes,
+    /// There are more or fewer.
+    #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
+    Length {
+        /// Number of rows.
+        rows: u64,
+        /// Number of iterations that were measured.
+        measured: u64,
+    },
+}
+
+impl Loaded {
+    /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
+    /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
+    /// other programs.
+    pub fn lacking(&self) -> Option<String> {
+        let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
+        self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
+            true => Some(NO_RECORD.to_owned()),
+            false => cut_short(&self.record, &self.rows).map(|end| format!("the run {end}")),
+        })
+    }
+
+    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
+    /// or changed. `None` where they are, or where nothing counts them.
+    pub fn damage(&self) -> Option<RowsDamage> {
+        let said = self.record.counts;
+        let is = Counts::of(&self.rows, said.unseen);
+        let is_known = self.record.format > 0 && said != Counts::default();
+        let all = |counts: Counts| {
+            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
+            counts.into_iter().fold(0, u64::saturating_add)
+        };
+        (is_known && is != said).then(|| match (all(is), all(said)) {
+            (rows, measured) if rows == measured => RowsDamage::Outcomes,
+            (rows, measured) => RowsDamage::Length { rows, measured },
+        })
+    }
+
+    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    fn unknown_labels(&self) -> Option<UnknownLabels> {
+        UnknownLabels::of(&self.rows, &self.record.facts)
+    }
+}
+
+/// Returns the unknown labels of several runs together, with the words of the first that has some.
+pub fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
+    runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.with(&more))
+}

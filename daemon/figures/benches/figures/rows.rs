@@ -1,0 +1,235 @@
+//! Results that look like those of robots: late messages, two clusters of answers, a slow start, losses.
+
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::{HostRecord, ModelRecord, Placement, RunRecord};
+use peernet_analysis::rows::{Column, Outcome, Row, Rows};
+use peernet_statistics::SplitMix64;
+use peernet_stream::ExperimentPlace;
+
+/// The same numbers every time.
+pub(crate) struct Dice(SplitMix64);
+
+impl Dice {
+    const fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
+    }
+
+    fn even(&mut self) -> f64 {
+        self.0.unit()
+    }
+
+    fn normal(&mut self) -> f64 {
+        let (radius, angle) = ((-2.0 * self.even().max(1e-12).ln()).sqrt(), self.even());
+        radius * (std::f64::consts::TAU * angle).cos()
+    }
+
+    /// A latency around `mean` that is seldom much longer.
+    fn late(&mut self, mean: f64, spread: f64) -> f64 {
+        let tail = if self.even() < 0.004 { mean * 8.0 * self.even() } else { 0.0 };
+        mean * (spread * self.normal()).exp() + tail
+    }
+}
+
+fn row(number: u64, at: f64, values: Vec<(Column, f64)>) -> Row {
+    Row {
+        iteration: number,
+        at: 1.795e9 + at,
+        episode: (number / 2000) as u32,
+        step: (number % 2000) as u32,
+        warm_up: number <= 5,
+        outcome: Outcome::Ok,
+        reason: None,
+        values,
+        upload: None,
+        download: None,
+    }
+}
+
+fn loaded(title: &str, rows: Rows) -> Loaded {
+    let record = RunRecord { title: title.to_owned(), name: title.to_owned(), ..RunRecord::default() };
+    Loaded { folder: title.replace([' ', ','], "-").into(), record, rows }
+}
+
+/// Stages in seconds, and what follows from them.
+fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
+    let sum: f64 = stages.iter().map(|(_, value)| value).sum();
+    let mut values: Vec<(Column, f64)> =
+        stages.iter().map(|(name, value)| ((*name).into(), *value)).collect();
+    values.extend([
+        ("total".into(), sum + 0.4e-3),
+        ("stages-total".into(), sum),
+        ("unattributed".into(), 0.4e-3),
+    ]);
+    values
+}
+
+/// A run with a model in the cloud.
+pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
+    let mut dice = Dice::new(7);
+    let mut at = 0.0;
+    let mut all = Vec::new();
+    for number in 1..=count {
+        let busy = if (count / 2..count * 11 / 20).contains(&number) { 1.8 } else { 1.0 };
+        let cold = if number <= 5 { 6.0 } else { 1.0 };
+        let upload = dice.late(17.5e-3 * busy, 0.12);
+        let download = dice.late(0.37e-3, 0.25);
+        let answer = if dice.even() < 0.6 { 180.0 } else { 420.0 };
+        let answer = (answer + 30.0 * dice.normal()).round().max(8.0);
+        let inference = cold * (3.7e-3 + answer * 20e-6 + 0.3e-3 * dice.normal().abs());
+        let mut values = values(&[
+            ("sensing", dice.late(0.76e-3, 0.3)),
+            ("encode", 0.05e-3),
+            ("upload", upload),
+            ("queue", 0.02e-3),
+            ("preprocessing", dice.late(1.4e-3, 0.1)),
+            ("inference", inference),
+            ("postprocessing", 0.08e-3),
+            ("download", download),
+        ]);
+        values.extend([
+            ("upload-bytes".into(), 150_528.0),
+            ("download-bytes".into(), answer),
+            ("upload-throughput".into(), 150_648.0 * 8.0 / upload),
+            ("download-throughput".into(), (answer + 120.0) * 8.0 / download),
+        ]);
+        at += 0.032 * busy;
+        let mut row = row(number, at, values);
+        if number % 997 == 0 {
+            (row.outcome, row.values) = (Outcome::Lost, Vec::new());
+        }
+        all.push(row);
+    }
+    let mut run = loaded(&format!("{model} over {network}"), all.into_iter().collect());
+    place(&mut run, model, "remote", "cuda:0", Some(network));
+    run
+}
+
+fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Option<&str>) {
+    let model = ModelRecord { name: model.to_owned(), device: Some(device.to_owned()), sha256: None };
+    run.record.model = Some(model);
+    run.record.placement =
+        Placement { kind: kind.to_owned(), network: network.map(str::to_owned), address: None };
+    run.record.edge = HostRecord { name: "robot".to_owned(), ..HostRecord::default() };
+}
+
+/// Three models here and there: the paper's first experiment.
+pub(crate) fn experiment() -> Vec<Loaded> {
+    let mut dice = Dice::new(3);
+    let mut runs = Vec::new();
+    for (model, local) in
+        [("efficientnet_v2_s", 62e-3), ("efficientnet_v2_m", 95e-3), ("efficientnet_v2_l", 151e-3)]
+    {
+        for kind in ["local", "remote"] {
+            let rows = (1..=2000).map(|number| {
+                let stages = if kind == "local" {
+                    vec![
+                        ("sensing", dice.late(0.7e-3, 0.2)),
+                        ("inference", local * (1.0 + 0.01 * dice.normal())),
+                    ]
+                } else {
+                    vec![
+                        ("sensing", dice.late(0.7e-3, 0.2)),
+                        ("upload", dice.late(17e-3, 0.2)),
+                        ("inference", dice.late(local / 2.5, 0.2)),
+                        ("download", dice.late(0.5e-3, 0.2)),
+                    ]
+                };
+                row(number, number as f64, values(&stages))
+            });
+            let mut run = loaded(&format!("{model} {kind}"), rows.collect());
+            let device = if kind == "local" { "cuda:0" } else { "cuda:6" };
+            place(&mut run, model, kind, device, (kind == "remote").then_some("zmq-tcp"));
+            let configuration =
+                vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
+            let (name, id) = ("efficientnet".to_owned(), "1".to_owned());
+            run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+            runs.push(run);
+        }
+    }
+    runs
+}
+
+/// The paper's third experiment: means and standard deviations of its table.
+pub(crate) fn teleoperation() -> Vec<Loaded> {
+    let lines = [
+        ("no", "Jetson Orin", "none", [0.71, 0.0, 18.55, 0.0], [0.26, 0.0, 3.34, 0.0]),
+        ("no", "RTX 3090", "LAN", [0.76, 17.53, 3.73, 0.37], [0.25, 1.72, 1.12, 0.12]),
+        ("yes", "RTX 3090", "LAN", [4.71, 6.25, 3.48, 0.62], [1.08, 0.99, 1.11, 0.11]),
+        ("no", "RTX 3090", "CAN", [0.81, 98.28, 3.73, 1.73], [0.28, 11.33, 1.53, 1.81]),
+        ("yes", "RTX 3090", "CAN", [4.50, 14.53, 3.43, 2.24], [1.03, 10.13, 1.52, 6.05]),
+        ("no", "A100", "CAN", [0.79, 102.48, 7.19, 3.16], [0.27, 26.40, 3.38, 8.95]),
+        ("yes", "A100", "CAN", [4.83, 15.13, 6.71, 3.59], [1.08, 7.63, 3.05, 4.83]),
+    ];
+    let mut dice = Dice::new(5);
+    let run = |(resize, gpu, network, means, stds): (&str, &str, &str, [f64; 4], [f64; 4])| {
+        let names = ["sensing", "upload", "inference", "download"];
+        let rows = (1..=500).map(|number| {
+            let stages: Vec<(&'static str, f64)> = (0..4)
+                .filter(|at| means[*at] > 0.0)
+                .map(|at| (names[at], (means[at] + stds[at] * dice.normal()).max(0.01) / 1e3))
+                .collect();
+            row(number, number as f64, values(&stages))
+        });
+        let mut run = loaded(&format!("{resize} {gpu} {network}"), rows.collect());
+        let pair = |axis: &str, label: &str| (axis.to_owned(), label.to_owned());
+        let configuration = vec![pair("resize", resize), pair("GPU", gpu), pair("network", network)];
+        let (name, id) = ("teleoperation".to_owned(), "1".to_owned());
+        run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+        run
+    };
+    lines.into_iter().map(run).collect()
+}
+
+/// Payloads of seven sizes.
+pub(crate) fn payload() -> Loaded {
+    let mut dice = Dice::new(9);
+    let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];
+    let rows = (1..=1400).map(|number| {
+        let size = sizes[number as usize % sizes.len()];
+        let delay = |dice: &mut Dice, bytes: f64| dice.late(0.21e-3 + bytes / 110e6, 0.06);
+        let (up, down) = (delay(&mut dice, size + 300.0), delay(&mut dice, size + 400.0));
+        let mut values = values(&[("sensing", 1e-4), ("upload", up), ("download", down)]);
+        values.extend([
+            ("upload-bytes".into(), size),
+            ("upload-logger-bytes".into(), 300.0),
+            ("download-bytes".into(), size),
+            ("download-logger-bytes".into(), 400.0),
+        ]);
+        row(number, number as f64, values)
+    });
+    let mut run = loaded("payload study", rows.collect());
+    place(&mut run, "echo", "remote", "cpu", Some("zmq-tcp"));
+    run
+}
+
+/// One model of 40 ms and another of 12 ms with one worker each, asked by up to sixteen edges at once.
+pub(crate) fn users() -> Vec<Loaded> {
+    let mut dice = Dice::new(11);
+    let mut runs = Vec::new();
+    for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
+        for edges in [1_u32, 2, 4, 8, 16] {
+            for edge in 0..edges {
+                // The first to come are served a little better.
+                let lucky = 1.0 - 0.2 * f64::from(edges - 1 - edge) / f64::from(edges);
+                let mean = 4e-3 + service * f64::from(edges) * lucky;
+                let mut at = 0.0;
+                let rows = (1..=200).map(|number| {
+                    let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", dice.late(mean, 0.12))];
+                    let stages = [&stages[..], &[("inference", service), ("download", 4e-4)]].concat();
+                    let values = values(&stages);
+                    at += stages.iter().map(|(_, value)| value).sum::<f64>();
+                    row(number, at, values)
+                });
+                let mut run = loaded(&format!("{model} {edges} {edge}"), rows.collect());
+                place(&mut run, model, "remote", "cuda:6", Some("zmq-tcp"));
+                run.record.edge.name = format!("robot-{edge}");
+                let pair = |axis: &str, label: String| (axis.to_owned(), label);
+                let configuration = vec![pair("model", model.to_owned()), pair("edges", edges.to_string())];
+                let (name, id) = ("users".to_owned(), "1".to_owned());
+                run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+                runs.push(run);
+            }
+        }
+    }
+    runs
+}

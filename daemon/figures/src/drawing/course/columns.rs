@@ -1,0 +1,54 @@
+//! Many values over time as few columns of pixels.
+
+use peernet_analysis::order::Ordered;
+
+/// What lies in one column.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Column {
+    /// Which column, from the left.
+    pub(super) number: usize,
+    pub(super) min: f64,
+    pub(super) median: f64,
+    pub(super) max: f64,
+}
+
+/// The values of each column that has some, from left to right. `from` and `to` are the ends of all columns together;
+/// what is no number or lies outside is left out.
+pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
+    let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
+    let place = |at: f64| (((at - from) / (to - from) * count as f64) as usize).min(count.saturating_sub(1));
+    let mut placed: Vec<(usize, f64)> =
+        values.iter().filter(inside).map(|(at, value)| (place(*at), *value)).collect();
+    placed.sort_by_key(|(number, _)| *number);
+    let column = |group: &[(usize, f64)]| {
+        let values: Ordered = group.iter().map(|(_, value)| *value).collect();
+        let (min, max) = (*values.values().first()?, *values.values().last()?);
+        Some(Column { number: group[0].0, min, median: values.median()?, max })
+    };
+    placed.chunk_by(|a, b| a.0 == b.0).filter_map(column).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_extreme_is_lost_however_many_values_a_column_has() {
+        let mut values: Vec<(f64, f64)> = (0..100_000).map(|i| (f64::from(i), f64::from(i % 7))).collect();
+        values[55_555].1 = 1000.0;
+        values[70_000].1 = f64::NAN;
+        let columns = columns(&values, (0.0, 99_999.0), 300);
+        assert_eq!(columns.len(), 300);
+        let highest = columns.iter().max_by(|a, b| a.max.total_cmp(&b.max)).expect("columns");
+        assert_eq!((highest.number, highest.max, highest.median), (166, 1000.0, 3.0));
+        assert!(columns.iter().all(|column| column.min == 0.0));
+    }
+
+    #[test]
+    fn a_gap_has_no_columns() {
+        let values = [(0.0, 1.0), (1.0, 2.0), (9.0, 3.0), (10.0, 4.0), (11.0, 5.0)];
+        let numbers: Vec<usize> =
+            columns(&values, (0.0, 10.0), 10).iter().map(|column| column.number).collect();
+        assert_eq!(numbers, [0, 1, 9]);
+    }
+}

@@ -1,0 +1,165 @@
+//! How values are counted into bins.
+
+use peernet_analysis::order::Ordered;
+
+/// Fewest and most bins.
+const FEWEST: usize = 8;
+const MOST: usize = 60;
+/// Most values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
+const RARE: usize = 100;
+const FEW: usize = 3;
+const FEW_OF: usize = 8;
+/// What lies within so much more than the width of the rest is not cut.
+const WORTH: f64 = 1.5;
+/// Tukey's far fence: so many interquartile ranges beyond the quartile.
+const FAR: f64 = 3.0;
+
+/// Counted values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bins {
+    /// Where the first bin begins.
+    pub from: f64,
+    /// How wide each is.
+    pub width: f64,
+    /// How many values are in each; a value on a border is in the upper one, the largest in the last.
+    pub counts: Vec<u64>,
+    /// How many are below the first and above the last.
+    pub beyond: (u64, u64),
+}
+
+impl Bins {
+    /// Bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the
+    /// count, between 8 and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a
+    /// finite value.
+    pub fn of(values: &Ordered) -> Option<Self> {
+        let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
+        let (lo, hi) = range(&finite)?;
+        let n = finite.len() as f64;
+        let middle_half = finite.quantile(0.75)? - finite.quantile(0.25)?;
+        let count = if lo == hi {
+            1
+        } else {
+            let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
+            // All but a few values equal: there is no width to go by.
+            if bins.is_finite() { (bins.ceil() as usize).clamp(FEWEST, MOST) } else { MOST }
+        };
+        let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
+        let from = if lo == hi { lo - width / 2.0 } else { lo };
+        let mut this = Self { from, width, counts: vec![0; count], beyond: (0, 0) };
+        for value in finite.values() {
+            if *value < lo {
+                this.beyond.0 += 1;
+            } else if *value > hi {
+                this.beyond.1 += 1;
+            } else {
+                let bin = ((value - from) / width) as usize;
+                this.counts[bin.min(count - 1)] += 1;
+            }
+        }
+        Some(this)
+    }
+
+    /// Where the last bin ends.
+    pub fn to(&self) -> f64 {
+        self.from + self.width * self.counts.len() as f64
+    }
+
+    /// Where a bin begins and ends.
+    pub fn bin(&self, number: usize) -> (f64, f64) {
+        let edge = |number: usize| self.from + self.width * number as f64;
+        (edge(number), edge(number + 1))
+    }
+
+    /// How many values are in the fullest bin.
+    pub fn highest(&self) -> u64 {
+        self.counts.iter().copied().max().unwrap_or_default()
+    }
+}
+
+/// What a picture of the values shows: all of them, but for what would squeeze the rest. That is what lies beyond the far
+/// fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the range
+/// of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than
+/// half its width. `None` without values.
+pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
+    let values = all.values();
+    let (lo, hi) = (*values.first()?, *values.last()?);
+    let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
+    // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
+    let (low, high) = (values[most], values[values.len() - 1 - most]);
+    let width = high - low;
+    // All but a few values equal: there is no width to go by.
+    if most == 0 || width <= 0.0 || !width.is_finite() {
+        return Some((lo, hi));
+    }
+    let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);
+    let fence = FAR * (upper - lower);
+    let top = (low + WORTH * width).max(upper + fence);
+    let bottom = (high - WORTH * width).min(lower - fence);
+    let inside = || values.iter().copied().filter(|value| (bottom..=top).contains(value));
+    inside().next().zip(inside().next_back())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bins(values: impl IntoIterator<Item = f64>) -> Option<Bins> {
+        Bins::of(&values.into_iter().collect())
+    }
+
+    #[test]
+    fn an_even_spread_fills_all_bins_alike() {
+        let bins = bins((0..1000).map(f64::from)).expect("there are values");
+        // 999 / (2 · 499.5 / 10).
+        assert_eq!((bins.counts.len(), bins.from, bins.to()), (10, 0.0, 999.0));
+        assert_eq!((bins.counts.iter().sum::<u64>(), bins.beyond), (1000, (0, 0)));
+        assert!(bins.counts.iter().all(|count| (99..=101).contains(count)), "{bins:?}");
+    }
+
+    #[test]
+    fn a_tail_that_would_squeeze_the_rest_is_counted_outside() {
+        let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
+        assert_eq!(tail.beyond, (1, 2), "no more than what lies apart");
+        assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
+        assert!(tail.from >= 0.0 && tail.to() < 1000.0, "{tail:?}");
+        let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
+        assert_eq!(normal.beyond, (0, 0), "nothing is cut that can be shown");
+        let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
+        assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3));
+    }
+
+    #[test]
+    fn one_stall_does_not_hide_a_short_run() {
+        let run = |count: u32| (0..count).map(|i| 1.3 + f64::from(i) * 0.01);
+        for count in [15, 72, 150] {
+            let stalled = bins(run(count).chain([101.0])).expect("there are values");
+            assert_eq!(stalled.beyond, (0, 1), "{count}");
+            assert!(stalled.to() < 3.0 && stalled.counts.iter().filter(|count| **count > 0).count() >= 4);
+        }
+        let three = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
+        assert_eq!(three.beyond, (0, 3));
+        let spread = bins((1..=7).map(f64::from).chain([12.0])).expect("there are values");
+        assert_eq!(spread.beyond, (0, 0), "within the far fence");
+        let two_modes = bins((0..50).map(|i| if i % 5 == 0 { 9.0 } else { 1.0 + f64::from(i) / 100.0 }));
+        assert_eq!(
+            two_modes.expect("there are values").beyond,
+            (0, 0),
+            "a fifth of the values is no outlier"
+        );
+    }
+
+    #[test]
+    fn odd_values_have_bins_as_well() {
+        assert_eq!(bins([]), None);
+        assert_eq!(bins([f64::NAN, f64::INFINITY]), None);
+        for value in [0.0, -3.0, 1e-9, 7.0] {
+            let same = bins([value; 40]).expect("there are values");
+            assert_eq!(same.counts, [40]);
+            assert!(same.from <= value && value <= same.to() && same.width > 0.0, "{same:?}");
+        }
+        let mostly = bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
+        assert_eq!(mostly.counts.len(), MOST);
+        let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
+        assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));
+    }
+}

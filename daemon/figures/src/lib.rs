@@ -1,0 +1,16 @@
+//! Figures: what `peernet-analysis` found, drawn as SVG and PNG.
+//!
+//! ```text
+//! Loaded, Loaded, … ── of_results ─────┐
+//! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG
+//! ```
+//!
+//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a link; `drawing` has what figures look
+//! like.
+
+pub mod drawing;
+mod of_calibration;
+mod of_results;
+
+pub use of_calibration::draw_calibration;
+pub use of_results::{Columns, Kind, MissingData, PlotError, Written, draw, of_experiment, of_run};

@@ -1,0 +1,166 @@
+//! Figures of the calibration of a link.
+
+use std::path::{Path, PathBuf};
+
+use peernet_statistics::number::{self, mean_std, throughput_between, throughput_with};
+
+use crate::drawing::{DOWNLOAD, Figure, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
+use peernet_analysis::WriteError;
+use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
+use peernet_analysis::fit::rate;
+
+/// Draws `latency` and `throughput` of a study as `.png` and `.svg` into a folder that is there; returns what was written. Figures of
+/// nothing are left out.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let mut written = Vec::new();
+    for (stem, figure) in [("latency", latency(study)), ("throughput", throughput(study))] {
+        if let Some(figure) = figure {
+            written.extend(figure.write(folder, stem)?);
+        }
+    }
+    Ok(written)
+}
+
+/// Delay against size, with the lines that were fitted; `None` when no delay is known.
+fn latency(study: &Study) -> Option<Scaling> {
+    let value = |size: &SizeSummary| {
+        let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
+        Some(Value { bytes: size.wire_bytes, value: size.median, spread: size.tails, bounds })
+    };
+    let name = |direction: &DirectionStudy| {
+        let fit = direction.main_fit()?;
+        let intercept = mean_std(fit.intercept.value, fit.intercept.margin());
+        Some(match rate(fit.slope) {
+            Some((rate, margin)) => {
+                let rate = throughput_with(rate, margin);
+                format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", direction.name())
+            }
+            None => format!("{}: intercept {intercept} ms", direction.name()),
+        })
+    };
+    let line =
+        |direction: &DirectionStudy| direction.main_fit().map(|fit| (fit.intercept.value, fit.slope.value));
+    let unit = Unit::milliseconds("One-way delay");
+    scaling(
+        study,
+        unit,
+        Parts { point: "median", whisker: "clock bounds", line: "best fit" },
+        &value,
+        &name,
+        &line,
+    )
+}
+
+/// Throughput against size, with that of the slope; `None` when no delay is known.
+fn throughput(study: &Study) -> Option<Scaling> {
+    let value = |size: &SizeSummary| {
+        let bounds = size.throughput_bounds;
+        Some(Value { bytes: size.wire_bytes, value: size.throughput?, spread: None, bounds })
+    };
+    let name = |direction: &DirectionStudy| {
+        let throughput = direction.throughput?;
+        let rate = number::throughput(throughput.value);
+        let interval = throughput
+            .interval
+            .map_or_else(String::new, |interval| format!(" ({})", throughput_between(interval)));
+        Some(format!("{}: {rate} MB/s{interval}", direction.name()))
+    };
+    let line = |direction: &DirectionStudy| direction.throughput.map(|throughput| (throughput.value, 0.0));
+    let unit = Unit::megabytes_per_second("Throughput");
+    scaling(
+        study,
+        unit,
+        Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
+        &value,
+        &name,
+        &line,
+    )
+}
+
+fn scaling(
+    study: &Study,
+    unit: Unit,
+    parts: Parts,
+    value: &dyn Fn(&SizeSummary) -> Option<Value>,
+    name: &dyn Fn(&DirectionStudy) -> Option<String>,
+    line: &dyn Fn(&DirectionStudy) -> Option<(f64, f64)>,
+) -> Option<Scaling> {
+    let looks = [(UPLOAD, Mark::Disc), (DOWNLOAD, Mark::Triangle)];
+    let title = format!("{} against size", unit.title.split(',').next().unwrap_or_default());
+    let series = study.directions().into_iter().zip(looks).map(|(direction, (colour, mark))| Series {
+        name: name(direction).unwrap_or_else(|| direction.name().to_owned()),
+        colour,
+        mark,
+        values: direction.sizes.iter().filter_map(value).collect(),
+        line: line(direction),
+    });
+    let scaling = Scaling { title, unit, parts, notes: Vec::new(), series: series.collect() };
+    scaling.series.iter().any(|series| !series.values.is_empty()).then_some(scaling)
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_analysis::Passage;
+    use peernet_analysis::calibration::{Sample, Setting};
+    use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
+
+    use super::*;
+
+    /// A message that takes 60 µs and 1 ns for each byte, known to 50 µs.
+    fn passage(payload_bytes: u64, number: u64) -> Passage {
+        let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
+        let span = Span::from_seconds_f64;
+        let bounds = Interval { lo: span((true_delay - 50e-6).max(0.0)), hi: span(true_delay + 50e-6) };
+        let delay = OneWayDelay {
+            raw: span(true_delay + 1.0),
+            value: Some(span(true_delay)),
+            bounds: Some(bounds),
+            source: DelaySource::InBand,
+            verdict: Verdict::Limited,
+        };
+        Passage { payload_bytes, logger_bytes: 120, delay }
+    }
+
+    fn study() -> Study {
+        let sizes = [100, 1_000, 10_000, 100_000, 1_000_000, 4_000_000];
+        let sample = |(number, payload_bytes): (u64, u64)| Sample {
+            number,
+            at: number as f64,
+            payload_bytes,
+            warm_up: false,
+            outcome: "ok",
+            reason: None,
+            total: Some(1e-3),
+            up: Some(passage(payload_bytes, number)),
+            down: Some(passage(payload_bytes, number + 3)),
+        };
+        let samples = (0..100).flat_map(|_| sizes).zip(1..).map(|(size, number)| sample((number, size)));
+        let setting = Setting { sizes_bytes: sizes.to_vec(), repeats: 100, ..Setting::default() };
+        Study::new(setting, samples.collect(), &[])
+    }
+
+    #[test]
+    fn both_figures_have_their_texts_and_colours() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let written = draw_calibration(&study(), folder.path()).expect("writable");
+        let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+        assert_eq!(names, ["latency.png", "latency.svg", "throughput.png", "throughput.svg"]);
+        for (name, texts) in [
+            ("latency.svg", ["One-way delay, ms", "Size on the wire", "1 kB", "clock bounds", "upload:"]),
+            ("throughput.svg", ["Throughput, MB/s", "Size on the wire", "1 MB", "clock bounds", "download:"]),
+        ] {
+            let svg = std::fs::read_to_string(folder.path().join(name)).expect("written");
+            for text in texts.iter().chain(&["#D55E00", "#AE5485"]) {
+                assert!(svg.contains(text), "{name} lacks {text}");
+            }
+        }
+        for name in ["latency.png", "throughput.png"] {
+            let picture = image::open(folder.path().join(name)).expect("a picture").to_rgb8();
+            let ink = picture.pixels().filter(|pixel| pixel.0.iter().all(|part| *part < 0x40)).count();
+            assert!(ink > 1_000, "{name} has no text: {ink} dark pixels");
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! How often each configuration's answers are right, and how long they take.
+
+use peernet_statistics::number::{self, fixed};
+
+use super::columns::{is_drawable, left_out, too_large};
+use super::configured::{Configured, counted};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{Accuracy, Score, Unit};
+use peernet_analysis::accuracy::{ACCURACIES, score};
+use peernet_analysis::loaded::{Loaded, unknown_labels};
+use peernet_analysis::order::Ordered;
+use peernet_analysis::rows::RowRef;
+
+/// Whether the best class is the label.
+pub(super) const TOP_1: &str = ACCURACIES[0];
+/// Most points that can be told apart.
+const MOST: usize = 24;
+
+/// One point for each configuration of which answers were told right from wrong; repeats are taken together.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    let Configured { axes, groups } = Configured::of(runs);
+    let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
+    let all = || groups.iter().flat_map(|(_, runs)| counted(runs)).filter(judged);
+    if all().next().is_none() {
+        return Err(MissingData::Labels { unknown: unknown_labels(runs) });
+    }
+    let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let scored = |(label, runs): &(String, Vec<&Loaded>)| {
+        let rows: Vec<RowRef<'_>> = counted(runs).filter(judged).collect();
+        let times: Ordered =
+            rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
+        Some(Score {
+            label: label.clone(),
+            right: rows.iter().filter(|row| score(**row, TOP_1) == Some(true)).count() as u64,
+            count: rows.len() as u64,
+            median: times.median()?,
+            p95: times.p95(),
+        })
+    };
+    let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
+    let (configurations, without) = (scores.len(), groups.len() - scores.len());
+    scores.truncate(MOST);
+    let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
+    let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
+    let number = |count: u64| fixed(count as f64, 0);
+    let n = if fewest == most { number(most) } else { format!("{} to {}", number(fewest), number(most)) };
+    let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
+    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    let mut missing = Vec::new();
+    if configurations > MOST {
+        missing.push(format!("the first {MOST} of {configurations} configurations"));
+    }
+    if without > 0 {
+        let configurations = number::counted(without as u64, "configuration");
+        missing.push(format!("left out: {configurations} without scored samples"));
+    }
+    notes.extend(missing.iter().cloned());
+    // Of those with scored samples, and for another reason than the label.
+    let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
+        let valid = counted(runs).filter(judged).count();
+        let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+        let others = (counted(runs).count() - valid) as u64;
+        if valid > 0 { others.saturating_sub(foreign) } else { 0 }
+    };
+    let unscored: u64 = groups.iter().map(unscored).sum();
+    notes.extend(too_large(all(), &[total]));
+    if unscored > 0 {
+        let iterations = number::counted(unscored, "iteration");
+        notes.push(format!("left out: {iterations} without a valid score"));
+    }
+    if let Some(unknown) = unknown_labels(runs) {
+        let iterations = number::counted(unknown.count, "iteration");
+        notes.push(format!("left out: {iterations}, {}", unknown.reason()));
+    }
+    let what = if total == "total" { "Total" } else { "Sum of stages" };
+    let accuracy = Accuracy {
+        title: "Accuracy against latency".to_owned(),
+        unit: Unit::milliseconds(what),
+        scores,
+        notes,
+    };
+    Ok(vec![Drawing::new("accuracy", Shown::Accuracy(accuracy)).without(missing)])
+}

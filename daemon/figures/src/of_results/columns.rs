@@ -1,0 +1,100 @@
+//! Columns of results as quantities of figures.
+
+use peernet_statistics::number::fixed;
+
+use crate::drawing::Unit;
+use peernet_analysis::order::Ordered;
+use peernet_analysis::rows::{RowRef, Rows, Units};
+use peernet_analysis::summary::Scale;
+
+/// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
+const LARGEST: f64 = 1e18;
+
+/// Whether a number has a place in a figure.
+pub(super) fn is_drawable(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
+
+/// How many numbers of these columns are too large to be drawn, for a note; `None` where none is.
+pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
+    let counted = rows.filter(|row| row.counts());
+    let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
+    let count = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
+    (count > 0).then(|| {
+        format!("not drawn, beyond ±10¹⁸: {}", peernet_statistics::number::counted(count as u64, "number"))
+    })
+}
+
+/// A column's numbers that can be drawn, in the rows that count.
+pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
+    rows.counted(column).filter(|value| is_drawable(*value)).collect()
+}
+
+/// How a column's numbers are shown: a time is in ms, and so on; what a run logged itself in the unit that it gave.
+pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
+    let plain = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
+    if ["iteration", "episode", "step"].contains(&column) {
+        return plain(what.to_owned(), String::new());
+    }
+    let logged = units.of(column);
+    match Scale::of(column, logged) {
+        Scale::Milliseconds => Unit::milliseconds(what),
+        Scale::MegabytesPerSecond => Unit::megabytes_per_second(what),
+        Scale::Bytes => plain(format!("{}, bytes", what.trim_end_matches(" bytes")), "B".to_owned()),
+        Scale::AsMeasured => match logged {
+            Some(unit) => plain(format!("{what}, {unit}"), unit.to_owned()),
+            None => plain(format!("{what}, as logged"), String::new()),
+        },
+    }
+}
+
+/// A column's name for people: `Upload throughput`.
+pub(super) fn heading(column: &str) -> String {
+    let words = column.replace(['-', '_'], " ");
+    let mut chars = words.chars();
+    chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
+}
+
+/// What stands in the rows, what is shown of it and what is left out: `n = 10,000 · left out: 5 warm-up, 3 without an
+/// answer`.
+pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), shown: usize) -> String {
+    let n = format!("n = {}", fixed(shown as f64, 0));
+    not_shown(rows, shown).map_or(n.clone(), |left| format!("{n} · {left}"))
+}
+
+/// The second half of that, where the counts stand elsewhere; `None` where nothing is left out.
+pub(super) fn not_shown<'a>(
+    rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
+    shown: usize,
+) -> Option<String> {
+    let counted = rows.clone().filter(|row| row.counts()).count();
+    let undrawn = (counted.saturating_sub(shown), "without a value to draw");
+    listed(uncounted(rows).into_iter().chain([undrawn]))
+}
+
+/// What of the rows no figure shows: `left out: 5 warm-up, 3 without an answer`; `None` where there is nothing of it.
+pub(super) fn left_out<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
+    listed(uncounted(rows))
+}
+
+fn uncounted<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
+    let count = |of: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| of(row)).count();
+    [
+        (count(&|row| row.warm_up()), "warm-up"),
+        (count(&|row| !row.warm_up() && !row.counts()), "without an answer"),
+    ]
+}
+
+fn listed(left: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
+    let left: Vec<String> = left
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, what)| format!("{} {what}", fixed(count as f64, 0)))
+        .collect();
+    (!left.is_empty()).then(|| format!("left out: {}", left.join(", ")))
+}
+
+/// A title and, behind it, whose it is.
+pub(super) fn titled(what: &str, whose: &str) -> String {
+    if whose.is_empty() { what.to_owned() } else { format!("{what} · {whose}") }
+}

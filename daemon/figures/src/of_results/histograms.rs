@@ -1,0 +1,86 @@
+//! Histograms of a run: the six published ones, or that of any column.
+
+use peernet_statistics::number::{fixed, range_ms, throughput_between};
+use peernet_stream::PlacementKind;
+
+use super::columns::{account, heading, titled, too_large, unit, values};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{Fill, Hatch, Histogram, stage_fill};
+use peernet_analysis::figure_files::HISTOGRAMS;
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::order::Ordered;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
+use peernet_analysis::summary::Scale;
+
+/// Those of a run that it can have.
+pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
+    let is_at = |kind| record.placement.is(kind);
+    let remote = !is_at(PlacementKind::Local) && !is_at(PlacementKind::None);
+    let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, what)| {
+        let histogram = histogram(record, rows, column, what);
+        let expected = match *column {
+            "sensing" => true,
+            "inference" => !is_at(PlacementKind::None),
+            _ => remote,
+        };
+        (expected || !histogram.values.is_empty()).then(|| Drawing::new(*stem, Shown::Histogram(histogram)))
+    });
+    drawings.collect()
+}
+
+/// The published ones, or that of one column.
+pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
+    let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
+    let histogram = histogram(&run.record, &run.rows, column, &heading(column));
+    if histogram.values.is_empty() {
+        return Err(MissingData::Column(column.to_owned()));
+    }
+    Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
+}
+
+fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
+    let values = values(rows, column);
+    let mut notes = vec![account(&rows.iter(), values.len())];
+    notes.extend(too_large(rows.iter(), &[column]));
+    notes.extend(clocks(rows, column));
+    notes.extend(impossible(column, &values));
+    // Bars stand side by side: a hatch would only blur them.
+    let fill = stage_fill(column.trim_end_matches("-throughput"));
+    Histogram {
+        title: titled(what, &record.title),
+        unit: unit(&record.units, column, what),
+        fill: Fill::dark(fill.colour, Hatch::Plain),
+        values,
+        notes,
+    }
+}
+
+/// How many delays are below zero, which none is: clocks that are not related make them, as in results of other programs.
+fn impossible(column: &str, values: &Ordered) -> Option<String> {
+    let count = values.values().partition_point(|value| *value < 0.0) as u64;
+    let is_delay = ["upload", "download"].contains(&column);
+    (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
+}
+
+/// Where the true median lies, as far as the hosts' clocks are known: between the medians of the lower and the upper
+/// bounds. `None` where the column has no bounds, or both ends read one clock.
+fn clocks(rows: &Rows, column: &str) -> Option<String> {
+    let end = |end: &str| -> Option<f64> {
+        let name = format!("{column}-{end}");
+        let counted = rows.iter().filter(|row| row.counts() && row.value(column).is_some());
+        counted.map(|row| row.value(&name)).collect::<Option<Ordered>>()?.median()
+    };
+    if !["upload", "download", "upload-throughput", "download-throughput"].contains(&column) {
+        return None;
+    }
+    let (lo, hi) = (end("lo")?, end("hi")?);
+    let between = match Scale::of(column, None) {
+        Scale::MegabytesPerSecond => {
+            format!("{} MB/s", throughput_between((lo, Some(hi))))
+        }
+        _ => format!("{} ms", range_ms((lo, hi))),
+    };
+    (lo < hi).then(|| format!("clock bounds of the median: {between}"))
+}

@@ -1,0 +1,96 @@
+//! What the results lack for a figure.
+
+use std::fmt;
+
+use super::accuracy::TOP_1;
+use crate::drawing::{MOST_GROUPS, MOST_SIDES};
+use peernet_analysis::accuracy::UnknownLabels;
+use peernet_statistics::number::counted;
+
+/// What the results lack for a figure.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MissingData {
+    /// There is nothing to draw from.
+    #[error("there is no run")]
+    Runs,
+    /// No iteration counts.
+    #[error("no iteration counts: all are warm-up or without an answer")]
+    Iterations,
+    /// No answered iteration has a usable total.
+    #[error("no iteration was answered with a total that can be drawn")]
+    Total,
+    /// A column has no usable number.
+    #[error("no iteration that counts has a number that can be drawn in the column {0}")]
+    Column(String),
+    /// No iteration has a usable number in both columns.
+    #[error("no iteration that counts has a number that can be drawn in both columns, {x} and {y}")]
+    Columns {
+        /// The column of the horizontal axis.
+        x: String,
+        /// The column of the vertical axis.
+        y: String,
+    },
+    /// The length is the same in every iteration.
+    #[error(
+        "all answers have the same length: {x} is {length} in every iteration; name another column with --x"
+    )]
+    SameLength {
+        /// The column of lengths.
+        x: String,
+        /// The only length.
+        length: f64,
+    },
+    /// The lengths differ too little to be drawn against.
+    #[error("all answers have much the same length ({x}); name another column with --x")]
+    SimilarLength {
+        /// The column of lengths.
+        x: String,
+    },
+    /// All runs with the column are of one place.
+    #[error(
+        "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
+    )]
+    SecondPlace {
+        /// The column to be compared.
+        column: String,
+    },
+    /// There are more models or places than fit.
+    #[error(
+        "{models} models in {places} places are too many for one picture ({MOST_GROUPS} and {MOST_SIDES}); name fewer runs"
+    )]
+    TooManyModels {
+        /// Number of models.
+        models: usize,
+        /// Number of places in which they ran.
+        places: usize,
+    },
+    /// The sizes of the messages do not vary.
+    #[error(
+        "it needs messages over one network of which the largest has twice the size of the smallest at least; see \
+         peernet calibrate and the experiment payload-study"
+    )]
+    MessageSizes,
+    /// No answer was told right from wrong.
+    #[error("it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{}", Unscored(.unknown))]
+    Labels {
+        /// Iterations with a label that the model does not know.
+        unknown: Option<UnknownLabels>,
+    },
+    /// No run had several edges.
+    #[error("it needs runs of an experiment with several edges at once: set experiment.users")]
+    Users,
+    /// The edges of a run did not measure at the same time.
+    #[error("no total that can be drawn was measured while all edges of a run were measuring")]
+    CommonTotal,
+}
+
+/// The end of the sentence: how many iterations cannot have a score.
+struct Unscored<'a>(&'a Option<UnknownLabels>);
+
+impl fmt::Display for Unscored<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.as_ref().map_or(Ok(()), |unknown| {
+            write!(f, "; {} cannot have one, {}", counted(unknown.count, "iteration"), unknown.reason())
+        })
+    }
+}

@@ -1,0 +1,176 @@
+//! Results as figures: which of them a run or an experiment has, and under which names they are written.
+//!
+//! ```text
+//! Loaded ─┬─ histograms, length, series      of each run
+//!         └─ stacked, accuracy, paired, payload, users   of all together
+//! ```
+//!
+//! What figures look like is the business of [`crate::drawing`].
+
+mod accuracy;
+mod columns;
+mod configured;
+mod histograms;
+mod length;
+mod missing_data;
+mod paired;
+mod payload;
+mod series;
+mod stacked;
+mod users;
+mod written;
+
+pub use missing_data::MissingData;
+pub use written::Written;
+
+use std::path::{Path, PathBuf};
+
+use peernet_analysis::WriteError;
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
+
+/// The figures there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The six histograms of the published program.
+    Histograms,
+    /// Stages over time.
+    Series,
+    /// Response length against latency.
+    Length,
+    /// What the stages of each configuration add up to.
+    Stacked,
+    /// Accuracy of each configuration against its latency.
+    Accuracy,
+    /// A model's latency here and there.
+    Paired,
+    /// Latency and throughput against payload.
+    Payload,
+    /// Latency against the number of edges at once.
+    Users,
+}
+
+impl Kind {
+    /// Every kind: those of single runs first.
+    pub const ALL: [Self; 8] = [
+        Self::Histograms,
+        Self::Series,
+        Self::Length,
+        Self::Stacked,
+        Self::Accuracy,
+        Self::Paired,
+        Self::Payload,
+        Self::Users,
+    ];
+
+    /// As on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Histograms => "histograms",
+            Self::Series => "series",
+            Self::Length => "length",
+            Self::Stacked => "stacked",
+            Self::Accuracy => "accuracy",
+            Self::Paired => "paired",
+            Self::Payload => "payload",
+            Self::Users => "users",
+        }
+    }
+
+    /// Whether each run has one of its own.
+    pub const fn is_of_one_run(self) -> bool {
+        matches!(self, Self::Histograms | Self::Series | Self::Length)
+    }
+
+    /// Whether results of every kind have it, so that whoever draws all that there is misses it.
+    pub const fn is_expected(self) -> bool {
+        matches!(self, Self::Series | Self::Stacked)
+    }
+
+    /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
+    pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
+        match self {
+            Self::Stacked | Self::Accuracy => configured::Configured::of(runs).groups.len() > 1,
+            Self::Paired => runs.len() > 1,
+            Self::Users => users::have_curves(runs),
+            Self::Histograms | Self::Series | Self::Length | Self::Payload => !runs.is_empty(),
+        }
+    }
+}
+
+/// The columns that were asked for; else each kind takes its own.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Columns {
+    /// The horizontal axis: the column of a histogram, the length of a response.
+    pub x: Option<String>,
+    /// The vertical axis: a latency.
+    pub y: Option<String>,
+}
+
+/// A figure that was not drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// There is nothing in the results that it could show.
+    #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
+    Lacking(Kind, #[source] MissingData),
+    /// A file cannot be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
+
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, and its `series` as `.png` and
+/// `.svg` into a folder; returns what was written. A run that sent nothing over a network has histograms of
+/// sensing and inference alone; one of which there are no values at all says so. A run without any total has no
+/// `series`.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let mut drawings = histograms::published(record, rows);
+    // Without a total there is no course of it.
+    drawings.extend(series::drawings(record, rows).unwrap_or_default());
+    Ok(written::write(&drawings, folder)?.files)
+}
+
+/// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
+/// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let mut files = Vec::new();
+    let kinds = Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run() && kind.is_worth_drawing(runs));
+    for kind in kinds {
+        match draw(kind, runs, &Columns::default(), folder) {
+            Ok(written) => files.extend(written.files),
+            Err(PlotError::Write(error)) => return Err(error),
+            Err(PlotError::Lacking(..)) => {}
+        }
+    }
+    Ok(files)
+}
+
+/// Draws the figures of one kind into a folder, which is made when there is something to draw: of all runs together, or,
+/// for a kind that [is of one run](Kind::is_of_one_run), of the first. Returns what was written, and what is not in it.
+///
+/// # Errors
+/// When the runs lack what the kind shows, or a file cannot be written.
+pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
+    let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
+    let drawings = match kind {
+        Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
+        Kind::Series => series::drawings(&first.record, &first.rows),
+        Kind::Length => length::drawings(first, columns),
+        Kind::Stacked => stacked::drawings(runs),
+        Kind::Accuracy => accuracy::drawings(runs),
+        Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
+        Kind::Payload => payload::drawings(runs),
+        Kind::Users => users::drawings(runs),
+    };
+    let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
+    Ok(written::write(&drawings, folder)?)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,336 @@
+//! Latency and throughput against payload, of runs with payloads of several sizes.
+
+use std::collections::BTreeMap;
+
+use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
+
+use super::columns::{is_drawable, left_out, titled, too_large};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
+use peernet_analysis::compare::Configurations;
+use peernet_analysis::fit::{Fit, Point, Weighted, least_squares, rate};
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::order::Ordered;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::RowRef;
+
+/// More sizes than this are taken together, so that each has enough messages.
+const MOST_SIZES: usize = 24;
+/// What the figures are drawn from.
+const SHOWN: [&str; 6] =
+    ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
+/// No median is known better than a clock is read: a tenth of a microsecond.
+const CLOCK_READ: f64 = 1e-7;
+
+/// The messages of one size. Seconds, bytes.
+struct Size {
+    bytes: f64,
+    delays: Ordered,
+    bounds: Option<(f64, f64)>,
+}
+
+/// One direction.
+struct Way {
+    name: &'static str,
+    sizes: Vec<Size>,
+    fit: Option<Fit>,
+    /// How many of its messages have a size and no delay.
+    unknown: u64,
+}
+
+/// The messages over one link.
+struct Study {
+    ways: Vec<Way>,
+    /// For the title.
+    whose: String,
+    notes: Vec<String>,
+    /// The directions that are not drawn.
+    missing: Vec<String>,
+}
+
+/// Two figures for each pair of hosts and way between them.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    // Runs by link, as their places in the list.
+    let mut links: Vec<(String, Vec<usize>)> = Vec::new();
+    for (number, run) in runs.iter().enumerate() {
+        let link = link(&run.record);
+        match links.iter_mut().find(|(other, _)| *other == link) {
+            Some((_, all)) => all.push(number),
+            None => links.push((link, vec![number])),
+        }
+    }
+    let ways = |runs_of: &[usize]| -> [Way; 2] {
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
+        let rows: Vec<RowRef<'_>> = rows.collect();
+        ["upload", "download"].map(|name| Way::of(name, &rows))
+    };
+    let configurations = Configurations::of(runs);
+    let studied = links.into_iter().map(|(_, runs_of)| {
+        let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
+        let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
+        let (ways, others): (Vec<Way>, Vec<Way>) = ways(&runs_of).into_iter().partition(Way::is_varied);
+        let untold = ways.iter().flat_map(Way::untold);
+        Study {
+            notes: notes.into_iter().flatten().chain(untold).collect(),
+            whose: whose(&runs[runs_of[0]].record),
+            missing: others.iter().filter_map(Way::why_not).collect(),
+            ways,
+        }
+    });
+    let (mut studied, others): (Vec<Study>, Vec<Study>) =
+        studied.partition(|study: &Study| !study.ways.is_empty());
+    // Of a link that has no figure of its own the first one tells.
+    let others = others.into_iter().flat_map(|study| {
+        let whose = study.whose;
+        study.missing.into_iter().map(move |missing| titled(&missing, &whose))
+    });
+    if let Some(first) = studied.first_mut() {
+        first.missing.extend(others);
+    }
+    if studied.is_empty() {
+        return Err(MissingData::MessageSizes);
+    }
+    let drawings = studied.iter().enumerate().flat_map(|(number, study)| {
+        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
+        let latency = Drawing::new(format!("payload-latency{suffix}"), Shown::Scaling(latency(study)));
+        let throughput =
+            Drawing::new(format!("payload-throughput{suffix}"), Shown::Scaling(throughput(study)));
+        // Both have it in their notes; once is enough elsewhere.
+        [latency.without(study.missing.clone()), throughput]
+    });
+    Ok(drawings.collect())
+}
+
+/// What carries the messages: runs that share it are one study. One host has another address in each network.
+fn link(record: &RunRecord) -> String {
+    let cloud = record.cloud.as_ref().map_or("", |cloud| &cloud.name);
+    let [network, address] = [&record.placement.network, &record.placement.address]
+        .map(|text| text.as_deref().unwrap_or_default());
+    format!("{}, {cloud}, {network}, {address}", record.edge.name)
+}
+
+/// The two hosts of a link, as far as they have names, and the address where the cloud was reached.
+fn whose(record: &RunRecord) -> String {
+    let hosts =
+        [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
+    let hosts = hosts.filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" → ");
+    match record.placement.address.as_deref().map(|address| address.trim_start_matches("tcp://")) {
+        Some(address) if !hosts.is_empty() => format!("{hosts} ({address})"),
+        _ => hosts,
+    }
+}
+
+/// That one line goes through the messages of several runs, and in what these differ; `None` for a single run.
+fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
+    (runs.len() > 1).then_some(())?;
+    let label = |run: usize, axis: usize| &configurations.labels[run][axis];
+    let differing = configurations.axes.iter().enumerate().filter(|(axis, name)| {
+        *name != "run" && runs.iter().any(|run| label(*run, *axis) != label(runs[0], *axis))
+    });
+    let differing: Vec<&str> = differing.map(|(_, name)| name.as_str()).collect();
+    let count = runs.len();
+    Some(match differing.as_slice() {
+        [] => format!("messages of {count} runs, pooled"),
+        axes => format!("messages of {count} runs, pooled, that differ in {}", axes.join(", ")),
+    })
+}
+
+impl Way {
+    /// Whether its sizes differ enough to study what they do.
+    fn is_varied(&self) -> bool {
+        let ends = self.sizes.first().zip(self.sizes.last());
+        ends.is_some_and(|(smallest, largest)| largest.bytes >= 2.0 * smallest.bytes)
+    }
+
+    /// Why it is not drawn; `None` where nothing was sent.
+    fn why_not(&self) -> Option<String> {
+        let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
+        let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
+        let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
+        Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
+    }
+
+    /// What of its messages is in no figure.
+    fn untold(&self) -> Vec<String> {
+        let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
+        let below = self.sizes.iter().filter(below).count();
+        let unknown = (self.unknown > 0).then(|| {
+            format!("left out: {} of {} without a known delay", counted(self.unknown, "message"), self.name)
+        });
+        let below = (below > 0).then(|| {
+            let sizes = counted(below as u64, "size");
+            format!("not drawn: {sizes} of {} whose median delay is not above zero", self.name)
+        });
+        unknown.into_iter().chain(below).collect()
+    }
+
+    /// Its line, where larger messages take longer: other things than size decide where they do not, and the intercept of
+    /// such a line means nothing.
+    fn growing(&self) -> Option<Fit> {
+        self.fit.filter(|fit| fit.slope.value > 0.0)
+    }
+
+    /// By its slope, with its margin, bits per second; `None` where the sizes do not tell it.
+    fn rate(&self) -> Option<(f64, f64)> {
+        self.growing().and_then(|fit| rate(fit.slope))
+    }
+
+    fn of(name: &'static str, rows: &[RowRef<'_>]) -> Self {
+        let bytes = |row: &RowRef<'_>| {
+            let part = |of: &str| row.value(&format!("{name}-{of}")).filter(|bytes| is_drawable(*bytes));
+            Some(part("bytes")? + part("logger-bytes").unwrap_or_default())
+        };
+        let mut by_payload: BTreeMap<u64, Vec<RowRef<'_>>> = BTreeMap::new();
+        for row in rows.iter().filter(|row| row.value(name).is_some_and(is_drawable)) {
+            if let Some(payload) =
+                row.value(&format!("{name}-bytes")).filter(|bytes| *bytes > 0.0 && is_drawable(*bytes))
+            {
+                by_payload.entry(payload as u64).or_default().push(*row);
+            }
+        }
+        let sizes = together(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
+            let of = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
+                rows.iter().filter_map(value).collect::<Ordered>()
+            };
+            let end = |end: &str| of(&|row: &RowRef<'_>| row.value(&format!("{name}-{end}"))).median();
+            Some(Size {
+                bytes: of(&bytes).median()?,
+                delays: of(&|row| row.value(name)),
+                bounds: end("lo").zip(end("hi")),
+            })
+        });
+        let sizes: Vec<Size> = sizes.collect();
+        let is_unknown = |row: &&RowRef<'_>| {
+            row.value(&format!("{name}-bytes")).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
+        };
+        let unknown = rows.iter().filter(is_unknown).count() as u64;
+        Self { name, fit: fit(&sizes), sizes, unknown }
+    }
+
+    fn series(&self, number: usize, name: String, value: &dyn Fn(&Size) -> Option<Value>) -> Series {
+        let looks = [("upload", UPLOAD, Mark::Disc), ("download", DOWNLOAD, Mark::Triangle)];
+        let look = looks.into_iter().find(|(name, ..)| *name == self.name).unwrap_or(looks[number % 2]);
+        Series {
+            name,
+            colour: look.1,
+            mark: look.2,
+            values: self.sizes.iter().filter_map(value).collect(),
+            line: None,
+        }
+    }
+}
+
+impl Study {
+    /// How many messages a point stands for.
+    fn amount(&self) -> Option<String> {
+        let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
+        let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
+        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
+        Some(format!("messages of each size: {each}"))
+    }
+
+    /// With of what no rate is given.
+    fn notes(&self) -> Vec<String> {
+        let untold: Vec<&str> = self
+            .ways
+            .iter()
+            .filter(|way| way.growing().is_some() && way.rate().is_none())
+            .map(|way| way.name)
+            .collect();
+        let fast = (!untold.is_empty())
+            .then(|| format!("throughput of {}: too fast to tell from these sizes", untold.join(" and of ")));
+        self.missing.iter().chain(&self.notes).cloned().chain(self.amount()).chain(fast).collect()
+    }
+}
+
+/// Neighbouring sizes as one where there are too many: files of a camera are all of different size.
+fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
+    if sizes.len() <= MOST_SIZES {
+        return sizes;
+    }
+    let all: Vec<RowRef<'_>> = sizes.into_iter().flatten().collect();
+    all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
+}
+
+/// A line through the medians, each weighted by how well it is known, as in a calibration.
+fn fit(sizes: &[Size]) -> Option<Fit> {
+    let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.delays.median_error()).collect();
+    let points: Option<Vec<Weighted>> = sizes
+        .iter()
+        .enumerate()
+        .map(|(number, size)| {
+            let point = Point { x: size.bytes, y: size.delays.median()? };
+            let weight = errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_READ).powi(-2));
+            Some(Weighted { point, weight })
+        })
+        .collect();
+    least_squares(&points?)
+}
+
+fn latency(study: &Study) -> Scaling {
+    let value = |size: &Size| {
+        Some(Value {
+            bytes: size.bytes,
+            value: size.delays.median()?,
+            spread: size.delays.tails(),
+            bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
+        })
+    };
+    let series = study.ways.iter().enumerate().map(|(number, way)| {
+        let name = match (way.fit, way.growing()) {
+            (_, Some(Fit { intercept, .. })) => {
+                let least = mean_std(intercept.value, intercept.margin());
+                match way.rate() {
+                    Some((rate, margin)) => {
+                        let rate = throughput_with(rate, margin);
+                        format!("{}: {least} ms + size ÷ ({rate}) MB/s", way.name)
+                    }
+                    None => format!("{}: intercept {least} ms", way.name),
+                }
+            }
+            (Some(_), None) => format!("{}: does not grow with size", way.name),
+            (None, None) => way.name.to_owned(),
+        };
+        let line = way.growing().map(|fit| (fit.intercept.value, fit.slope.value));
+        Series { line, ..way.series(number, name, &value) }
+    });
+    Scaling {
+        title: titled("One-way delay against payload", &study.whose),
+        unit: Unit::milliseconds("One-way delay"),
+        parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
+        notes: study.notes(),
+        series: series.collect(),
+    }
+}
+
+fn throughput(study: &Study) -> Scaling {
+    let over = |bytes: f64, seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
+    let value = |size: &Size| {
+        let bounds = size.bounds.and_then(|(lo, hi)| Some((over(size.bytes, hi)?, over(size.bytes, lo))));
+        Some(Value {
+            bytes: size.bytes,
+            value: over(size.bytes, size.delays.median()?)?,
+            spread: None,
+            bounds,
+        })
+    };
+    let series = study.ways.iter().enumerate().map(|(number, way)| {
+        let name = way.rate().map_or_else(
+            || way.name.to_owned(),
+            |(rate, margin)| format!("{}: {} MB/s", way.name, throughput_with(rate, margin)),
+        );
+        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(number, name, &value) }
+    });
+    Scaling {
+        title: titled("Throughput against payload", &study.whose),
+        unit: Unit::megabytes_per_second("Throughput"),
+        parts: Parts {
+            point: "size ÷ median delay",
+            whisker: "by clock bounds",
+            line: "by slope, ±\u{a0}95\u{a0}%",
+        },
+        notes: study.notes(),
+        series: series.collect(),
+    }
+}

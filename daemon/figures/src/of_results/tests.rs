@@ -1,0 +1,408 @@
+//! Which figures results have, and what is taken from the rows.
+
+mod extremes;
+mod holes;
+mod missing;
+
+use peernet_stream::ExperimentPlace;
+
+use super::*;
+use crate::drawing::{Hatch, UNATTRIBUTED};
+use peernet_analysis::record::{ModelRecord, Placement};
+use peernet_analysis::rows::{Outcome, Row};
+use written::Shown;
+
+/// Changes rows for a test.
+trait ChangeRows {
+    fn change(&mut self, change: impl FnMut(&mut Row));
+}
+
+impl ChangeRows for Rows {
+    fn change(&mut self, mut change: impl FnMut(&mut Row)) {
+        let changed = self.iter().map(|row| {
+            let mut row = row.to_row();
+            change(&mut row);
+            row
+        });
+        *self = changed.collect();
+    }
+}
+
+/// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
+fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
+    let row = |number: u64| Row {
+        iteration: number,
+        at: 1e9 + number as f64 / 10.0,
+        episode: (number / 20) as u32,
+        step: 0,
+        warm_up: number <= 5,
+        outcome: if number == 7 { Outcome::Lost } else { Outcome::Ok },
+        reason: None,
+        values: if number == 7 {
+            Vec::new()
+        } else {
+            let si = |name: &str, value: f64| if name.contains('-') { value } else { value / 1e3 };
+            of(number).into_iter().map(|(name, value)| (name.into(), si(name, value))).collect()
+        },
+        upload: None,
+        download: None,
+    };
+    let record =
+        RunRecord { title: "robot → cloud".to_owned(), name: "p".to_owned(), ..RunRecord::default() };
+    Loaded { folder: "results".into(), record, rows: (1..=count).map(row).collect() }
+}
+
+fn remote(count: u64) -> Loaded {
+    run(count, |number| {
+        vec![("sensing", 1.0), ("upload", 10.0 + number as f64 % 3.0), ("inference", 5.0), ("download", 1.0)]
+    })
+}
+
+fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
+    let mut run = run(50, |number| vec![("sensing", 1.0), ("inference", inference + number as f64 % 3.0)]);
+    run.record.model = Some(ModelRecord { name: model.to_owned(), device: None, sha256: None });
+    run.record.placement = Placement { kind: kind.to_owned(), network: None, address: None };
+    let configuration = vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
+    let place = ExperimentPlace { name: "e".to_owned(), id: "1".to_owned(), configuration, repeat: 0 };
+    run.record.experiment = Some(place);
+    run
+}
+
+fn names(files: &[PathBuf]) -> Vec<String> {
+    files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
+}
+
+#[test]
+fn a_run_has_the_six_published_histograms() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = remote(60);
+    let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
+    let published = peernet_analysis::figure_files::HISTOGRAMS
+        .map(|(stem, ..)| [format!("{stem}.png"), format!("{stem}.svg")])
+        .concat();
+    assert_eq!(names(&files), published, "throughputs that were not measured say so; there is no total");
+    assert!(files.iter().all(|file| file.is_file()));
+    let svg = std::fs::read_to_string(folder.path().join("upload-time.svg")).expect("read");
+    for text in
+        ["Upload time · robot → cloud", "n = 54 · left out: 5 warm-up, 1 without an answer", "median 11.0 ms"]
+    {
+        assert!(svg.contains(text), "{text}: {svg}");
+    }
+    assert!(std::fs::read_to_string(&files[11]).expect("read").contains("no values"));
+    let timed = run_with_total(20.0);
+    let files = of_run(&timed.record, &timed.rows, folder.path()).expect("written");
+    assert_eq!(names(&files)[12..], ["series.png", "series.svg"]);
+}
+
+fn run_with_total(total: f64) -> Loaded {
+    run(100, |number| {
+        // Right in three of four.
+        let right = f64::from(u8::from(number % 4 != 0));
+        vec![("total", total + number as f64 / 100.0), ("sensing", 1.0), ("upload", 1.0), ("top-1", right)]
+    })
+}
+
+#[test]
+fn a_run_that_sent_nothing_has_no_figures_of_a_network() {
+    let local = placed("s", "local", 5.0);
+    let drawings = histograms::published(&local.record, &local.rows);
+    let stems: Vec<&str> = drawings.iter().map(|drawing| drawing.stem.as_str()).collect();
+    assert_eq!(stems, ["sensing-time", "inference-time"]);
+}
+
+#[test]
+fn any_column_can_be_a_histogram() {
+    let run = run(60, |number| vec![("gripper-force", number as f64)]);
+    let drawings = histograms::drawings(&run, Some("gripper-force")).expect("there are numbers");
+    let Shown::Histogram(histogram) = &drawings[0].shown else { panic!("a histogram") };
+    let stem = &drawings[0].stem;
+    assert_eq!(
+        (stem.as_str(), histogram.unit.title.as_str()),
+        ("gripper-force-histogram", "Gripper force, as logged")
+    );
+    assert_eq!((histogram.values.len(), histogram.fill.hatch), (54, Hatch::Plain));
+    assert!(
+        histograms::drawings(&run, Some("nonsense"))
+            .is_err_and(|missing| missing.to_string().contains("nonsense"))
+    );
+}
+
+#[test]
+fn stages_add_up_to_the_total() {
+    let with_total = |mut run: Loaded| {
+        run.rows.change(|row| {
+            if !row.values.is_empty() {
+                let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
+                row.values.extend([("total".into(), sum + 2e-3), (UNATTRIBUTED.into(), 2e-3)]);
+            }
+        });
+        run
+    };
+    let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
+    let drawings = stacked::drawings(&runs).expect("there is something");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
+    assert_eq!(
+        figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(),
+        ["s, local", "s, remote"]
+    );
+    let sum: f64 = figure.bars[0].means.iter().sum();
+    assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
+    assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
+    assert_eq!(figure.notes[1..], ["n = 88 (44 each) · left out: 10 warm-up, 2 without an answer"]);
+    let nothing = [run(5, |_| vec![("sensing", 1.0)])];
+    assert!(stacked::drawings(&nothing).is_err_and(|missing| missing.to_string().contains("warm-up")));
+}
+
+#[test]
+fn lateness_is_a_part_of_its_own_before_the_rest() {
+    let mut run = placed("s", "local", 20.0);
+    run.rows.change(|row| {
+        if !row.values.is_empty() {
+            let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
+            row.values.extend([("total".into(), sum + 9e-3), (UNATTRIBUTED.into(), 9e-3)]);
+            row.values.push(("lateness".into(), 7e-3));
+        }
+    });
+    let drawings = stacked::drawings(&[run]).expect("there is something");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert_eq!(figure.stages[2..], ["lateness", UNATTRIBUTED]);
+    let bar = &figure.bars[0];
+    assert!((bar.means[2] - 7e-3).abs() < 1e-9 && (bar.means[3] - 2e-3).abs() < 1e-9, "{bar:?}");
+    assert!((bar.means.iter().sum::<f64>() - bar.total).abs() < 1e-9, "{bar:?}");
+    assert!(figure.notes.iter().any(|note| note.starts_with("lateness: ")), "{:?}", figure.notes);
+}
+
+#[test]
+fn accuracy_stands_against_latency() {
+    let labelled = |model: &str, total: f64| {
+        let place = placed(model, "local", 1.0).record;
+        Loaded { record: place, ..run_with_total(total) }
+    };
+    let drawings = accuracy::drawings(&[labelled("s", 20.0), labelled("m", 80.0), placed("l", "local", 9.0)]);
+    let drawings = drawings.expect("there are labels");
+    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    assert_eq!(
+        figure
+            .scores
+            .iter()
+            .map(|score| (score.label.as_str(), score.right, score.count))
+            .collect::<Vec<_>>(),
+        [("s, local", 70, 94), ("m, local", 70, 94)]
+    );
+    assert!(
+        (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
+        "{figure:?}"
+    );
+    let told =
+        ["left out: 15 warm-up, 3 without an answer", "left out: 1 configuration without scored samples"];
+    assert_eq!(figure.notes[1..], told);
+    let mut broken = labelled("s", 20.0);
+    broken.rows.change(|row| {
+        let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
+        scores.for_each(|(_, score)| *score = f64::NAN);
+    });
+    let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
+    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    assert_eq!(figure.notes[3], "left out: 10 iterations without a valid score");
+    assert!(
+        accuracy::drawings(&[placed("l", "local", 9.0)])
+            .is_err_and(|missing| missing.to_string().contains("top-1"))
+    );
+}
+
+#[test]
+fn one_configuration_is_not_compared_without_being_asked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut repeat = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
+    repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
+    assert_eq!(of_experiment(&repeat, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
+    let asked = draw(Kind::Stacked, &repeat, &Columns::default(), folder.path()).expect("asked for");
+    assert_eq!(names(&asked.files), ["stacked.png", "stacked.svg"]);
+}
+
+#[test]
+fn models_are_paired_by_where_they_ran() {
+    let runs = [
+        placed("s", "remote", 4.0),
+        placed("s", "local", 20.0),
+        placed("m", "local", 30.0),
+        placed("m", "remote", 6.0),
+    ];
+    let drawings = paired::drawings(&runs, None).expect("there are pairs");
+    let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
+    assert_eq!(figure.sides, ["local", "remote"]);
+    assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
+    assert_eq!(
+        figure.groups[1].values.iter().map(peernet_analysis::order::Ordered::len).collect::<Vec<_>>(),
+        [44, 44]
+    );
+    assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
+    assert!(
+        paired::drawings(&runs[1..3], None).is_err_and(|missing| missing.to_string().contains("two places"))
+    );
+    assert!(paired::drawings(&runs, Some("ipc")).is_err());
+}
+
+#[test]
+fn payloads_of_several_sizes_are_fitted() {
+    let sized = run(300, |number| {
+        let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
+        // 0.2 ms and 100 MB/s, a little late at times.
+        let delay = 0.2 + bytes / 1e5 * (1.0 + (number as f64 % 5.0) * 1e-4);
+        vec![("upload-bytes", bytes), ("upload", delay), ("download-bytes", 8.0), ("download", 0.1)]
+    });
+    let drawings = payload::drawings(std::slice::from_ref(&sized)).expect("sizes differ");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["payload-latency", "payload-throughput"]
+    );
+    let Shown::Scaling(latency) = &drawings[0].shown else { panic!("a fit") };
+    assert_eq!(latency.series.len(), 1, "answers had one size");
+    assert_eq!(
+        latency.series[0].values.iter().map(|value| value.bytes).collect::<Vec<_>>(),
+        [1e3, 1e4, 1e5, 1e6]
+    );
+    let (intercept, slope) = latency.series[0].line.expect("a line");
+    assert!((intercept - 0.2e-3).abs() < 2e-5 && (slope * 1e8 - 1.0).abs() < 0.01, "{intercept} {slope}");
+    assert!(latency.series[0].name.contains(" ± ") && latency.series[0].name.contains("MB/s"), "{latency:?}");
+    assert!(latency.series[0].name.contains("size ÷ (99.98"), "{latency:?}");
+    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
+    assert!(
+        throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
+    );
+    assert!(latency.title.starts_with("One-way delay against payload"));
+    let missing = "not drawn: download, 8 B: the largest must be twice the smallest";
+    let told = [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
+    assert_eq!(latency.notes, told);
+    assert_eq!(throughput.notes, latency.notes);
+    assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
+    assert!(payload::drawings(&[remote(60)]).is_err());
+    let named = |name: &str| {
+        let record = placed(name, "remote", 1.0).record;
+        Loaded { record, folder: "results".into(), rows: sized.rows.clone() }
+    };
+    let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
+    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
+    let told = [
+        missing,
+        "messages of 2 runs, pooled, that differ in model",
+        "left out: 10 warm-up, 2 without an answer",
+        "messages of each size: 146 to 148",
+    ];
+    assert_eq!(throughput.notes, told);
+}
+
+/// An edge of a run with so many edges.
+fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
+    let mut run = run_with_total(total);
+    run.record.edge.name = format!("robot-{edge}");
+    let configuration = vec![("model".to_owned(), model.to_owned()), ("edges".to_owned(), edges.to_string())];
+    let place = ExperimentPlace { name: "e".to_owned(), id: "1".to_owned(), configuration, repeat: 0 };
+    run.record.experiment = Some(place);
+    run
+}
+
+#[test]
+fn edges_at_once_are_a_curve_for_each_model() {
+    let at_once = |model: &'static str, edges: usize, total: f64| {
+        (0..edges).map(move |edge| shared(model, edges, edge, total + edge as f64)).collect::<Vec<_>>()
+    };
+    let runs = [at_once("s", 2, 40.0), at_once("s", 1, 20.0), at_once("m", 1, 30.0), at_once("m", 3, 90.0)];
+    let drawings = users::drawings(&runs.concat()).expect("there are several edges");
+    assert_eq!(drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(), ["users"]);
+    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    assert_eq!(figure.curves.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
+    let edges =
+        |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
+    assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
+    let two = &figure.curves[0].points[1];
+    // Both asked equally often; the second waited a millisecond longer.
+    assert_eq!((two.fairness, two.each.len()), (Some(1.0), 2));
+    assert!((two.each[1] - two.each[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
+    assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = of_experiment(&runs.concat(), folder.path()).expect("written");
+    assert!(names(&files).ends_with(&["users.png".to_owned(), "users.svg".to_owned()]), "{files:?}");
+    let alone = of_experiment(&runs[0], folder.path()).expect("written");
+    assert!(!names(&alone).contains(&"users.png".to_owned()), "one number of edges is no curve: {alone:?}");
+    assert!(users::drawings(&runs[1]).is_err_and(|missing| missing.to_string().contains("experiment.users")));
+}
+
+#[test]
+fn many_curves_are_several_pictures() {
+    let runs =
+        ["a", "b", "c", "d", "e"].map(|model| vec![shared(model, 2, 0, 20.0), shared(model, 2, 1, 20.0)]);
+    let drawings = users::drawings(&runs.concat()).expect("there are several edges");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["users", "users-2"]
+    );
+}
+
+#[test]
+fn lengths_are_tokens_where_there_are_some() {
+    let talking =
+        run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
+    let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");
+    let Shown::Lengths(figure) = &drawings[0].shown else { panic!("lengths") };
+    assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Inference tokens, as logged"));
+    let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
+    let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
+    assert!(reason.to_string().contains("--x"), "{reason}");
+    let close = run(60, |number| vec![("download-bytes", 96.0 + number as f64 % 3.0), ("inference", 5.0)]);
+    assert!(length::drawings(&close, &Columns::default()).is_err());
+    let asked = Columns { x: Some("download-bytes".to_owned()), y: None };
+    assert!(length::drawings(&close, &asked).is_ok(), "what was asked for is drawn");
+    let nothing = run(60, |_| vec![("download-bytes", 0.0), ("inference", 5.0)]);
+    for columns in [Columns::default(), asked] {
+        let reason = length::drawings(&nothing, &columns).expect_err("a column of points");
+        assert!(reason.to_string().contains("download-bytes is 0 in every iteration"), "{reason}");
+    }
+}
+
+#[test]
+fn a_series_shows_what_happened_when() {
+    let mut run = remote(60);
+    run.rows.change(|row| {
+        let total = (!row.values.is_empty()).then(|| ("total".into(), 20e-3));
+        row.values.extend(total);
+    });
+    let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
+    let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
+    assert_eq!(course.total.values.len(), 59);
+    assert_eq!(
+        course.stages.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
+        ["sensing", "upload", "inference", "download"]
+    );
+    let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
+    assert!(near(course.unanswered[0], 0.6) && course.unanswered.len() == 1, "{course:?}");
+    assert!(near(course.warm_up[0].0, 0.0) && near(course.warm_up[0].1, 0.5));
+    assert!(near(course.episodes[0], 1.9) && course.episodes.len() == 3);
+    assert!(course.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", course.notes);
+    run.rows.change(|row| row.at = 0.0);
+    let Shown::Course(course) = &series::drawings(&run.record, &run.rows).expect("there is a total")[0].shown
+    else {
+        panic!("a course")
+    };
+    assert_eq!((course.x.as_str(), course.is_counted, course.unanswered[0]), ("Iteration", true, 7.0));
+    run.rows.change(|row| row.outcome = Outcome::Lost);
+    assert!(series::drawings(&run.record, &run.rows).is_err());
+}
+
+#[test]
+fn an_experiment_has_what_its_data_allow() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];
+    let files = of_experiment(&runs, folder.path()).expect("written");
+    assert_eq!(names(&files), ["stacked.png", "stacked.svg", "paired.png", "paired.svg"]);
+    assert_eq!(of_experiment(&[], folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
+    let missing = folder.path().join("missing");
+    let error = draw(Kind::Payload, &runs, &Columns::default(), &missing).expect_err("nothing was sent");
+    assert!(error.to_string().starts_with("cannot draw payload: it needs"), "{error}");
+    assert!(!missing.exists(), "nothing is in it");
+    draw(Kind::Stacked, &runs, &Columns::default(), &missing.join("a")).expect("it is made");
+    let file = missing.join("a/stacked.png");
+    let error = draw(Kind::Stacked, &runs, &Columns::default(), &file).expect_err("no folder");
+    assert!(matches!(error, PlotError::Write(_)), "{error}");
+}

@@ -1,0 +1,87 @@
+//! What figures say of runs in which something is missing.
+
+use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
+
+use super::*;
+use peernet_analysis::Passage;
+
+#[test]
+fn labels_that_are_no_classes_are_told_in_the_figure_of_accuracy() {
+    let foreign = |from: u64| {
+        let mut run = Loaded { record: placed("s", "local", 1.0).record, ..run_with_total(20.0) };
+        run.rows.change(|row| {
+            if row.iteration > from && row.outcome == Outcome::Ok {
+                row.values.retain(|(name, _)| name != "top-1");
+                row.values.push(("unknown-label".into(), 1.0));
+            }
+        });
+        let facts = [("Labels", "9 of 9: cat, dog"), ("Classes", "4: good, dented")];
+        run.record.facts = facts.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
+        run
+    };
+    let why = "because the label is no class of the model (the data set says cat, dog; the model knows good, dented)";
+    let drawings = accuracy::drawings(&[foreign(90)]).expect("some are scored");
+    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
+    let none = accuracy::drawings(&[foreign(0)]).expect_err("nothing is scored");
+    assert!(
+        none.to_string().ends_with(&format!("has a top-1; 94 iterations cannot have one, {why}")),
+        "{none}"
+    );
+}
+
+#[test]
+fn delays_that_are_not_known_make_no_bar_shorter() {
+    let unknown = Passage {
+        payload_bytes: 1,
+        logger_bytes: 1,
+        delay: OneWayDelay {
+            raw: Span::from_millis(3),
+            value: None,
+            bounds: None,
+            source: DelaySource::None,
+            verdict: Verdict::Unsynchronised,
+        },
+    };
+    let mut run = run(105, |_| vec![("sensing", 1.0), ("upload", 10.0), ("total", 11.0)]);
+    run.rows.change(|row| {
+        if row.iteration > 55 {
+            row.values.retain(|(name, _)| name != "upload");
+            row.upload = Some(unknown);
+        }
+    });
+    let drawings = stacked::drawings(&[run, failed()]).expect("there is something");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert_eq!(figure.stages, ["sensing", "upload"]);
+    let shown: Vec<f64> = figure.bars[0].means.iter().map(|mean| (mean * 1e6).round()).collect();
+    assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
+    assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
+    assert_eq!(drawings[0].missing, ["left out: 1 configuration without an iteration that counts"]);
+    let told = [
+        "n = 99 · left out: 10 warm-up, 16 without an answer",
+        "left out of the means: unknown delays, 50 of upload",
+        "left out: 1 configuration without an iteration that counts",
+    ];
+    assert_eq!(figure.notes[1..], told);
+}
+
+#[test]
+fn delays_below_zero_are_called_what_they_are() {
+    let run = run(105, |number| vec![("sensing", -1.0), ("upload", if number > 100 { -1.0 } else { 1.0 })]);
+    let notes = |column: &str| {
+        let drawings = histograms::drawings(&run, Some(column)).expect("there are values");
+        let Shown::Histogram(figure) = &drawings[0].shown else { panic!("bars") };
+        figure.notes[1..].to_vec()
+    };
+    assert_eq!(notes("upload"), ["below zero, by the clocks' error: 5"]);
+    assert_eq!(notes("sensing"), [""; 0], "one clock");
+}
+
+/// A run without an answer.
+fn failed() -> Loaded {
+    let mut failed = run(20, |_| vec![("sensing", 1.0)]);
+    failed.rows.change(|row| row.outcome = Outcome::Failed);
+    failed.record.name = "q".to_owned();
+    failed.folder = "others".into();
+    failed
+}

@@ -1,0 +1,136 @@
+//! What is in no figure is told in the one that it could be in.
+
+use super::*;
+use peernet_analysis::record::HostRecord;
+
+fn varied(count: u64) -> Loaded {
+    run(count, |number| {
+        let bytes = [1e3, 1e5][number as usize % 2];
+        vec![
+            ("upload-bytes", bytes),
+            ("upload", 0.2 + bytes / 1e5),
+            ("download-bytes", 9.0 + number as f64 / 1e3),
+        ]
+    })
+}
+
+#[test]
+fn a_direction_that_is_not_drawn_is_told_with_its_sizes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let alike = run(60, |number| {
+        let answer = [100.0, 9e4][number as usize % 2];
+        vec![
+            ("upload-bytes", 98e3 + number as f64 * 1e3),
+            ("upload", 1.0),
+            ("download-bytes", answer),
+            ("download", 0.1 + answer / 1e6),
+        ]
+    });
+    let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
+    let told = "payload-latency: not drawn: upload, 106 kB to 157 kB: the largest must be twice the smallest";
+    assert_eq!(drawn.missing, [told], "once for both figures");
+    let svg = std::fs::read_to_string(folder.path().join("payload-throughput.svg")).expect("read");
+    assert!(svg.contains("not drawn: upload"), "{svg}");
+}
+
+#[test]
+fn messages_without_a_known_delay_and_sizes_below_zero_are_counted() {
+    let mut run = run(100, |number| {
+        let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
+        vec![("upload-bytes", bytes), ("upload", if bytes < 2e3 { -0.1 } else { bytes / 1e5 })]
+    });
+    run.rows.change(|row| {
+        if row.iteration > 95 {
+            row.values.retain(|(name, _)| name != "upload");
+        }
+    });
+    let drawings = payload::drawings(&[run]).expect("sizes differ");
+    for drawing in &drawings {
+        let Shown::Scaling(figure) = &drawing.shown else { panic!("points") };
+        for told in [
+            "left out: 5 messages of upload without a known delay",
+            "not drawn: 1 size of upload whose median delay is not above zero",
+        ] {
+            assert!(figure.notes.iter().any(|note| note == told), "{:?}", figure.notes);
+        }
+    }
+}
+
+#[test]
+fn a_link_without_a_figure_of_its_own_is_told_in_the_first() {
+    let mut other = remote(60);
+    other.rows.change(|row| row.values.push(("upload-bytes".into(), 500.0)));
+    other.record.edge = HostRecord { name: "arm".to_owned(), ..HostRecord::default() };
+    let drawings = payload::drawings(&[varied(60), other]).expect("one varies");
+    assert_eq!(drawings.len(), 2);
+    let told = "not drawn: upload, 500 B: the largest must be twice the smallest · arm";
+    assert_eq!(drawings[0].missing, [told]);
+}
+
+#[test]
+fn a_run_without_the_column_is_told_among_pairs() {
+    let mut without = placed("s", "remote", 1.0);
+    without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
+    let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
+    let drawings = paired::drawings(&runs, None).expect("a pair");
+    let told = ["left out, in one place alone: m", "left out: 1 run without inference"];
+    assert_eq!(drawings[0].missing, told);
+    let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
+    assert_eq!(figure.notes[1..], told);
+}
+
+#[test]
+fn stages_without_a_line_are_named() {
+    let run = run(60, |_| {
+        let long = [("sensing", 5.0), ("upload", 4.0), ("inference", 3.0), ("download", 2.0)];
+        let short = [("queue", 1.0), ("encode", 0.5), ("preprocessing", 0.0), ("total", 16.0)];
+        [long, short].concat()
+    });
+    let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
+    let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
+    assert_eq!(course.notes[1..], ["shorter stages, not drawn: encode, queue"]);
+}
+
+#[test]
+fn bars_of_few_iterations_are_known_by_their_counts() {
+    let mut few = placed("s", "local", 20.0);
+    few.rows.change(|row| row.warm_up = row.iteration > 10);
+    let drawings = stacked::drawings(&[few, placed("s", "remote", 4.0)]).expect("bars");
+    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    assert!(figure.notes[1].starts_with("n = 53 (9 to 44 each) · "), "{:?}", figure.notes);
+}
+
+#[test]
+fn a_rate_that_sizes_cannot_tell_is_not_given() {
+    let noisy = run(300, |number| {
+        let place = number as usize % 4;
+        // Larger messages take a little longer, but less regularly than that.
+        let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][place], [0.100, 0.104, 0.099, 0.104][place]);
+        vec![("upload-bytes", bytes), ("upload", delay)]
+    });
+    let drawings = payload::drawings(&[noisy]).expect("sizes differ");
+    let [Shown::Scaling(latency), Shown::Scaling(throughput)] = [&drawings[0].shown, &drawings[1].shown]
+    else {
+        panic!("fits")
+    };
+    assert!(latency.series[0].name.starts_with("upload: intercept 0."), "{latency:?}");
+    assert_eq!((throughput.series[0].name.as_str(), throughput.series[0].line), ("upload", None));
+    for figure in [latency, throughput] {
+        assert_eq!(figure.notes[2..], ["throughput of upload: too fast to tell from these sizes"]);
+    }
+}
+
+#[test]
+fn edges_that_never_met_are_told() {
+    let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
+    apart[1].rows.change(|row| row.at += 1e6);
+    assert!(users::drawings(&apart).is_err_and(|missing| missing.to_string().contains("while all edges")));
+    let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
+    let drawings = users::drawings(&[apart, met].concat()).expect("some did");
+    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    let missing = "left out, no total while all edges were measuring: s with 2 edges";
+    assert_eq!(
+        (figure.notes[2].as_str(), drawings[0].missing.as_slice()),
+        (missing, &[missing.to_owned()][..])
+    );
+}

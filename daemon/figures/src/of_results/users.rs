@@ -1,0 +1,79 @@
+//! Latency against the number of edges at once.
+
+use peernet_statistics::number::counted;
+
+use super::columns::{is_drawable, left_out};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::users::{Curve, Users, UsersLine};
+
+/// More configurations than this are counted instead of named.
+const MOST_NAMED: usize = 3;
+
+/// Whether some configuration was measured with different numbers of edges.
+pub(super) fn have_curves(runs: &[Loaded]) -> bool {
+    Users::of(runs).is_some_and(|users| Curve::all(&users).iter().any(|curve| curve.points.len() > 1))
+}
+
+/// One curve for each configuration; four to a picture.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    let users = Users::of(runs).ok_or(MissingData::Users)?;
+    if !users.lines.iter().any(is_told) {
+        return Err(MissingData::CommonTotal);
+    }
+    let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
+    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    let curves = Curve::all(&users);
+    let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
+        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
+        let missing: Vec<String> = lacking(curves).into_iter().collect();
+        let sharing = Sharing {
+            title: "Latency against edges at once".to_owned(),
+            unit: Unit::milliseconds("Total"),
+            curves: curves.iter().map(curve).collect(),
+            notes: notes.iter().chain(&missing).cloned().collect(),
+        };
+        Drawing::new(format!("users{suffix}"), Shown::Sharing(sharing)).without(missing)
+    });
+    Ok(pictures.collect())
+}
+
+/// The points that curves lack, by name as long as they are few; `None` where they lack none.
+fn lacking(curves: &[Curve<'_>]) -> Option<String> {
+    let of = |curve: &Curve<'_>| -> Vec<String> {
+        let lines = curve.points.iter().filter(|line| !is_told(line));
+        let edges = lines.map(|line| counted(line.edges as u64, "edge"));
+        edges
+            .map(|edges| if curve.name.is_empty() { edges } else { format!("{} with {edges}", curve.name) })
+            .collect()
+    };
+    let names: Vec<String> = curves.iter().flat_map(of).collect();
+    let few = names.len() <= MOST_NAMED;
+    let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
+    (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
+}
+
+/// Whether it has a total that can be drawn.
+fn is_told(line: &UsersLine) -> bool {
+    line.totals.median.is_some_and(is_drawable)
+}
+
+fn curve(curve: &Curve<'_>) -> SharingCurve {
+    let point = |line: &&UsersLine| {
+        Some(SharingPoint {
+            edges: line.edges,
+            median: line.totals.median.filter(|median| is_drawable(*median))?,
+            p95: line.totals.p95.filter(|p95| is_drawable(*p95)),
+            each: line
+                .shares
+                .iter()
+                .filter_map(|share| share.median)
+                .filter(|median| is_drawable(*median))
+                .collect(),
+            fairness: line.fairness,
+        })
+    };
+    SharingCurve { name: curve.name.clone(), points: curve.points.iter().filter_map(point).collect() }
+}
