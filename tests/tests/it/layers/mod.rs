@@ -19,7 +19,7 @@ const LAYERS: [&[&str]; 8] = [
         "peernet-probes",
         "peernet-inference",
         "peernet-actuators",
-        "peernet-report",
+        "peernet-analysis",
     ],
     &["peernet-store", "peernet-results", "peernet-figures"],
     &["peernet-aggregator", "peernet-agent"],
