@@ -4,7 +4,7 @@
 //! samples ── calibration (a study: fits, bounds, verdict) ── table   CSV, text, Markdown, LaTeX
 //!                └─ fit, order                                 │
 //! iterations ── rows ─┬─ loaded (record, rows) ── compare ─────┘
-//!                     └─ accuracy, trust, summary
+//!                     └─ accuracy, trust, slowness, summary
 //! ```
 //!
 //! Pure but for writing tables. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
@@ -24,6 +24,7 @@ pub mod record;
 pub mod rows;
 mod run_trust_input;
 pub mod sensor_study;
+pub mod slowness;
 pub mod summary;
 pub mod table;
 #[cfg(test)]

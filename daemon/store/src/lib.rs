@@ -49,11 +49,10 @@ pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
 pub use transfer::{Transfer, Transfers};
 pub use types::{
-    AggregatorIncidentKind, BOTH_WAYS, Blame, ClockSeries, DelayAssumptions, DelayRow, Episodes,
-    ExperimentSummary, GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter,
-    IterationRow, Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
-    StageSeries, StageStatistics,
+    AggregatorIncidentKind, BOTH_WAYS, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary,
+    GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
+    LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics,
+    RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.

@@ -13,6 +13,7 @@ pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
+use peernet_report::slowness::Cause;
 use peernet_stream::{
     ClockSample, Condition, EndReason, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts,
     Placement,
@@ -222,8 +223,9 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// What took longest beyond its own median: a stage, `unattributed`, or [`BOTH_WAYS`].
-    pub blame: Option<Blame>,
+    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`]. Empty where it took
+    /// no longer than the run's median.
+    pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
     pub stages: Vec<(Name, f64)>,
     /// Seconds that the total holds beyond its stages, as the agent measured it; `None` where it could not tell.
@@ -282,17 +284,6 @@ impl From<&ClockSample> for DelayAssumptions {
             probes_authenticated: sample.basis.and_then(|basis| basis.probes_authenticated),
         }
     }
-}
-
-/// The stage that explains most of an iteration's slowness.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Blame {
-    /// The stage.
-    pub stage: Name,
-    /// Seconds it took.
-    pub value: f64,
-    /// Seconds it takes in the median of the run.
-    pub median: f64,
 }
 
 /// One iteration with its tree.

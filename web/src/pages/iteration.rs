@@ -6,7 +6,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_statistics::number::{NONE, count, duration, times};
-use peernet_store::{Blame, IterationDetail, IterationRow, RunDetail, RunSummary};
+use peernet_store::{IterationDetail, IterationRow, RunDetail, RunSummary};
 
 use super::kind::PageKind;
 use super::shell::Shell;
@@ -70,7 +70,7 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
 }
 
 /// The page's sentence: how long, how unusual, because of what.
-fn title(row: &IterationRow, cause: Option<&Blame>) -> String {
+fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         let what = match row.outcome.as_str() {
@@ -86,13 +86,9 @@ fn title(row: &IterationRow, cause: Option<&Blame>) -> String {
     if (0.95..1.05).contains(&factor) {
         return format!("{took}, as usual in this run");
     }
-    // A fast iteration may have had a slow stage, too, but that is not why it was fast.
-    let because = cause.filter(|_| factor > 1.0).map_or_else(String::new, |cause| {
-        let (value, median) = (duration(cause.value), duration(cause.median));
-        // The unit once is enough where both have the same.
-        let median = if value.unit == median.unit { median.number } else { median.to_string() };
-        format!(": {} took {value} instead of {median}", cause.stage)
-    });
+    let causes = row.causes.iter().map(|cause| format!("{} +{}", cause.name, duration(cause.excess())));
+    let causes = causes.collect::<Vec<_>>().join(", ");
+    let because = if causes.is_empty() { String::new() } else { format!(": {causes}") };
     format!("{took}, {} the run's median{because}", times(factor))
 }
 
@@ -145,7 +141,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         run: run.number,
         run_name: place::run_name(run),
         label: count(row.number),
-        title: title(row, row.blame.as_ref()),
+        title: title(row),
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
         rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
@@ -172,6 +168,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
 mod tests {
     use super::*;
     use crate::tests::samples;
+    use peernet_report::slowness::Cause;
     use peernet_statistics::number::SPACE;
 
     #[test]
@@ -179,21 +176,21 @@ mod tests {
         let mut row = samples::iteration().row;
         row.total = Some(0.030_21);
         row.factor = Some(1.873);
-        let cause = Blame { stage: "upload".into(), value: 0.020_41, median: 0.006_28 };
+        row.causes = vec![
+            Cause { name: "upload".into(), value: 0.015_91, median: 0.006_28 },
+            Cause { name: "lateness".into(), value: 0.004_53, median: 0.000_08 },
+        ];
         assert_eq!(
-            title(&row, Some(&cause)),
-            "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload took 20.4\u{202f}ms instead of 6.28"
+            title(&row),
+            "30.2\u{202f}ms, 1.9\u{202f}× the run's median: upload +9.63\u{202f}ms, lateness +4.45\u{202f}ms"
         );
-        row.factor = Some(0.8);
-        assert_eq!(title(&row, Some(&cause)), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
         row.factor = Some(1.01);
-        assert_eq!(title(&row, Some(&cause)), "30.2\u{202f}ms, as usual in this run");
+        assert_eq!(title(&row), "30.2\u{202f}ms, as usual in this run");
+        (row.factor, row.causes) = (Some(0.8), Vec::new());
+        assert_eq!(title(&row), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
         row.outcome = "lost".into();
         row.reason = Some("connection to rack-a closed".into());
-        assert_eq!(
-            title(&row, None),
-            format!("Lost on its way after 30.2{SPACE}ms: connection to rack-a closed")
-        );
+        assert_eq!(title(&row), format!("Lost on its way after 30.2{SPACE}ms: connection to rack-a closed"));
     }
 
     #[test]

@@ -161,12 +161,12 @@ fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
             let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
             let most = largest.filter(|part| part.name != "unattributed");
             let most = most.map_or_else(String::new, |part| {
-                // A share, because shares are of the mean while the figure before is the median.
                 let share = part.seconds / total.mean;
                 let how = if share > 0.5 { "most of it" } else { "longest" };
                 format!(", {how} {} ({}{SPACE}%)", part.name, percent(share))
             });
-            format!("{name}: {}{most}", duration(total.p50))
+            // The mean, because the parts are means and add up to it.
+            format!("{name}: {} on average{most}", duration(total.mean))
         }
     }
 }
@@ -263,4 +263,24 @@ fn pipeline_page(
         charts,
         host,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::samples;
+    use peernet_clock::Verdict;
+
+    #[test]
+    fn title_takes_share_and_duration_from_means() {
+        let mut pipeline = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+        let total = &mut pipeline.windows[1].values;
+        let total = &mut total.iter_mut().find(|(name, _)| *name == stage::TOTAL).expect("a total").1;
+        (total.mean, total.p50) = (0.0125, 0.011);
+        let stack = Stack::of_window(pipeline.window(10).expect("a window"));
+        assert_eq!(
+            title(&pipeline, &stack),
+            format!("line: 12.5{SPACE}ms on average, most of it upload (50{SPACE}%)")
+        );
+    }
 }

@@ -444,7 +444,7 @@ pub(crate) fn iteration() -> IterationDetail {
             started: NOW,
             total: Some(0.0302),
             factor: Some(1.87),
-            blame: None,
+            causes: Vec::new(),
             stages: Vec::new(),
             unattributed: None,
             both_ways: None,

@@ -63,7 +63,8 @@ pub(crate) struct Slow {
     pub at: Moment,
     pub total: String,
     pub factor: String,
-    pub blame: Option<(String, &'static str, String)>,
+    /// The part with the largest excess over its median: name, look, excess.
+    pub cause: Option<(String, &'static str, String)>,
     pub bar: Bar,
 }
 
@@ -242,9 +243,9 @@ impl Stored<'_> {
                 at: zone.moment(row.started),
                 total: row.total.map_or_else(|| NONE.to_owned(), total_ms),
                 factor: row.factor.map_or_else(|| NONE.to_owned(), times),
-                blame: row.blame.as_ref().map(|blame| {
-                    let more = difference_ms(blame.value - blame.median);
-                    let name = blame.stage.to_string();
+                cause: row.causes.first().map(|cause| {
+                    let more = difference_ms(cause.excess());
+                    let name = cause.name.to_string();
                     let look = look::class(&name);
                     (name, look, format!("{more}{SPACE}ms"))
                 }),
@@ -264,8 +265,8 @@ impl Stored<'_> {
             (milliseconds(point.at), Short(Some(point.p50 * 1e3)), Short(point.p95.map(|p95| p95 * 1e3)))
         });
         let slow = slowest.iter().map(|row| {
-            let blame = row.blame.as_ref().map_or("total", |blame| look::class(blame.stage.as_str()));
-            (milliseconds(row.started), Short(row.total.map(|total| total * 1e3)), blame, row.number)
+            let look = row.causes.first().map_or("total", |cause| look::class(cause.name.as_str()));
+            (milliseconds(row.started), Short(row.total.map(|total| total * 1e3)), look, row.number)
         });
         let gaps = series.gaps.iter().map(|gap| (milliseconds(gap.from), milliseconds(gap.to), gap.count));
         JsonBlock::new(&Data {

@@ -64,9 +64,9 @@ pub(crate) fn rows(
 ) -> Vec<Row> {
     // Of an iteration that took as long as usual nothing stands out.
     let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
-    let blamed = detail.row.blame.as_ref().filter(|_| unusual).map(|blame| blame.stage.as_str());
+    let is_cause = |name: &str| unusual && detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &Placed| {
-        let strong = blamed == Some(node.name.as_str());
+        let strong = is_cause(node.name.as_str());
         Row::of(node, hosts, strong, WaterfallRow::new(node, timeline, scale, strong))
     };
     let is_late = |node: &&Placed| node.depth == 0 && node.name == *look::LATENESS;
@@ -85,13 +85,13 @@ pub(crate) fn rows(
             let usual = figures("upload").zip(figures("download")).map(|(up, down)| up + down);
             let usual = usual.filter(|_| name == look::NETWORK);
             let mut row = Row::sum(name, "network".to_owned(), seconds, usual, WaterfallRow::blank(scale));
-            row.strong = blamed == Some(name);
+            row.strong = is_cause(name);
             rows.insert(after, row);
         }
         if let Some(rest) = left.rest {
             let median = figures("unattributed");
             let mut row = Row::sum("unattributed", edge.clone(), rest, median, WaterfallRow::blank(scale));
-            row.strong = blamed == Some("unattributed");
+            row.strong = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(late);

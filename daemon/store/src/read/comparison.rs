@@ -1,9 +1,23 @@
 //! What made an iteration slow, by comparison with its run.
 
 use peernet_logger::{Name, stage};
+use peernet_report::rows::LATENESS;
+use peernet_report::slowness::{self, Cause};
 
 use crate::figures::Figures;
-use crate::types::{BOTH_WAYS, Blame};
+use crate::types::BOTH_WAYS;
+
+/// How long an iteration and its parts took, seconds.
+pub(super) struct Times<'a> {
+    pub total: Option<f64>,
+    /// In the order of the stages.
+    pub stages: &'a [(Name, f64)],
+    /// From the intended start to the real one: a part of `unattributed`.
+    pub lateness: Option<f64>,
+    pub unattributed: Option<f64>,
+    /// Both directions of the network, where they are only known together.
+    pub both_ways: Option<f64>,
+}
 
 /// The run's figures, with which its iterations are compared.
 pub(super) struct Comparison(pub(super) Vec<(Name, Figures)>);
@@ -30,22 +44,31 @@ impl Comparison {
         Some(total? / median)
     }
 
-    /// What exceeds its own median most. What no stage accounts for is a candidate like any stage, and so are both
-    /// ways together: blaming the second largest excess would send the reader to the wrong place.
-    pub(super) fn blame(
-        &self,
-        stages: &[(Name, f64)],
-        unattributed: Option<f64>,
-        both_ways: Option<f64>,
-    ) -> Option<Blame> {
-        let rest = unattributed.map(|value| (stage::UNATTRIBUTED, value));
-        let compared = stages.iter().chain(&rest).filter_map(|(stage, value)| {
-            Some(Blame { stage: stage.clone(), value: *value, median: self.median(stage)? })
+    /// What made an iteration slow. What no stage accounts for is a candidate like any stage, split where a late start is
+    /// known of it; both directions of the network take the place of each where they are only known together.
+    pub(super) fn causes(&self, times: &Times<'_>) -> Vec<Cause> {
+        let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
+        let late = Name::from_static(LATENESS);
+        let usually_late = self.median(&late).unwrap_or(0.0);
+        let cause = |name: &Name, value, median: Option<f64>| {
+            median.map(|median| Cause { name: name.clone(), value, median })
+        };
+        let is_part =
+            |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
+        let stages = times.stages.iter().filter(|(name, _)| is_part(name));
+        let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
+        let start = times.lateness.and_then(|value| cause(&late, value, Some(usually_late)));
+        let rest = times.unattributed.and_then(|value| {
+            let median = self.median(&stage::UNATTRIBUTED);
+            let on_time = |value: f64, late: f64| (value - late).max(0.0);
+            cause(
+                &stage::UNATTRIBUTED,
+                on_time(value, times.lateness.unwrap_or(0.0)),
+                median.map(|median| on_time(median, usually_late)),
+            )
         });
-        let network = both_ways.zip(self.both_ways());
         let network =
-            network.map(|(value, median)| Blame { stage: Name::from_static(BOTH_WAYS), value, median });
-        let over = |blame: &Blame| blame.value - blame.median;
-        compared.chain(network).filter(|blame| over(blame) > 0.0).max_by(|a, b| over(a).total_cmp(&over(b)))
+            times.both_ways.and_then(|value| cause(&Name::from_static(BOTH_WAYS), value, self.both_ways()));
+        slowness::causes(total, median, stages.chain(start).chain(rest).chain(network))
     }
 }

@@ -4,10 +4,11 @@ use std::collections::HashMap;
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
+use peernet_report::rows::LATENESS;
 use sqlx::FromRow;
 
 use super::clocks::AssumedWindows;
-use super::comparison::Comparison;
+use super::comparison::{Comparison, Times};
 use super::{corrupt, count, known, sql, statistics, tree, wall};
 use crate::column::column;
 use crate::error::StoreError;
@@ -231,7 +232,13 @@ fn complete_row(
         started: wall(row.started_ns),
         total: row.total,
         factor: comparison.factor(row.total),
-        blame: comparison.blame(&stages, unattributed, both_ways),
+        causes: comparison.causes(&Times {
+            total: row.total,
+            stages: &stages,
+            lateness: seconds_of(&Name::from_static(LATENESS)),
+            unattributed,
+            both_ways,
+        }),
         stages,
         unattributed,
         both_ways,

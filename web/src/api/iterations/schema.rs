@@ -2,6 +2,7 @@
 
 use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
+use peernet_report::slowness::Cause;
 use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -32,8 +33,12 @@ pub(crate) struct IterationSummary {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// What took longest beyond its own median: a stage, `unattributed`, or `upload + download`.
+    /// The first of `causes`; null where there is none.
     pub blame: Option<Blame>,
+    /// What made it slow: the parts with the largest excess over their own medians, largest first, until they explain 80 % of
+    /// the excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty where it
+    /// took no longer than the run's median.
+    pub causes: Vec<Blame>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
     /// Seconds that `total` holds beyond its stages.
@@ -106,13 +111,19 @@ impl StageTime {
     }
 }
 
-/// The stage that explains most of an iteration's slowness.
+/// A part of an iteration that took longer than in the median of its run.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Blame {
     pub name: String,
     pub seconds: f64,
     /// In the median of the run.
     pub median: f64,
+}
+
+impl From<&Cause> for Blame {
+    fn from(cause: &Cause) -> Self {
+        Self { name: cause.name.to_string(), seconds: cause.value, median: cause.median }
+    }
 }
 
 impl From<&store::IterationRow> for IterationSummary {
@@ -127,11 +138,8 @@ impl From<&store::IterationRow> for IterationSummary {
             started: time(row.started),
             total: row.total,
             factor: row.factor,
-            blame: row.blame.as_ref().map(|blame| Blame {
-                name: blame.stage.to_string(),
-                seconds: blame.value,
-                median: blame.median,
-            }),
+            blame: row.causes.first().map(Blame::from),
+            causes: row.causes.iter().map(Blame::from).collect(),
             stages: StageTime::all(row),
             unattributed: row.unattributed,
             both_ways: row.both_ways,
