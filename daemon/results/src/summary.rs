@@ -6,7 +6,7 @@ use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
-use peernet_analysis::table::{Table, csv_text};
+use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{bound_ms, column_decimals, decimals, fixed};
 
@@ -76,11 +76,15 @@ fn table(summary: &Summary) -> Table {
         let column = quantity.column.as_ref();
         (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
     });
+    let digits = Digits::of(summary);
     let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
     Table {
         header: header.map(str::to_owned).to_vec(),
         labels: 2,
-        rows: named.chain(rest).map(|(quantity, name)| cells(quantity, name, &summary.units)).collect(),
+        rows: named
+            .chain(rest)
+            .map(|(quantity, name)| cells(quantity, name, &summary.units, digits))
+            .collect(),
         marked: Vec::new(),
     }
 }
@@ -101,10 +105,10 @@ fn sentences(summary: &Summary) -> String {
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
-fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
+fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::of(&quantity.column, unit);
-    let figure = figure_of(scale, quantity);
+    let figure = figure_of(scale, quantity, digits);
     // Of what is right or wrong the mean is the share, and a quantile says nothing.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
     let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
@@ -115,7 +119,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units) -> Vec<String> {
     let bounds = match quantity.bounds {
         None => String::new(),
         Some((lo, hi)) if lo == hi => "exact".to_owned(),
-        Some((lo, hi)) => format!("{} – {}", figure(lo), figure(hi)),
+        Some((lo, hi)) => interval([figure(lo), figure(hi)]),
     };
     vec![
         name.to_owned(),
@@ -140,11 +144,36 @@ fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
     }
 }
 
+/// Decimals of a table's numbers in ms and in MB/s: the same in all rows, so that a column's numbers compare.
+#[derive(Clone, Copy)]
+struct Digits {
+    milliseconds: usize,
+    megabytes_per_second: usize,
+}
+
+impl Digits {
+    fn of(summary: &Summary) -> Self {
+        let of = |scale: Scale| {
+            let is = move |quantity: &&Quantity| {
+                Scale::of(&quantity.column, summary.units.of(&quantity.column)) == scale
+            };
+            summary.quantities.iter().filter(is)
+        };
+        let durations = of(Scale::Milliseconds).map(|quantity| column_decimals(quantity.std));
+        Self {
+            milliseconds: durations.max().unwrap_or_default(),
+            megabytes_per_second: decimals_of(
+                of(Scale::MegabytesPerSecond).map(|quantity| quantity.median / 8e6),
+            ),
+        }
+    }
+}
+
 /// How the numbers of one row are written, all with as many decimals.
-fn figure_of(scale: Scale, quantity: &Quantity) -> impl Fn(f64) -> String {
+fn figure_of(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
-        Scale::Milliseconds => (1e3, column_decimals(quantity.std)),
-        Scale::MegabytesPerSecond => (1.0 / 8e6, decimals(quantity.median / 8e6, 3)),
+        Scale::Milliseconds => (1e3, digits.milliseconds),
+        Scale::MegabytesPerSecond => (1.0 / 8e6, digits.megabytes_per_second),
         Scale::Bytes => (1.0, 0),
         Scale::AsMeasured => (1.0, decimals(quantity.median, 3)),
     };

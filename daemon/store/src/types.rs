@@ -13,7 +13,7 @@ pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
-use peernet_report::slowness::Cause;
+use peernet_analysis::slowness::Cause;
 use peernet_stream::{
     ClockSample, Condition, EndReason, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts,
     Placement,

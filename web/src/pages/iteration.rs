@@ -168,7 +168,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
 mod tests {
     use super::*;
     use crate::tests::samples;
-    use peernet_report::slowness::Cause;
+    use peernet_analysis::slowness::Cause;
     use peernet_statistics::number::SPACE;
 
     #[test]

@@ -3,17 +3,16 @@
 use std::path::Path;
 
 use peernet_clock::{Direction, Span};
-use peernet_statistics::number::{
-    self, EXACT, NONE as UNKNOWN, bytes, mean_std, milliseconds, range_ms, throughput_between,
-};
+use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed, measured};
 
 use super::Study;
 use super::direction::{DirectionStudy, SizeSummary, Throughput};
 use super::sample::Sample;
-use crate::fit::Fit;
-use crate::table::{csv, text};
+use crate::table::{csv, decimals_of, interval, text};
 use crate::{Passage, WriteError};
 
+/// Most decimals of a number of ms: a tenth of a microsecond.
+const MOST_IN_MS: usize = 4;
 const PASSAGE: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
 /// One row per iteration: seconds, bytes.
@@ -35,7 +34,7 @@ fn sample_row(sample: &Sample) -> Vec<String> {
         sample.number.to_string(),
         format!("{:.6}", sample.at),
         sample.payload_bytes.to_string(),
-        sample.warm_up.to_string(),
+        u8::from(sample.warm_up).to_string(),
         sample.outcome.to_owned(),
         cell(sample.total.map(seconds)),
     ];
@@ -129,81 +128,83 @@ pub(super) fn sizes_text(study: &Study) -> String {
         "clock bounds",
         "MB/s",
     ];
-    let rows: Vec<Vec<String>> = study
-        .setting
-        .sizes_bytes
-        .iter()
-        .map(|&payload| {
-            let of = |direction: &DirectionStudy| {
-                let size = direction.sizes.iter().find(|size| size.payload_bytes == payload);
-                size.map_or_else(
-                    || vec![UNKNOWN.to_owned(); 4],
-                    |size| size_cells(size, direction.same_clock),
-                )
-            };
-            let [up, down] = study.directions().map(of);
-            [vec![bytes(payload as f64).plain()], up, down].concat()
-        })
-        .collect();
-    text(&header, &rows)
+    let sizes = &study.setting.sizes_bytes;
+    let [up, down] = study.directions().map(|direction| size_columns(direction, sizes));
+    let rows = sizes.iter().zip(up.into_iter().zip(down));
+    let rows = rows.map(|(payload, (up, down))| [vec![bytes(*payload as f64).plain()], up, down].concat());
+    text(&header, &rows.collect::<Vec<_>>())
 }
 
-fn size_cells(size: &SizeSummary, same_clock: bool) -> Vec<String> {
-    let bounds = if same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range_ms) };
-    vec![
-        milliseconds(size.median),
-        known(size.tails.map(range_ms)),
-        known(bounds),
-        known(size.throughput.map(number::throughput)),
-    ]
+/// The cells of one direction, a row for each payload: in each column all numbers have as many decimals.
+fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>> {
+    let sizes = &direction.sizes;
+    let in_ms = decimals_of(sizes.iter().map(|size| size.median * 1e3));
+    let in_mb = decimals_of(sizes.iter().filter_map(|size| size.throughput).map(|rate| rate / 8e6));
+    let range = |(lo, hi): (f64, f64)| interval([lo, hi].map(|end| fixed(end * 1e3, in_ms)));
+    let cells = |size: &SizeSummary| {
+        let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
+        let rate = size.throughput.map(|rate| measured(rate / 8e6, in_mb));
+        vec![fixed(size.median * 1e3, in_ms), known(size.tails.map(range)), known(bounds), known(rate)]
+    };
+    let of = |payload: &u64| sizes.iter().find(|size| size.payload_bytes == *payload).map(cells);
+    payloads.iter().map(|payload| of(payload).unwrap_or_else(|| vec![UNKNOWN.to_owned(); 4])).collect()
 }
 
 /// The lines that were fitted, and what the clocks claim beside them.
 pub(super) fn fits_text(study: &Study) -> String {
     let header = ["line of best fit", "intercept ms", "95 % confidence", "MB/s", "95 % confidence"];
-    let mut rows = Vec::new();
-    for direction in study.directions() {
-        let Some(fits) = &direction.fits else { continue };
-        let ways = [
-            ("least squares, medians", &fits.medians.least_squares),
-            ("Theil–Sen, medians", &fits.medians.theil_sen),
-            ("least squares, all samples", &fits.samples.least_squares),
-            ("Theil–Sen, all samples", &fits.samples.theil_sen),
-            ("as published: raw stamps", &fits.raw),
-        ];
-        rows.extend(ways.map(|(way, fit)| fit_row(format!("{}: {way}", direction.name()), fit)));
-        rows.push(bounds_row(direction));
-    }
+    let rows: Vec<Vec<String>> = study.directions().into_iter().flat_map(fit_rows).collect();
     if rows.is_empty() { String::new() } else { text(&header, &rows) }
 }
 
-fn fit_row(name: String, fit: &Fit) -> Vec<String> {
-    let throughput = Throughput::of(fit.slope);
-    vec![
-        name,
-        mean_std(fit.intercept.value, fit.intercept.margin()),
-        known(fit.intercept.interval.map(range_ms)),
-        known(throughput.map(|throughput| number::throughput(throughput.value))),
-        known(throughput.and_then(|throughput| throughput.interval).map(throughput_between)),
-    ]
-}
-
-/// What the clock bounds allow, to stand below the lines.
-fn bounds_row(direction: &DirectionStudy) -> Vec<String> {
-    let throughput = direction.throughput.and_then(|throughput| throughput.bounds);
-    let (delay, throughput) = if direction.same_clock {
-        (Some(EXACT.to_owned()), Some(EXACT.to_owned()))
-    } else {
-        let claim = direction.claimed.map(|claim| range_ms(claim.at_zero));
-        (claim, throughput.map(throughput_between))
+/// The lines of one direction, and what the clock bounds allow: in each column all numbers have as many decimals.
+fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
+    let Some(fits) = &direction.fits else { return Vec::new() };
+    let ways = [
+        ("least squares, medians", &fits.medians.least_squares),
+        ("Theil–Sen, medians", &fits.medians.theil_sen),
+        ("least squares, all samples", &fits.samples.least_squares),
+        ("Theil–Sen, all samples", &fits.samples.theil_sen),
+        ("as published: raw stamps", &fits.raw),
+    ];
+    let rates = ways.map(|(_, fit)| Throughput::of(fit.slope));
+    let margins = ways.iter().filter_map(|(_, fit)| fit.intercept.margin());
+    let digits = |seconds: f64| decimals(seconds * 1e3, 2).min(MOST_IN_MS);
+    let in_ms =
+        margins.map(digits).max().unwrap_or_else(|| digits(fits.medians.least_squares.intercept.value));
+    let in_mb = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
+    let ms = |seconds: f64| fixed(seconds * 1e3, in_ms);
+    let mb = |rate: f64| measured(rate / 8e6, in_mb);
+    let delays = |(lo, hi): (f64, f64)| interval([ms(lo), ms(hi)]);
+    let speeds = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
+        None => format!("≥ {}", mb(lo)),
+        Some(hi) => interval([mb(lo), mb(hi)]),
     };
-    vec![
-        format!("{}: what the clock bounds allow", direction.name()),
-        String::new(),
-        known(delay),
-        String::new(),
-        known(throughput),
-    ]
+    let mut rows: Vec<Vec<String>> = ways
+        .iter()
+        .zip(rates)
+        .map(|((way, fit), rate)| {
+            let margin =
+                fit.intercept.margin().map_or_else(String::new, |margin| format!(" ± {}", ms(margin)));
+            vec![
+                format!("{}: {way}", direction.name()),
+                format!("{}{margin}", ms(fit.intercept.value)),
+                known(fit.intercept.interval.map(delays)),
+                known(rate.map(|rate| mb(rate.value))),
+                known(rate.and_then(|rate| rate.interval).map(speeds)),
+            ]
+        })
+        .collect();
+    let allowed = if direction.same_clock {
+        [Some(EXACT.to_owned()), Some(EXACT.to_owned())]
+    } else {
+        let bounds = direction.throughput.and_then(|throughput| throughput.bounds);
+        [direction.claimed.map(|claim| delays(claim.at_zero)), bounds.map(speeds)]
+    };
+    let [delay, speed] = allowed.map(known);
+    let name = format!("{}: what the clock bounds allow", direction.name());
+    rows.push(vec![name, String::new(), delay, String::new(), speed]);
+    rows
 }
 
 fn known(figure: Option<String>) -> String {

@@ -151,7 +151,7 @@ fn lost_answers_are_counted_and_kept_in_the_file() {
     let rows = std::fs::read_to_string(folder.path().join("samples.csv")).expect("written");
     assert_eq!(rows.lines().count(), 801);
     let lost = rows.lines().last().expect("there are rows");
-    assert!(lost.starts_with("800,800.000000,4000000,false,lost,0.001000000,,,"), "{lost}");
+    assert!(lost.starts_with("800,800.000000,4000000,0,lost,0.001000000,,,"), "{lost}");
     assert!(lost.ends_with(",the connection broke: reset"), "{lost}");
 }
 

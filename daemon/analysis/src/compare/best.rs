@@ -80,9 +80,9 @@ mod tests {
         let expected = "\
 Mean total (measured) against the smallest, orin.
 
-device  network     mean  beyond the smallest     95 % confidence
-cuda:0  lan       23.390               +3.130    +3.130 to +3.130
-cuda:0  can      105.550              +85.290  +85.290 to +85.290
+device  network     mean  beyond the smallest  95 % confidence
+cuda:0  lan       23.390               +3.130           +3.130
+cuda:0  can      105.550              +85.290          +85.290
 ";
         assert!(against.text().starts_with(expected), "{}", against.text());
         assert!(against.text().contains(" they are not corrected for their number. "), "{}", against.text());

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use peernet_statistics::number::counted;
+
 use super::columns::{self, ChosenColumns, Column};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
@@ -136,6 +138,29 @@ impl Configurations {
         let repeats: Vec<String> = runs.iter().map(repeat).collect();
         if differ(&repeats) {
             self.add("repeat", repeats);
+        }
+    }
+
+    /// Gives chosen runs a line of their own, beside the other repeats of their configurations. Edges that were measured at
+    /// once stay together.
+    pub(super) fn set_apart(&mut self, runs: &[Loaded], chosen: &[usize]) {
+        let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|place| place.repeat);
+        let label = |run: usize| {
+            let siblings = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
+            let mut repeats: Vec<Option<u32>> = siblings.map(|other| repeat(*other)).collect();
+            repeats.sort();
+            repeats.dedup();
+            match (repeats.contains(&repeat(run)), repeats.as_slice()) {
+                (_, []) => NOTHING.to_owned(),
+                (false, _) => "the other repeats".to_owned(),
+                // For people, from 1.
+                (true, [Some(repeat)]) => format!("repeat {}", repeat + 1),
+                (true, repeats) => counted(repeats.len() as u64, "repeat"),
+            }
+        };
+        let labels: Vec<String> = (0..runs.len()).map(label).collect();
+        if labels.iter().any(|label| label == "the other repeats") {
+            self.add("repeats", labels);
         }
     }
 

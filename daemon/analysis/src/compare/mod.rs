@@ -46,12 +46,15 @@ const NEARLY_ALL: f64 = 0.95;
 
 /// What becomes of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Repeats {
+pub enum Repeats<'a> {
     /// Their iterations are taken together, in one line: the paper's table.
     #[default]
     Pooled,
     /// Each has a line of its own.
     Apart,
+    /// Pooled, but for these runs, numbers of what is given: they have a line of their own, beside the other repeats of their
+    /// configuration.
+    Beside(&'a [usize]),
 }
 
 /// Runs side by side.
@@ -126,10 +129,12 @@ impl Comparison {
     }
 
     /// Compares runs.
-    pub fn with(runs: &[Loaded], repeats: Repeats) -> Self {
+    pub fn with(runs: &[Loaded], repeats: Repeats<'_>) -> Self {
         let (mut configurations, rest) = Configurations::and_the_rest(runs);
-        if repeats == Repeats::Apart {
-            configurations.add_repeats(runs);
+        match repeats {
+            Repeats::Pooled => {}
+            Repeats::Apart => configurations.add_repeats(runs),
+            Repeats::Beside(chosen) => configurations.set_apart(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
         let mut measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts());

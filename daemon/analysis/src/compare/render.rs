@@ -1,17 +1,19 @@
 //! Comparisons as tables.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{bound_ms, column_decimals, fixed, percent, range_ms};
+use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, measured, percent, range_ms};
 
 use super::{
     Comparison, Difference, Differences, LATENCIES, Latency, Line, MIN_VALUES, NEARLY_ALL, NOTHING,
     StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
-use crate::table::{Captioned, Table, csv_text};
+use crate::table::{Captioned, Table, csv_text, interval};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
+/// Decimals of a number of ms to the microsecond, which no clock of another host is known beyond.
+const MICROSECONDS: usize = 3;
 /// Of an interval.
 pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
      (of means: Welch, from batch means; of medians: stationary bootstrap).";
@@ -275,7 +277,7 @@ fn share(accuracy: Option<Accuracy>) -> String {
     accuracy.map_or_else(
         || NOTHING.to_owned(),
         |Accuracy { share, interval: (lo, hi), .. }| {
-            format!("{} ({} – {})", percent(share), percent(lo), percent(hi))
+            format!("{} ({})", percent(share), interval([percent(lo), percent(hi)]))
         },
     )
 }
@@ -336,12 +338,34 @@ impl Differences {
             "95 % confidence",
             "clocks",
         ];
-        Table {
-            header: header.map(str::to_owned).to_vec(),
-            labels: 1,
-            rows: self.stages.iter().map(row).collect(),
-            marked: Vec::new(),
-        }
+        Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: Vec::new() }
+    }
+
+    /// A row for each stage: in each column all numbers have as many decimals.
+    fn rows(&self) -> Vec<Vec<String>> {
+        let stages = || self.stages.iter();
+        let most = |of: fn(&StageDifference) -> Difference| {
+            stages().map(|stage| column_decimals(of(stage).margin())).max().unwrap_or_default()
+        };
+        let (means, medians) = (most(|stage| stage.mean), most(|stage| stage.median));
+        let bounds = stages().filter_map(|stage| stage.clocks).filter(|bound| *bound > 0.0);
+        let clocks = bounds.map(|bound| decimals(bound * 1e3, 2).min(MICROSECONDS)).max().unwrap_or_default();
+        let four = |of: (f64, f64), difference: Difference, decimals: usize| {
+            let figure = |seconds: f64| in_milliseconds(seconds, decimals);
+            let [difference, interval] = with_interval(difference, decimals);
+            [figure(of.0), figure(of.1), difference, interval]
+        };
+        let bound = |bound: f64| match bound {
+            0.0 => EXACT.to_owned(),
+            bound => format!("±{}", measured(bound * 1e3, clocks)),
+        };
+        let row = |stage: &StageDifference| {
+            let name = std::iter::once(stage.stage.clone());
+            let means = four(stage.means, stage.mean, means);
+            let medians = four(stage.medians, stage.median, medians);
+            name.chain(means).chain(medians).chain([stage.clocks.map(bound).unwrap_or_default()]).collect()
+        };
+        stages().map(row).collect()
     }
 
     fn notes(&self) -> String {
@@ -354,19 +378,6 @@ impl Differences {
     }
 }
 
-fn row(stage: &StageDifference) -> Vec<String> {
-    let four = |of: (f64, f64), difference: Difference| {
-        let decimals = column_decimals(difference.margin());
-        let figure = |seconds: f64| in_milliseconds(seconds, decimals);
-        let [difference, interval] = with_interval(difference, decimals);
-        [figure(of.0), figure(of.1), difference, interval]
-    };
-    let [means, medians] = [four(stage.means, stage.mean), four(stage.medians, stage.median)];
-    let name = std::iter::once(stage.stage.clone());
-    let clocks = stage.clocks.map(bound_ms).unwrap_or_default();
-    name.chain(means).chain(medians).chain([clocks]).collect()
-}
-
 /// Milliseconds.
 pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
     fixed(seconds * 1e3, decimals)
@@ -375,8 +386,8 @@ pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
 /// A difference and its interval in milliseconds.
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
     let figure = |seconds: f64| signed(seconds, decimals);
-    let interval = difference.interval.map(|(lo, hi)| format!("{} to {}", figure(lo), figure(hi)));
-    [figure(difference.value), interval.unwrap_or_else(|| NOTHING.to_owned())]
+    let ends = difference.interval.map(|(lo, hi)| interval([figure(lo), figure(hi)]));
+    [figure(difference.value), ends.unwrap_or_else(|| NOTHING.to_owned())]
 }
 
 /// Milliseconds with a sign on either side of zero.

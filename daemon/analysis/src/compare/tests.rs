@@ -204,6 +204,44 @@ fn differences_are_told_stage_by_stage() {
     assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
 }
 
+#[test]
+fn columns_of_differences_have_one_number_of_decimals() {
+    let difference =
+        |value: f64, half: f64| Difference { value, interval: Some((value - half, value + half)) };
+    let stage = |stage: &str, value: f64, half: f64| StageDifference {
+        stage: stage.to_owned(),
+        means: (value, 2.0 * value),
+        mean: difference(value, half),
+        medians: (value, 2.0 * value),
+        median: difference(value, 0.0),
+        clocks: Some(half),
+    };
+    let stages = vec![stage("upload", 0.012_3, 0.002), stage("download", 0.000_34, 0.000_004)];
+    let of = Differences { baseline: "a".to_owned(), other: "b".to_owned(), stages };
+    let table = of.captioned().table;
+    let decimals =
+        |cell: &String| cell.split('.').nth(1).map_or(0, |end| end.split(' ').next().unwrap_or("").len());
+    for column in 1..table.header.len() {
+        let [up, down] = [0, 1].map(|row| &table.rows[row][column]);
+        assert_eq!(decimals(up), decimals(down), "{up} and {down}");
+    }
+    assert_eq!(table.rows[0][8], "+12.300", "no interval without a width");
+}
+
+#[test]
+fn chosen_repeat_has_line_of_its_own() {
+    let of =
+        |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
+    let runs = [of("a", 0), of("a", 1), of("a", 2), of("b", 0), of("b", 1)];
+    let comparison = Comparison::with(&runs, Repeats::Beside(&[1]));
+    let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name(), line.runs.clone())).collect();
+    let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
+    assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
+    let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
+    let comparison = Comparison::with(&edges, Repeats::Beside(&[0]));
+    assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
+}
+
 /// What a published `data.csv` says of itself: its name.
 fn published(file: &str, run: Loaded) -> Loaded {
     let record = RunRecord { name: file.to_owned(), title: file.to_owned(), ..RunRecord::default() };

@@ -10,6 +10,29 @@ pub use csv::csv_text;
 pub use latex::escape as latex_escape;
 pub use text::text;
 
+use peernet_statistics::number::decimals;
+
+/// An interval between two numbers as written. One number where both ends read the same.
+pub fn interval([lo, hi]: [String; 2]) -> String {
+    let is_signed = |end: &str| end.starts_with(['\u{2212}', '+']);
+    match (lo == hi, is_signed(&lo) || is_signed(&hi)) {
+        (true, _) => lo,
+        (false, true) => format!("{lo} to {hi}"),
+        (false, false) => format!("{lo} – {hi}"),
+    }
+}
+
+/// Returns the number of decimals of a column: three significant digits of the smallest number that is not zero, but no more
+/// than two decimals beyond those that the largest one needs for three.
+pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
+    let (mut needed, mut largest) = (0, 0.0_f64);
+    for value in values.filter(|value| value.is_finite() && *value != 0.0) {
+        needed = needed.max(decimals(value, 3));
+        largest = largest.max(value.abs());
+    }
+    needed.min(decimals(largest, 3) + 2)
+}
+
 /// Cells under a header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
@@ -62,5 +85,25 @@ impl Captioned {
     /// For papers, with booktabs.
     pub fn latex(&self) -> String {
         self.table.latex(&format!("{} {}", self.heading, self.notes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_numbers_have_as_many_decimals() {
+        assert_eq!(decimals_of([0.000_34, 6.5].into_iter()), 4, "0.0003 and 6.5000");
+        assert_eq!(decimals_of([0.041_8, 0.394].into_iter()), 4);
+        assert_eq!(decimals_of([640.1, 16.2, 0.0, f64::INFINITY].into_iter()), 1);
+    }
+
+    #[test]
+    fn interval_of_no_width_is_one_number() {
+        let of = |lo: &str, hi: &str| interval([lo, hi].map(str::to_owned));
+        assert_eq!(of("3.13", "3.13"), "3.13");
+        assert_eq!(of("3.13", "3.14"), "3.13 – 3.14");
+        assert_eq!(of("+3.13", "+3.14"), "+3.13 to +3.14");
     }
 }

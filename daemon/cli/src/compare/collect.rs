@@ -17,15 +17,15 @@ use crate::measure::put_aside;
 /// Runs, each once.
 pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
-    /// Which of them is the baseline, if one was named.
-    pub(crate) baseline: Option<usize>,
+    /// Which of them are the baseline, if one was named.
+    pub(crate) baseline: Vec<usize>,
     /// What is not among them, because it is not done or a copy, and what is not known of them, in sentences.
     pub(crate) left_out: Vec<String>,
 }
 
 /// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. Those that are not done are left out, unless they are named themselves, and so are copies. A baseline that is not
-/// among them comes first.
+/// file. Those that are not done are left out, unless they are named themselves, and so are copies. A baseline comes first
+/// unless all its runs are among them.
 ///
 /// # Errors
 /// When a place holds no results or nothing is left (66), or some cannot be read (65).
@@ -34,18 +34,19 @@ pub(crate) fn collect(
     baseline: Option<&Path>,
     wanted: &dyn Fn(&str) -> bool,
 ) -> Result<Collected, Failure> {
-    let baseline = baseline.map(|path| if path.is_file() { folder_of(path) } else { path });
     let found = distinct(places).into_iter().map(|place| find(&place).map(|found| (place, found)));
-    let found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
-    let all = found.iter().flat_map(|(_, found)| found).map(PathBuf::as_path).chain(baseline);
+    let mut found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
+    let of_baseline = baseline.map_or(Ok(Vec::new()), find)?;
+    let all = found.iter().flat_map(|(_, found)| found).chain(&of_baseline).map(PathBuf::as_path);
     let experiments = Experiments::of(all);
-    let Chosen { mut paths, left_out } = Chosen::of(&found, baseline, &experiments);
-    let baseline = baseline.map(|path| {
-        paths.iter().position(|other| is_same(other, path)).unwrap_or_else(|| {
-            paths.insert(0, path.to_owned());
-            0
-        })
-    });
+    let mut chosen = Chosen::of(&found, &experiments);
+    if let Some(place) = baseline.filter(|_| of_baseline.iter().any(|path| !has(&chosen.paths, path))) {
+        found.insert(0, (place.to_owned(), of_baseline.clone()));
+        chosen = Chosen::of(&found, &experiments);
+    }
+    let Chosen { paths, left_out } = chosen;
+    let numbers = (0..paths.len()).filter(|at| has(&of_baseline, &paths[*at]));
+    let of_baseline: Vec<usize> = numbers.collect();
     left_out.iter().for_each(|left_out| complain(&left_out.remark));
     let mut left_out: Vec<String> = left_out.into_iter().map(|left_out| left_out.what).collect();
     if paths.is_empty() {
@@ -54,7 +55,7 @@ pub(crate) fn collect(
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    let copies = Copies::among(&runs, baseline, &experiments);
+    let copies = Copies::among(&runs, &of_baseline, &experiments);
     let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
     for told in unknown.into_iter().chain(copies.told(&runs)) {
         complain(&told);
@@ -64,10 +65,14 @@ pub(crate) fn collect(
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
     kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
-    let baseline = baseline.and_then(|baseline| order.iter().position(|run| *run == baseline));
+    let baseline_runs = (0..order.len()).filter(|at| of_baseline.contains(&order[*at])).collect::<Vec<_>>();
+    if let Some(place) = baseline.filter(|_| baseline_runs.is_empty()) {
+        let text = format!("no run of the baseline {} is done; name a run's own folder", place.display());
+        return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
+    }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(Collected { runs, baseline, left_out })
+    Ok(Collected { runs, baseline: baseline_runs, left_out })
 }
 
 /// A remark as it stands below a table.
@@ -135,6 +140,11 @@ fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
     })
 }
 
+/// Whether one of the paths leads to the same place.
+fn has(paths: &[PathBuf], path: &Path) -> bool {
+    paths.iter().any(|other| is_same(other, path))
+}
+
 /// Whether both lead to one place, however they are written.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
@@ -166,8 +176,10 @@ mod tests {
         }
         for baseline in [runs[1].clone(), runs[1].join("data.csv")] {
             let found = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
-            assert_eq!((found.runs.len(), found.baseline), (2, Some(1)), "{}", baseline.display());
+            assert_eq!((found.runs.len(), found.baseline), (2, vec![1]), "{}", baseline.display());
         }
+        let of_both = collect(&runs[..1], Some(folder.path()), &|_| true).expect("they are there");
+        assert_eq!((of_both.runs.len(), of_both.baseline), (2, vec![0, 1]));
     }
 
     #[test]

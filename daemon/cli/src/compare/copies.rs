@@ -22,8 +22,8 @@ struct Copied {
 impl Copies {
     /// Finds results with the id of others. The baseline stands for its run, else what is in the folder that its
     /// experiment gave it, else what comes first.
-    pub(super) fn among(runs: &[Loaded], baseline: Option<usize>, experiments: &Experiments) -> Self {
-        let rank = |at: usize| (Some(at) != baseline, experiments.run(&runs[at].folder).is_none(), at);
+    pub(super) fn among(runs: &[Loaded], baseline: &[usize], experiments: &Experiments) -> Self {
+        let rank = |at: usize| (!baseline.contains(&at), experiments.run(&runs[at].folder).is_none(), at);
         let ids = || runs.iter().enumerate().filter_map(|(at, run)| Some((at, run.record.run?)));
         let mut kept = HashMap::new();
         for (at, id) in ids() {
@@ -106,7 +106,7 @@ mod tests {
 
         let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
         assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");
-        assert_eq!(found.baseline, Some(0));
+        assert_eq!(found.baseline, [0]);
         let found = collect(&[place("008-b")], None, &|_| true).expect("it is there");
         assert!(found.left_out.is_empty(), "{:?}", found.left_out);
     }

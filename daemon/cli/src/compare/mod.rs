@@ -12,9 +12,10 @@ use crate::exit::{Exit, Failure};
 use crate::output::{complain, say};
 use anyhow::anyhow;
 use clap::ValueEnum;
-use peernet_analysis::compare::{Comparison, Differences, Repeats, SEED, against_best, is_compared};
+use peernet_analysis::compare::{Comparison, Differences, Line, Repeats, SEED, against_best, is_compared};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::Captioned;
+use peernet_statistics::number::counted;
 
 pub(crate) use collect::{Collected, collect, distinct};
 
@@ -31,9 +32,9 @@ pub(crate) struct Arguments {
     /// Write to this file instead of the terminal.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// What the others are compared with, stage by stage: the folder of a run, or its file of rows [default: of two lines
-    /// the first; of more the best, without the stages]. With --format csv the table of differences takes the place of the
-    /// other one.
+    /// What the others are compared with, stage by stage: the folder of a run, or its file of rows, for that run alone; or a
+    /// folder of several runs of one configuration, which are taken together [default: of two lines the first; of more the
+    /// best, without the stages]. With --format csv the table of differences takes the place of the other one.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a line of its own.
@@ -64,21 +65,29 @@ enum Format {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Collected { runs, baseline, left_out } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
-    let repeats = if arguments.apart { Repeats::Apart } else { Repeats::Pooled };
+    let repeats = match (arguments.apart, baseline.as_slice()) {
+        (true, _) => Repeats::Apart,
+        (false, []) => Repeats::Pooled,
+        (false, runs) => Repeats::Beside(runs),
+    };
     let mut comparison = Comparison::with(&runs, repeats);
     comparison.doubts.extend(left_out);
-    let line_of = |run: usize| comparison.lines.iter().position(|line| line.runs.contains(&run));
-    let first = match baseline {
-        Some(run) => line_of(run),
-        None => first_of_two(&comparison),
-    };
-    if baseline.is_some() {
+    let first = if baseline.is_empty() {
+        first_of_two(&comparison)
+    } else {
+        let line = line_of(&comparison, &baseline)?;
+        let said = baseline_sentence(&comparison.lines[line]);
+        if arguments.format == Format::Csv {
+            complain(&said);
+        }
+        comparison.doubts.push(said);
         alone(&comparison).iter().for_each(complain);
-    }
+        Some(line)
+    };
     let differences = differences(&comparison, &runs, first, arguments.seed);
     let tables = below(&comparison, &differences);
     let text = match arguments.format {
-        Format::Csv if baseline.is_some() => Differences::csv(&differences),
+        Format::Csv if !baseline.is_empty() => Differences::csv(&differences),
         Format::Csv => comparison.csv(),
         Format::Text => joined(comparison.text(), tables.iter().map(Captioned::text)),
         Format::Markdown => joined(comparison.markdown(), tables.iter().map(Captioned::markdown)),
@@ -93,18 +102,44 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
 }
 
+/// The line of a baseline's runs.
+///
+/// # Errors
+/// When they have several lines.
+fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure> {
+    let holds = |line: &Line| line.runs.iter().any(|run| baseline.contains(run));
+    let lines: Vec<usize> =
+        (0..comparison.lines.len()).filter(|line| holds(&comparison.lines[*line])).collect();
+    match lines.as_slice() {
+        [line] => Ok(*line),
+        lines => Err(Failure::new(
+            Exit::Usage,
+            anyhow!(
+                "--baseline: its folder holds {}, which have {} lines in the table; name the folder of one of them",
+                counted(baseline.len() as u64, "run"),
+                lines.len()
+            ),
+        )),
+    }
+}
+
+/// How many runs the baseline is of.
+fn baseline_sentence(line: &Line) -> String {
+    let runs = match line.repeats {
+        1 => "one run".to_owned(),
+        repeats => format!("{}, taken together", counted(repeats as u64, "run")),
+    };
+    format!("Baseline: {}: {runs}.", line.name())
+}
+
 /// Why nothing can be compared with a baseline, if that is so.
 fn alone(comparison: &Comparison) -> Option<String> {
     let runs = match comparison.lines.as_slice() {
         [line] => line.runs.len(),
         _ => return None,
     };
-    let (why, so) = if runs == 1 {
-        ("it is the only run", "")
-    } else {
-        ("all runs are of one configuration and stand in one line", "; --apart gives each repeat its own")
-    };
-    Some(format!("nothing is compared with the baseline: {why}{so}"))
+    let why = if runs == 1 { "it is the only run" } else { "all runs belong to it" };
+    Some(format!("nothing is compared with the baseline: {why}"))
 }
 
 /// The line that the other one is compared with where nobody said which.
@@ -155,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_baseline_that_nothing_is_compared_with_is_told() {
+    fn baseline_of_one_run_has_line_of_its_own() {
         let run = |repeat: u32| Loaded {
             folder: PathBuf::from(format!("r{repeat}")),
             record: RunRecord {
@@ -169,15 +204,23 @@ mod tests {
             },
             rows: Rows::default(),
         };
-        let runs = [run(1), run(2)];
-        let told = |runs: &[Loaded], repeats| alone(&Comparison::with(runs, repeats));
-        let pooled = told(&runs, Repeats::Pooled).expect("they are one line");
-        assert!(pooled.contains("one configuration") && pooled.contains("--apart"), "{pooled}");
-        assert_eq!(told(&runs, Repeats::Apart), None);
-        let apart = Comparison::with(&runs, Repeats::Apart);
+        let runs = [run(0), run(1), run(2)];
+        let beside = |baseline: &[usize]| {
+            let comparison = Comparison::with(&runs, Repeats::Beside(baseline));
+            let line = line_of(&comparison, baseline).expect("one line");
+            (baseline_sentence(&comparison.lines[line]), alone(&comparison))
+        };
+        assert_eq!(beside(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
+        let (said, told) = beside(&[0, 2]);
+        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, taken together.", None));
+        let (said, told) = beside(&[0, 1, 2]);
+        assert_eq!(said, "Baseline: a: 3 runs, taken together.");
+        assert!(told.expect("nothing is left").contains("all runs belong to it"));
+        let apart = Comparison::with(&runs[..2], Repeats::Apart);
+        assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
         assert_eq!((differences.len(), below(&apart, &differences).len()), (1, 0), "no table without a line");
-        let single = told(&runs[..1], Repeats::Pooled).expect("there is no other");
-        assert!(single.contains("the only run") && !single.contains("--apart"), "{single}");
+        let single = alone(&Comparison::with(&runs[..1], Repeats::Pooled)).expect("there is no other");
+        assert!(single.contains("the only run"), "{single}");
     }
 }

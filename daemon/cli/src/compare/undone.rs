@@ -25,13 +25,8 @@ pub(super) struct LeftOut {
 }
 
 impl Chosen {
-    /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is, and so is
-    /// the baseline, which is not added here.
-    pub(super) fn of(
-        found: &[(PathBuf, Vec<PathBuf>)],
-        baseline: Option<&Path>,
-        experiments: &Experiments,
-    ) -> Self {
+    /// Chooses among the results that were found in each place. A run that is a place itself is wanted as it is.
+    pub(super) fn of(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
         let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
         for (place, path) in
@@ -47,8 +42,8 @@ impl Chosen {
                 paths.push(path.clone());
             }
         }
-        let wanted = paths.iter().map(PathBuf::as_path).chain(baseline);
-        let read: Vec<PathBuf> = wanted.filter_map(|path| Some(experiments.run(path)?.folder())).collect();
+        let read: Vec<PathBuf> =
+            paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
         let left_out = searched.into_iter().filter_map(|(home, (place, experiment))| {
             let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
             let others = experiment.runs().filter(|(name, _)| !is_read(name));
@@ -135,7 +130,7 @@ mod tests {
 
         let found = collect(std::slice::from_ref(&home), Some(&home.join("runs/002-a")), &|_| true);
         let found = found.expect("one is done, one is named");
-        assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], Some(0)));
+        assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], vec![0]));
         assert!(!found.left_out.concat().contains("002-a"), "{:?}", found.left_out);
 
         std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
@@ -192,7 +187,7 @@ mod tests {
         experiment(&home);
         let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
         let experiments = Experiments::of(found[0].1.iter().map(PathBuf::as_path));
-        let [told] = Chosen::of(&found, None, &experiments).left_out.try_into().expect("one experiment");
+        let [told] = Chosen::of(&found, &experiments).left_out.try_into().expect("one experiment");
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
         assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
         let failed = experiments.run(&home.join("runs/002-a/user-1"));

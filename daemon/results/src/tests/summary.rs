@@ -46,11 +46,11 @@ metric                 unit  count             mean ± std     median     clock 
 Sensing Time           ms        7          0.700 ± 0.000      0.700                     —    —      0.700
 Upload Size            B         7            150,000 ± 0    150,000                     —    —    150,000
 Upload Latency         ms        7         17.007 ± 0.003     17.007  16.997 – 17.017    —    —     17.010
-Upload Throughput      MB/s      7                100 ± 0        100           50 – ∞    —    —        100
+Upload Throughput      MB/s      7          100.00 ± 0.00     100.00        50.00 – ∞    —    —     100.00
 Inference Latency      ms        7          3.700 ± 0.000      3.700                     —    —      3.700
 Download Size          B         7                 40 ± 0         40                     —    —         40
 Download Latency       ms        7          0.400 ± 0.000      0.400    0.390 – 0.410    —    —      0.400
-Download Throughput    MB/s      7          0.500 ± 0.000      0.500        0.250 – ∞    —    —      0.500
+Download Throughput    MB/s      7            0.50 ± 0.00       0.50         0.25 – ∞    —    —       0.50
 Total (sum of stages)  ms        7         21.807 ± 0.003     21.807                     —    —     21.810
 Total (measured)       ms        7         21.832 ± 0.003     21.832                     —    —     21.835
 download-logger-bytes  B         7                130 ± 0        130                     —    —        130
@@ -136,7 +136,7 @@ fn nodes_of_ones_own_have_the_unit_that_they_were_logged_with() {
     assert_eq!(line("grip_close"), ["grip_close", "ms", "2", "100.000"]);
     assert_eq!(line("inference_pre"), ["inference_pre", "ms", "2", "0.030"]);
     assert_eq!(line("cloud-points"), ["cloud-points", "B", "2", "1,200"]);
-    assert_eq!(line("camera"), ["camera", "MB/s", "2", "100"]);
+    assert_eq!(line("camera"), ["camera", "MB/s", "2", "100.00"]);
     assert_eq!(line("force"), ["force", "N", "2", "9.81"]);
     assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
     assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts are not added to joules");

@@ -1,8 +1,8 @@
 //! What made an iteration slow, by comparison with its run.
 
 use peernet_logger::{Name, stage};
-use peernet_report::rows::LATENESS;
-use peernet_report::slowness::{self, Cause};
+use peernet_analysis::rows::LATENESS;
+use peernet_analysis::slowness::{self, Cause};
 
 use crate::figures::Figures;
 use crate::types::BOTH_WAYS;

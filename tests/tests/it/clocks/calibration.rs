@@ -48,7 +48,7 @@ fn passages(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Ve
         let middle = Span::from_nanos(i64::midpoint(first.nanos(), last.nanos()));
         Passage {
             payload: cell("payload-bytes").parse().expect("a number"),
-            warm_up: cell("warm-up") == "true",
+            warm_up: cell("warm-up") == "1",
             value: nanos(cell(stage)),
             bounds: (part("lo"), part("hi")),
             truth: part("raw") - middle,

@@ -2,7 +2,7 @@
 
 use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
-use peernet_report::slowness::Cause;
+use peernet_analysis::slowness::Cause;
 use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
