@@ -72,3 +72,48 @@ impl Comparison {
         slowness::causes(total, median, stages.chain(start).chain(rest).chain(network))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn medians(medians: &[(&'static str, f64)]) -> Comparison {
+        let figures =
+            |p50| Figures { count: 100, mean: p50, std: None, min: p50, p50, p95: None, p99: None, max: p50 };
+        Comparison(medians.iter().map(|(name, p50)| (Name::from_static(name), figures(*p50))).collect())
+    }
+
+    fn named(causes: &[Cause]) -> Vec<(&str, f64)> {
+        let milliseconds = |seconds: f64| (seconds * 1e3).round();
+        causes.iter().map(|cause| (cause.name.as_str(), milliseconds(cause.excess()))).collect()
+    }
+
+    #[test]
+    fn late_start_is_told_apart_from_rest_of_unattributed() {
+        let run =
+            medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
+        let stages = [(stage::INFERENCE, 0.231)];
+        let times = Times {
+            total: Some(0.4),
+            stages: &stages,
+            lateness: Some(0.124),
+            unattributed: Some(0.127),
+            both_ways: None,
+        };
+        assert_eq!(named(&run.causes(&times)), [("inference", 219.0), ("lateness", 122.0)]);
+    }
+
+    #[test]
+    fn both_directions_together_take_place_of_each() {
+        let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
+        let stages = [(stage::UPLOAD, 0.3)];
+        let times = Times {
+            total: Some(0.45),
+            stages: &stages,
+            lateness: None,
+            unattributed: Some(0.001),
+            both_ways: Some(0.38),
+        };
+        assert_eq!(named(&run.causes(&times)), [(BOTH_WAYS, 350.0)]);
+    }
+}
