@@ -220,6 +220,12 @@ fn check_pipeline(
     report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
     report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
     report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
+    // An iteration without an answer in time misses already: a later deadline would say nothing of answers.
+    if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {
+        let text =
+            format!("{deadline} is later than timeout_ms ({}); choose an earlier one", pipeline.timeout_ms);
+        report.add(format!("{at}.deadline_ms"), text);
+    }
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.settings(&format!("{at}.placement.session"), &remote.session);
         report.unless_ok(format!("{at}.placement.network"), remote.peer.check_network(remote.network));

@@ -226,6 +226,9 @@ pub struct Window {
     pub rate_hz: f64,
     /// Share of iterations without an answer (failed, lost, timeout), 0 to 1; `None` when there were none.
     pub lost_fraction: Option<f64>,
+    /// Share of iterations that took longer than their deadline or have no answer, 0 to 1; `None` without a deadline, and
+    /// when there were none.
+    pub miss_rate: Option<f64>,
     /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then the user's own.
     ///
     /// A throughput's are of the single iterations: its mean is no speed over the window, which [`transfers`] gives.

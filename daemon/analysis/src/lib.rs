@@ -4,7 +4,7 @@
 //! samples ── calibration (a study: fits, bounds, verdict) ── table   CSV, text, Markdown, LaTeX
 //!                └─ fit, order                                 │
 //! iterations ── rows ─┬─ loaded (record, rows) ── compare ─────┘
-//!                     └─ accuracy, trust, slowness, summary
+//!                     └─ accuracy, deadline, trust, slowness, summary
 //! ```
 //!
 //! Pure but for writing tables. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
@@ -14,6 +14,7 @@ pub mod answer_length;
 mod batches;
 pub mod calibration;
 pub mod compare;
+pub mod deadline;
 mod error;
 pub mod figure_files;
 pub mod fit;

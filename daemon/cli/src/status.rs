@@ -48,6 +48,8 @@ struct Window {
     seconds: u32,
     rate_hz: f64,
     lost_fraction: Option<f64>,
+    /// Absent in answers of earlier releases.
+    miss_rate: Option<f64>,
     values: Vec<Figures>,
 }
 
@@ -106,6 +108,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "state",
             "rate /s",
             "lost %",
+            "missed %",
             "p50 ms",
             "p95 ms",
             "upload ms",
@@ -114,7 +117,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ];
         say(text(&header, &pipelines.iter().map(|one| pipeline_row(one, &rehearsed)).collect::<Vec<_>>()));
         say(format_args!(
-            "the last {WINDOW_S} s; p50 and p95 are quantiles of the total, the stages are means"
+            "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
         ));
         // Below the table: a reason is a sentence and would tear the columns apart.
         for pipeline in &pipelines {
@@ -154,6 +157,7 @@ fn pipeline_row(pipeline: &Pipeline, rehearsed: &Rehearsed) -> Vec<String> {
         marked(&pipeline.state, is_rehearsed),
         known(window.map(|window| number::rate(window.rate_hz))),
         known(window.and_then(|window| window.lost_fraction).map(number::share)),
+        known(window.and_then(|window| window.miss_rate).map(number::share)),
         milliseconds(total.and_then(|figures| figures.p50)),
         milliseconds(total.and_then(|figures| figures.p95)),
         mean("upload"),

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::deadline::Misses;
 use peernet_analysis::loaded::{Loaded, NO_RECORD};
 use peernet_analysis::record::{Clocks, Counts, HostRecord, RunRecord};
 use peernet_analysis::rows::Rows;
@@ -64,6 +65,7 @@ fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
         warm_up,
         counts: Counts::of(rows, 0),
         clocks: Clocks::of(rows),
+        misses: Misses::of_rows(rows),
         accuracy: Accuracy::of_each(rows),
         ..RunRecord::default()
     }

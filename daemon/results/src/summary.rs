@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
 use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
 use peernet_analysis::trust::Starts;
-use peernet_statistics::number::{bound_ms, column_decimals, decimals, fixed};
+use peernet_statistics::number::{bound_ms, column_decimals, decimals, duration, fixed, percent};
 
 /// What stands where nothing is known.
 const UNKNOWN: &str = "—";
@@ -71,7 +72,9 @@ fn table(summary: &Summary) -> Table {
         .iter()
         .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
         // Sentences tell them.
-        .filter(|quantity| ![UNKNOWN_LABEL, SKIPPED_STARTS].contains(&quantity.column.as_ref()));
+        .filter(|quantity| {
+            ![UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED].contains(&quantity.column.as_ref())
+        });
     let rest = rest.map(|quantity| {
         let column = quantity.column.as_ref();
         (quantity, NAMED.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
@@ -97,6 +100,7 @@ fn sentences(summary: &Summary) -> String {
     let unknown = summary.unknown_labels.as_ref().map(|unknown| unknown.sentence(summary.counts.ok));
     let parts = [
         outcomes(&summary.counts),
+        deadline(summary),
         starts(&summary.starts),
         clocks(&summary.clocks.upload, &summary.clocks.download),
         bounds.to_owned(),
@@ -193,6 +197,17 @@ fn outcomes(counts: &Counts) -> String {
     let ends = answered.chain(ends.into_iter().filter(|(count, _)| *count > 0));
     let ends: Vec<String> = ends.map(|(count, what)| format!("{} {what}", fixed(count as f64, 0))).collect();
     format!("Iterations: {}.", ends.join("; "))
+}
+
+/// How many iterations missed their deadline; nothing without one.
+fn deadline(summary: &Summary) -> String {
+    let Some((misses, rate)) = summary.misses.and_then(|misses| Some((misses, misses.rate()?))) else {
+        return String::new();
+    };
+    let deadline =
+        summary.deadline_s.map_or_else(String::new, |seconds| format!(" of {}", duration(seconds).plain()));
+    let [missed, of] = [misses.missed, misses.of].map(|count| fixed(count as f64, 0));
+    format!("Deadline{deadline}: missed by {missed} of {of} iterations ({} %).", percent(rate))
 }
 
 /// How many ordered starts did not take place; nothing where all did.

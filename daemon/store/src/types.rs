@@ -11,9 +11,10 @@ pub use pairs::Pairs;
 pub(crate) use statistics::Known;
 pub use statistics::{Kept, RunStatistics, StageStatistics};
 
+use peernet_analysis::deadline::Misses;
+use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
-use peernet_analysis::slowness::Cause;
 use peernet_stream::{
     ClockSample, Condition, EndReason, ExperimentPlace, HostDescription, NetworkName, OutcomeCounts,
     Placement,
@@ -71,6 +72,10 @@ pub struct RunSummary {
     pub warm_up: u64,
     /// Starts of an open loop that were skipped before its iterations, whatever became of these; warm-up left out.
     pub skipped_starts: u64,
+    /// How long an iteration may take, seconds; `None` without a deadline.
+    pub deadline_s: Option<f64>,
+    /// How many iterations missed it; `None` without a deadline.
+    pub misses: Option<Misses>,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.

@@ -54,6 +54,18 @@ pub(super) fn rate(scrape: &Scrape, to: &mut Sink<'_>) {
     }
 }
 
+/// Shares of missed deadlines.
+pub(super) fn missed(scrape: &Scrape, to: &mut Sink<'_>) {
+    for one in &scrape.pipelines {
+        let [host, name] = names(one);
+        for (seconds, label) in WINDOWS {
+            if let Some(rate) = one.window(seconds).and_then(|window| window.miss_rate) {
+                to(&[host, name, label], Sample::Value(rate));
+            }
+        }
+    }
+}
+
 /// Quantiles per stage. Names that users added are left out: they are not bounded.
 pub(super) fn stages(scrape: &Scrape, to: &mut Sink<'_>) {
     for one in &scrape.pipelines {

@@ -112,6 +112,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "pipeline_running", "bool"), PIPELINE, "1 while the pipeline measures, else 0.", pipelines::running),
     metric((Gauge, "pipeline_window", "iterations"), OUTCOME, "Iterations within the window by outcome (ok, failed, lost, timeout), warm-up left out.", pipelines::iterations),
     metric((Gauge, "pipeline_rate", "hertz"), WINDOW, "Iterations of any outcome per second, over the window.", pipelines::rate),
+    metric((Gauge, "pipeline_deadline_missed", "ratio"), WINDOW, "Share of iterations within the window that took longer than their deadline or have no answer, 0 to 1; absent without a deadline.", pipelines::missed),
     metric((Gauge, "pipeline_stage", "seconds"), STAGE, "Quantiles of the standard stages, total and unattributed over 60 s; successful iterations only.", pipelines::stages),
     metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Speed while sending (upload, download) over 60 s: bits over the time that they were on their way; absent while no delay is known.", pipelines::speed),
     metric((Gauge, "pipeline_traffic", "bits_per_second"), DIRECTION, "Traffic (upload, download) of successful iterations: bits per second of wall time over 60 s.", pipelines::traffic),

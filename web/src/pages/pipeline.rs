@@ -213,7 +213,13 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
             title: traffic.title.unwrap_or_default(),
         },
     ];
-    stats.into_iter().chain(right).collect()
+    let missed = window.miss_rate.map(|rate| Stat {
+        name: "Missed deadline",
+        number: percent(rate),
+        unit: "%",
+        title: "share of iterations that took longer than the deadline or have no answer".to_owned(),
+    });
+    stats.into_iter().chain(missed).chain(right).collect()
 }
 
 fn pipeline_page(
@@ -270,6 +276,18 @@ mod tests {
     use super::*;
     use crate::tests::samples;
     use peernet_clock::Verdict;
+
+    #[test]
+    fn miss_rate_is_shown_where_there_is_a_deadline() {
+        let mut window = samples::window(10, 30.0, 1.0, Verdict::Ok);
+        let shown = |window: &Window| {
+            let stats = stats(PlacementKind::Remote, window);
+            stats.into_iter().find(|stat| stat.name == "Missed deadline").map(|stat| stat.number)
+        };
+        assert_eq!(shown(&window), None);
+        window.miss_rate = Some(0.012);
+        assert_eq!(shown(&window).as_deref(), Some("1.2"));
+    }
 
     #[test]
     fn title_takes_share_and_duration_from_means() {

@@ -7,8 +7,8 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_analysis::trust::{Report, Starts};
 use peernet_logger::stage;
-use peernet_statistics::number::{NONE, SPACE, count, figure, mean_std_ms, percent, rate, share};
-use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
+use peernet_statistics::number::{NONE, SPACE, count, duration, figure, mean_std_ms, percent, rate, share};
+use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
 use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
 
@@ -85,6 +85,8 @@ struct Run {
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
     lost: (String, String),
+    /// The miss rate, and what it is a share of, where there is a deadline.
+    missed: Option<(String, String)>,
     /// Starts that were skipped, and their share, where there are any.
     skipped: Option<(String, String)>,
     clock: ClockCell,
@@ -187,6 +189,19 @@ impl Distribution {
     }
 }
 
+/// The miss rate in percent, and what it is a share of; `None` without a deadline.
+fn missed(run: &RunSummary) -> Option<(String, String)> {
+    let (misses, deadline) = run.misses.zip(run.deadline_s)?;
+    let rate = misses.rate().map_or_else(|| NONE.to_owned(), |rate| format!("{}{SPACE}%", percent(rate)));
+    let words = format!(
+        "{} of {} later than {} or without an answer",
+        count(misses.missed),
+        count(misses.of),
+        duration(deadline)
+    );
+    Some((rate, words))
+}
+
 /// How many starts were skipped and what share of all that came due.
 fn skipped(starts: &Starts) -> Option<(String, String)> {
     let share = percent(starts.skipped_share());
@@ -263,6 +278,7 @@ fn assemble(
             runs::lost_share(summary)
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
+        missed: missed(summary),
         skipped: skipped(&trust::starts(summary)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
@@ -311,6 +327,19 @@ fn configuration(run: &RunDetail) -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use peernet_analysis::deadline::Misses;
+    use peernet_stream::PlacementKind;
+
+    #[test]
+    fn missed_deadlines_are_share_and_count() {
+        let run = crate::view::compare::tests::run(1, PlacementKind::Remote);
+        assert_eq!(missed(&run), None);
+        let misses = Some(Misses { missed: 12, of: 1_000 });
+        let run = RunSummary { deadline_s: Some(0.1), misses, ..run };
+        let (rate, words) = missed(&run).expect("a deadline");
+        assert_eq!(rate, "1.2\u{202f}%");
+        assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or without an answer");
+    }
 
     #[test]
     fn skipped_starts_are_a_sum_and_a_share() {

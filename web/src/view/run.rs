@@ -1,6 +1,7 @@
 //! What the page of a run shows of the store's answers.
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::stage;
@@ -169,7 +170,7 @@ impl Stored<'_> {
     /// What was measured beside durations.
     pub(crate) fn others(&self) -> Vec<Other> {
         // What is counted is told above, as a share or a sum: quantiles of counts say little.
-        let counts = [SKIPPED_STARTS, UNKNOWN_LABEL].into_iter().chain(ACCURACIES);
+        let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
         let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
         // A mean of the single iterations' throughputs is no speed: `sent` has one.
         let ratio = |stage: &StageStatistics| {

@@ -39,6 +39,10 @@ pub struct PipelineConfig {
     /// How long to wait for an answer; milliseconds, up to a day. Later ones count as `timeout`. Default: 5000.
     #[serde(default = "five_seconds")]
     pub timeout_ms: NonZeroU64,
+    /// How long an iteration may take from its intended start to its end; milliseconds, up to `timeout_ms`. One that takes
+    /// longer, or has no answer, missed its deadline. Default: no deadline.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deadline_ms: Option<NonZeroU64>,
     /// Iterations that are kept but left out of statistics.
     #[serde(default)]
     pub warm_up: WarmUp,
@@ -231,6 +235,11 @@ impl PipelineConfig {
     /// How long to wait for an answer.
     pub fn timeout(&self) -> Duration {
         Duration::from_millis(self.timeout_ms.get())
+    }
+
+    /// How long an iteration may take.
+    pub fn deadline(&self) -> Option<Duration> {
+        self.deadline_ms.map(|deadline| Duration::from_millis(deadline.get()))
     }
 }
 

@@ -5,6 +5,9 @@ use peernet_logger::{Measure, Name, Node, Tree};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second};
 
+/// 1 where the iteration took longer than the deadline of its pipeline or has no answer, else 0. Absent without a deadline.
+pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
+
 /// Names per second at most: a peer adds nodes of its own choice, and the memory for them must be bounded.
 const MOST_NAMES: usize = 64;
 
@@ -42,8 +45,12 @@ impl Cell {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout => self.counts.timeout += 1,
         }
-        // What a failed one took says nothing of how long a working one takes.
+        // What a failed one took says nothing of how long a working one takes. That its pipeline has a deadline is told by
+        // the name alone: a second without any answer would say nothing of it.
         if *outcome != Outcome::Ok {
+            if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
+                self.values.open(0, &DEADLINE_MISSED);
+            }
             return;
         }
         let mut hint = 0;
@@ -97,19 +104,21 @@ impl Summaries {
     /// Adds a value and returns where the next name probably stands: trees of one pipeline have their nodes
     /// in the same order nearly always, so that a name is found at the first look.
     fn record(&mut self, hint: usize, name: &Name, value: f64) -> usize {
+        let Some(index) = self.open(hint, name) else { return hint };
+        self.0[index].1.record(value);
+        index + 1
+    }
+
+    /// The place of a name, which is added when it is new; `None` where there is no room for it.
+    fn open(&mut self, hint: usize, name: &Name) -> Option<usize> {
         let found = match self.0.get(hint) {
             Some((known, _)) if known == name => Some(hint),
             _ => self.0.iter().position(|(known, _)| known == name),
         };
-        let index = match found {
-            Some(index) => index,
-            None if self.0.len() < MOST_NAMES => {
-                self.0.push((name.clone(), Summary::default()));
-                self.0.len() - 1
-            }
-            None => return hint,
-        };
-        self.0[index].1.record(value);
-        index + 1
+        if found.is_none() && self.0.len() < MOST_NAMES {
+            self.0.push((name.clone(), Summary::default()));
+            return Some(self.0.len() - 1);
+        }
+        found
     }
 }

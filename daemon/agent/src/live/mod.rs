@@ -8,6 +8,7 @@ mod cell;
 mod ring;
 
 pub(crate) use board::{Board, Display, Receipt};
+pub(crate) use cell::DEADLINE_MISSED;
 
 use std::time::Duration;
 

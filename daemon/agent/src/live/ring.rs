@@ -124,6 +124,29 @@ mod tests {
     }
 
     #[test]
+    fn second_without_answers_names_deadline_without_samples() {
+        let mut ring = Ring::default();
+        let with_deadline = |missed: f64| {
+            let mut tree = tree(4);
+            let measure = Measure::Value(missed, peernet_logger::Unit::NONE);
+            tree.add(peernet_logger::NodeId::ROOT, "deadline-missed".into(), Span::ZERO, measure);
+            tree
+        };
+        ring.record(10, &Outcome::Ok, &with_deadline(0.0));
+        ring.record(10, &Outcome::Ok, &with_deadline(1.0));
+        ring.record(11, &Outcome::Timeout, &with_deadline(1.0));
+        ring.record(12, &Outcome::Timeout, &tree(4));
+        let known = |second: &Second| {
+            let found = second.values.iter().find(|(name, _)| name == "deadline-missed");
+            found.map(|(_, summary)| (summary.count(), summary.moments.mean))
+        };
+        let (seconds, _) = ring.changed();
+        assert_eq!(known(&seconds[2]), Some((2, 0.5)));
+        assert_eq!(known(&seconds[1]).map(|(count, _)| count), Some(0));
+        assert_eq!((seconds[1].values.len(), known(&seconds[0])), (1, None));
+    }
+
+    #[test]
     fn delays_without_a_value_are_counted_by_verdict_and_never_averaged_in() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));

@@ -9,6 +9,7 @@ mod alarm;
 mod brake;
 mod context;
 mod cycle;
+mod deadline;
 mod drive;
 mod flight;
 mod iteration;

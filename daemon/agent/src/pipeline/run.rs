@@ -1,6 +1,6 @@
 //! One run: its description, its numbers, its events.
 
-use peernet_clock::{MonoTime, Stamp, WallTime};
+use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, Slug, Tree};
 use peernet_stream::{
     Condition, EndReason, Event, Iteration, Outcome, Placement as Description, RunDescription, RunEnded,
@@ -8,6 +8,7 @@ use peernet_stream::{
 
 use super::context::PipelineContext;
 use super::cycle::Ended;
+use super::deadline;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
 use crate::live::Display;
@@ -22,6 +23,7 @@ pub(super) struct Run {
     /// Days since the Unix epoch at its start; `None` when midnight does not concern it.
     day: Option<i64>,
     placement: Description,
+    deadline: Option<Span>,
     progress: Progress,
 }
 
@@ -30,12 +32,13 @@ impl Run {
     pub(super) fn begin(
         config: &PipelineConfig,
         placement: Description,
-        (facts, conditions): (Vec<(String, String)>, Vec<Condition>),
+        (mut facts, conditions): (Vec<(String, String)>, Vec<Condition>),
         warm: bool,
         context: &PipelineContext,
         display: &Display,
     ) -> Self {
         let id = RunId::random();
+        facts.extend(config.deadline_ms.map(|deadline| ("Deadline".to_owned(), format!("{deadline} ms"))));
         let started = context.host.clock.wall();
         let description = RunDescription {
             run: id,
@@ -56,6 +59,7 @@ impl Run {
             pipeline: config.name.clone(),
             day: config.limit.is_none().then(|| day(started)),
             placement,
+            deadline: config.deadline().map(Span::from),
             progress: Progress::new(config, warm),
         }
     }
@@ -98,11 +102,14 @@ impl Run {
         &self,
         position: Position,
         outcome: Outcome,
-        tree: Tree,
+        mut tree: Tree,
         ended: Stamp,
         context: &PipelineContext,
         display: &Display,
     ) {
+        if let Some(deadline) = self.deadline {
+            deadline::judge(&mut tree, &outcome, deadline);
+        }
         if !position.warm_up {
             display.record(ended.wall.unix_seconds(), &outcome, &tree);
         }

@@ -99,6 +99,22 @@ fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
 }
 
 #[test]
+fn deadline_after_timeout_is_refused() {
+    let state = tempfile::tempdir().expect("a folder");
+    let of = |deadline_ms: u64| {
+        let mut config = config(&format!(
+            "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
+             placement = {{ kind = 'none' }}\ntimeout_ms = 200\ndeadline_ms = {deadline_ms}\n"
+        ));
+        config.agent.state_dir = state.path().to_owned();
+        problems(&config)
+    };
+    assert_eq!(of(200), [] as [&str; 0]);
+    let found = of(201);
+    assert!(found.len() == 1 && found[0].starts_with("pipeline[0].deadline_ms: 201 is later"), "{found:?}");
+}
+
+#[test]
 fn more_pipelines_than_the_pages_show_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     let of = |count: u32| {

@@ -116,11 +116,12 @@ async fn a_remote_answer_that_is_late_is_a_timeout() {
     let aggregator = Aggregator::start().await;
     let cloud =
         TestAgent::start("cloud", None, &CLOUD.replace("inference_ms = 20", "inference_ms = 300")).await;
-    let keys = "timeout_ms = 30\nlimit = { iterations = 3 }";
+    let keys = "timeout_ms = 30\ndeadline_ms = 20\nlimit = { iterations = 3 }";
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(&cloud, "slow", keys)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Timeout));
     assert_eq!(seen.iterations().len(), 3);
+    assert!(seen.iterations().iter().all(|it| value(&it.tree, "deadline-missed") == Some(1.0)));
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

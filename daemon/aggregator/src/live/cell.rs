@@ -1,5 +1,6 @@
 //! One second of one pipeline, and how seconds add up to windows.
 
+use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
@@ -68,12 +69,17 @@ impl Cell {
         let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
         let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        // A second without any answer has the name without samples.
+        let late = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
+        let late = late.map(|(_, late)| (late.moments.mean * late.count() as f64).round() as u64);
+        let misses = late.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
         Window {
             seconds,
             covered_s,
             counts: self.counts,
             rate_hz: total as f64 / covered_s,
             lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
+            miss_rate: misses.and_then(Misses::rate),
             values,
             transfers: self.transfers(),
             bounds: self.directions(),

@@ -29,6 +29,7 @@ pub use ranking::{Ranking, computes};
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
@@ -96,6 +97,8 @@ pub struct Line {
     pub count: u64,
     /// How many did not end with an answer, warm-up left out.
     pub unanswered: u64,
+    /// How many of both missed their deadline; `None` without one.
+    pub misses: Option<Misses>,
     /// What became of the starts that an open loop ordered; the rate is not asked for.
     pub starts: Starts,
     /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
@@ -164,6 +167,7 @@ impl Line {
             edges: 1,
             count: 0,
             unanswered: 0,
+            misses: None,
             starts: Starts::default(),
             latencies: [None; LATENCIES.len()],
             accuracies: [None; ACCURACIES.len()],
@@ -196,6 +200,7 @@ impl Line {
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
         let of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || of_line().flat_map(|run| &run.rows);
+        self.misses = Misses::of_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::of(rows(), column));
         self.unknown_labels = unknown_labels(of_line());
         self.latencies = LATENCIES.map(|name| {
@@ -227,7 +232,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    all.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS]).any(|name| *name == column)
+    all.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED]).any(|name| *name == column)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::{
     StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
+use crate::deadline::Misses;
 use crate::table::{Captioned, Table, csv_text, interval};
 
 const HEADINGS: [&str; LATENCIES.len()] =
@@ -52,6 +53,7 @@ impl Comparison {
                 .flat_map(|name| ["", "-lo", "-hi", "-unscored"].map(|end| format!("{name}{end}"))),
         );
         header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
+        header.push("miss-rate".to_owned());
         let row = |(at, line): (usize, &Line)| {
             let flag = |is: bool| u8::from(is).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -76,6 +78,7 @@ impl Comparison {
                 figures.map_or([None; 4], |figures| figures.map(Some)).map(number)
             }));
             cells.extend(line.beyond_best.map_or([None; 3], Difference::ends).map(number));
+            cells.push(number(line.misses.and_then(Misses::rate)));
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
@@ -91,6 +94,8 @@ impl Comparison {
         header.extend(edges.then(|| "edges".to_owned()));
         header.push("count".to_owned());
         header.extend(unanswered.then(|| "unanswered".to_owned()));
+        let deadlines = self.lines.iter().any(|line| line.misses.is_some());
+        header.extend(deadlines.then(|| "missed (%)".to_owned()));
         header.extend(HEADINGS.map(str::to_owned));
         let right: Vec<usize> = (0..ACCURACIES.len())
             .filter(|at| self.lines.iter().any(|line| line.accuracies[*at].is_some()))
@@ -103,6 +108,9 @@ impl Comparison {
             cells.extend(edges.then(|| count(line.edges as u64)));
             cells.push(count(line.count));
             cells.extend(unanswered.then(|| count(line.unanswered)));
+            let missed = line.misses.and_then(Misses::rate);
+            let missed = missed.map_or_else(|| NOTHING.to_owned(), |rate| fixed(rate * 100.0, 2));
+            cells.extend(deadlines.then_some(missed));
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
             );
@@ -137,6 +145,11 @@ impl Comparison {
                 "Without a valid score, and left out of the accuracy: {} iterations.",
                 unscored.join("; ")
             ));
+        }
+        if self.lines.iter().any(|line| line.misses.is_some()) {
+            let text =
+                "Missed: the share of iterations that took longer than their deadline or have no answer.";
+            notes.push(text.to_owned());
         }
         notes.extend(self.unknown_labels());
         notes.extend(self.verdict());

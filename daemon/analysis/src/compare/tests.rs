@@ -345,6 +345,30 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
 }
 
 #[test]
+fn miss_rate_stands_beside_unanswered() {
+    let mut runs = paper();
+    runs[1].rows.change(|row| {
+        let is_late = row.outcome != Outcome::Ok || row.iteration % 10 == 0;
+        row.values.push(("deadline-missed".into(), f64::from(u8::from(is_late))));
+    });
+    let comparison = Comparison::of(&runs);
+    let misses = comparison.lines[1].misses.expect("a deadline");
+    // Of the iterations 6 to 106; the one that was lost is the tenth.
+    assert_eq!((misses.missed, misses.of, comparison.lines[0].misses), (10, 101, None));
+    let text = comparison.text();
+    assert!(
+        text.contains("missed (%)") && text.contains(" 9.90 ") && text.contains("Missed: the share"),
+        "{text}"
+    );
+    let csv = comparison.csv();
+    let last =
+        |line: usize| csv.lines().nth(line).and_then(|line| line.rsplit(',').next().map(str::to_owned));
+    assert_eq!((last(0).as_deref(), last(1).as_deref()), (Some("miss-rate"), Some("")));
+    assert!(last(2).is_some_and(|rate| rate.starts_with("0.0990")), "{csv}");
+    assert!(!Comparison::of(&paper()).text().contains("missed"), "there is no deadline");
+}
+
+#[test]
 fn accuracy_stands_beside_latency() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
@@ -362,7 +386,7 @@ fn accuracy_stands_beside_latency() {
     assert!(
         csv.lines().next().is_some_and(|line| line.ends_with(
             ",edges,top-1,top-1-lo,top-1-hi,top-1-unscored,top-5,top-5-lo,top-5-hi,top-5-unscored,\
-             beyond-best,beyond-best-lo,beyond-best-hi"
+             beyond-best,beyond-best-lo,beyond-best-hi,miss-rate"
         )),
         "{csv}"
     );

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::accuracy::Accuracy;
+use crate::deadline::Misses;
 use crate::rows::{Outcome, Rows, Units};
 use crate::trust;
 
@@ -75,6 +76,10 @@ pub struct RunRecord {
     pub warm_up: String,
     /// How the iterations ended.
     pub counts: Counts,
+    /// How long an iteration might take, seconds; `None` without a deadline.
+    pub deadline_s: Option<f64>,
+    /// How many iterations missed it.
+    pub misses: Option<Misses>,
     /// How far the delays can be trusted.
     pub clocks: Clocks,
     /// How often the model was right, by column: `top-1`, `top-5`; empty where nobody knew.

@@ -7,6 +7,7 @@ pub use scale::Scale;
 use peernet_statistics::{self as statistics, Moments};
 
 use crate::accuracy::UnknownLabels;
+use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::order::Ordered;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
@@ -21,6 +22,10 @@ pub struct Summary {
     pub quantities: Vec<Quantity>,
     /// How the iterations ended.
     pub counts: Counts,
+    /// The deadline, seconds.
+    pub deadline_s: Option<f64>,
+    /// How many iterations missed it; `None` without a deadline.
+    pub misses: Option<Misses>,
     /// What became of the starts that an open loop ordered.
     pub starts: Starts,
     /// How far the delays can be trusted.
@@ -62,6 +67,11 @@ impl Summary {
             FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
+            // Of all iterations, so that the mean is the miss rate.
+            if *name == DEADLINE_MISSED {
+                let all = rows.iter().filter(|row| !row.warm_up());
+                return Quantity::of(name.clone(), all.filter_map(|row| row.value(name)));
+            }
             let quantity = Quantity::of(name.clone(), rows.counted(name))?;
             Some(Quantity { bounds: bounds(rows, name), ..quantity })
         };
@@ -69,6 +79,8 @@ impl Summary {
             title: String::new(),
             quantities: measured.filter_map(quantity).collect(),
             counts: Counts::of(rows, 0),
+            deadline_s: None,
+            misses: Misses::of_rows(rows),
             starts: Starts::of_rows(rows),
             clocks: Clocks::of(rows),
             unknown_labels: UnknownLabels::of(rows, &[]),
@@ -83,6 +95,7 @@ impl Summary {
         self.title.clone_from(&record.title);
         self.units.clone_from(&record.units);
         self.counts.unseen = record.counts.unseen;
+        self.deadline_s = record.deadline_s;
         self.unknown_labels =
             self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
         self

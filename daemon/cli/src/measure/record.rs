@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use crate::VERSION;
 use peernet_agent::AgentConfig;
+use peernet_agent::config::PipelineConfig;
 use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::deadline::Misses;
 use peernet_analysis::record::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, instant,
 };
@@ -75,6 +77,8 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
         counts: Counts::of(&taken.rows, missed),
+        deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
+        misses: Misses::of_rows(&taken.rows),
         clocks: Clocks::of(&taken.rows),
         accuracy: Accuracy::of_each(&taken.rows),
         units: taken.units.clone(),

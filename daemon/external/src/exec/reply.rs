@@ -10,7 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names that have a meaning of their own in every tree.
-const OURS: [&str; 33] = [
+const OURS: [&str; 34] = [
     "iteration",
     "sensing",
     "capture",
@@ -38,6 +38,7 @@ const OURS: [&str; 33] = [
     "skipped-nodes",
     "skipped-starts",
     "lateness",
+    "deadline-missed",
     "dropped-samples",
     "capture-delay",
     "dropped-answers",

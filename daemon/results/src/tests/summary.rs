@@ -41,6 +41,26 @@ fn counts_are_sums_and_shares() {
     assert!(csv(&summary).contains("\nskipped-starts,"), "for programs");
 }
 
+#[test]
+fn missed_deadlines_are_share_of_all_iterations() {
+    let mut rows = rows(20);
+    for row in &mut rows {
+        let is_late = row.outcome != Outcome::Ok || row.iteration % 4 == 0;
+        row.values.push(("deadline-missed".into(), f64::from(u8::from(is_late))));
+    }
+    let counted: Vec<_> = rows.iter().filter(|row| !row.warm_up).collect();
+    let missed = counted.iter().filter(|row| row.outcome != Outcome::Ok || row.iteration % 4 == 0).count();
+    let record = RunRecord { deadline_s: Some(0.1), ..RunRecord::default() };
+    let summary = Summary::of(&kept(&rows)).about(&record);
+    let text = text(&summary);
+    let told = format!("Deadline of 100 ms: missed by {missed} of {} iterations (", counted.len());
+    assert!(text.contains(&told) && !text.contains("deadline-missed"), "{text}");
+    let csv = csv(&summary);
+    let line = csv.lines().find(|line| line.starts_with("deadline-missed,")).expect("for programs");
+    let mean: f64 = line.split(',').nth(2).and_then(|cell| cell.parse().ok()).expect("a number");
+    assert!((mean - missed as f64 / counted.len() as f64).abs() < 1e-12, "the miss rate: {line}");
+}
+
 const TEXT: &str = "\
 metric                 unit  count             mean ± std     median     clock bounds  p95  p99        max
 Sensing Time           ms        7          0.700 ± 0.000      0.700                     —    —      0.700

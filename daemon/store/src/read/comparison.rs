@@ -1,8 +1,8 @@
 //! What made an iteration slow, by comparison with its run.
 
-use peernet_logger::{Name, stage};
 use peernet_analysis::rows::LATENESS;
 use peernet_analysis::slowness::{self, Cause};
+use peernet_logger::{Name, stage};
 
 use crate::figures::Figures;
 use crate::types::BOTH_WAYS;

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
+use peernet_analysis::rows::LATENESS;
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
-use peernet_analysis::rows::LATENESS;
 use sqlx::FromRow;
 
 use super::clocks::AssumedWindows;

@@ -1,5 +1,8 @@
 //! Runs.
 
+use std::collections::HashMap;
+
+use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_clock::WallTime;
 use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
 use peernet_logger::stage;
@@ -113,7 +116,25 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    rows.iter().map(|row| summary(row, totals.get(&row.number))).collect()
+    let late = late(readers, rows).await?;
+    rows.iter().map(|row| summary(row, totals.get(&row.number), late.get(&row.number))).collect()
+}
+
+/// Whether answered iterations missed their deadline, of the runs that have one.
+async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>, StoreError> {
+    let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
+    let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
+    if numbers.is_empty() {
+        return Ok(HashMap::new());
+    }
+    statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
+}
+
+/// The deadline in the pipeline's table as the agent writes it, seconds: its plain keys stand before its tables.
+fn deadline_s(configuration: &str) -> Option<f64> {
+    let keys = configuration.lines().take_while(|line| !line.starts_with('['));
+    let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
+    milliseconds.parse::<u64>().ok().map(|milliseconds| milliseconds as f64 / 1e3)
 }
 
 pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDetail>, StoreError> {
@@ -124,8 +145,9 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
+    let late = late(readers, std::slice::from_ref(&row)).await?;
     Ok(Some(RunDetail {
-        summary: summary(&row, totals.get(&number))?,
+        summary: summary(&row, totals.get(&number), late.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
         // Earlier builds stored the arguments of programs.
@@ -161,11 +183,15 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
-fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError> {
+fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
+    let deadline_s = deadline_s(&row.configuration);
+    // The sum of ones and zeros.
+    let late = late.map_or(0.0, |known| known.summary.moments.mean * known.summary.moments.count as f64);
+    let unanswered = count(row.failed) + count(row.lost) + count(row.timeout);
     Ok(RunSummary {
         number: row.number,
         id: parse(WHAT, &row.uuid)?,
@@ -192,6 +218,8 @@ fn summary(row: &RunRow, total: Option<&Known>) -> Result<RunSummary, StoreError
         },
         warm_up: count(row.warm_up),
         skipped_starts: count(row.skipped_starts),
+        deadline_s,
+        misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
         total: total.and_then(Known::figures),
         // Of the edge itself, and of each cloud by its name.
         rehearsed: facts(row)?

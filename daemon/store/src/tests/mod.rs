@@ -6,6 +6,7 @@ mod clock_samples;
 #[expect(unreachable_pub, reason = "shared with the integration tests")]
 mod clocks;
 mod connections;
+mod deadlines;
 mod ends;
 mod episodes;
 mod experiments;

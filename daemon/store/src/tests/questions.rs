@@ -1,8 +1,8 @@
 //! What readers are told.
 
+use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
-use peernet_analysis::slowness::Cause;
 use peernet_statistics::Summary;
 use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 

@@ -1,8 +1,8 @@
 //! Iterations of a run.
 
+use peernet_analysis::slowness::Cause;
 use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
-use peernet_analysis::slowness::Cause;
 use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;

@@ -1,5 +1,6 @@
 //! What is said of stored runs.
 
+use peernet_analysis::deadline::Misses;
 use peernet_store::{self as store, Figures};
 use peernet_stream as stream;
 use serde::Serialize;
@@ -39,6 +40,11 @@ pub(crate) struct Run {
     /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever became of the iterations
     /// after them; warm-up left out.
     pub skipped_starts: u64,
+    /// How long an iteration may take, seconds; null without a deadline.
+    pub deadline_s: Option<f64>,
+    /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
+    /// without a deadline, and before the first iteration.
+    pub miss_rate: Option<f64>,
     /// Of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
@@ -87,6 +93,8 @@ impl From<&store::RunSummary> for Run {
             counts: run.counts.into(),
             warm_up: run.warm_up,
             skipped_starts: run.skipped_starts,
+            deadline_s: run.deadline_s,
+            miss_rate: run.misses.and_then(Misses::rate),
             total: run.total,
             rehearsed: run.rehearsed,
             pinned: run.pinned,

@@ -87,6 +87,9 @@ pub(crate) struct Window {
     pub rate_hz: f64,
     /// Share of iterations without an answer, 0 to 1; null when there were none.
     pub lost_fraction: Option<f64>,
+    /// The miss rate: share of iterations that took longer than the pipeline's deadline or have no answer, 0 to 1; null without a
+    /// deadline, and when there were none.
+    pub miss_rate: Option<f64>,
     /// Of single iterations: for the speed over the window take `transfers`, not the mean of `upload-throughput`, which is
     /// a mean of ratios.
     pub values: Vec<NodeFigures>,
@@ -188,6 +191,7 @@ impl Pipeline {
             counts: window.counts.into(),
             rate_hz: window.rate_hz,
             lost_fraction: window.lost_fraction,
+            miss_rate: window.miss_rate,
             values: NodeFigures::all(&window.values),
             transfers: TransferRates::new(&window.transfers, window.covered_s),
             bounds: window.bounds.iter().map(Bound::from).collect(),

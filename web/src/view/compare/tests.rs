@@ -23,6 +23,8 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         counts: OutcomeCounts { ok: 300, ..OutcomeCounts::default() },
         warm_up: 5,
         skipped_starts: 0,
+        deadline_s: None,
+        misses: None,
         total: Some(samples::figures(0.016, 300)),
         rehearsed: false,
         pinned: false,

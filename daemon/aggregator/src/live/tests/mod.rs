@@ -164,6 +164,27 @@ proptest! {
 }
 
 #[test]
+fn late_and_unanswered_iterations_miss_their_deadline() {
+    let mut bed = Bed::new();
+    let missed = |at: i64, totals: &[f64], lost: u64, flags: &[f64]| {
+        let mut summary = Summary::default();
+        flags.iter().for_each(|flag| summary.record(*flag));
+        let mut second = second(at, totals, lost);
+        second.values.push((Name::from("deadline-missed"), summary));
+        second
+    };
+    bed.send(0.9, vec![second(0, &[0.1; 4], 1)]);
+    assert_eq!(bed.picture(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
+    bed.send(9.9, vec![missed(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
+    bed.send(10.5, vec![missed(10, &[], 3, &[])]);
+    let rates =
+        |bed: &mut Bed, at| bed.picture(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate);
+    assert_eq!(rates(&mut bed, 10.5)[0], Some(4.0 / 6.0));
+    bed.send(12.5, vec![missed(12, &[], 2, &[])]);
+    assert_eq!(rates(&mut bed, 12.5)[0], Some(1.0), "no answer at all");
+}
+
+#[test]
 fn the_charts_reach_back_ten_minutes_and_no_further() {
     let mut bed = Bed::new();
     for at in 0..700 {

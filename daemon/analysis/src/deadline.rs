@@ -1,0 +1,84 @@
+//! How often iterations missed their deadline.
+
+use serde::{Deserialize, Serialize};
+
+use crate::rows::RowRef;
+
+/// The node, and the column, that holds 1 where an iteration took longer than the deadline of its pipeline or has no answer,
+/// else 0. Absent without a deadline.
+pub const DEADLINE_MISSED: &str = "deadline-missed";
+
+/// Iterations that missed their deadline, warm-up left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Misses {
+    /// Those that took longer than the deadline or have no answer.
+    pub missed: u64,
+    /// All iterations.
+    pub of: u64,
+}
+
+impl Misses {
+    /// Counts `late` of the `answered` iterations, and all `unanswered` ones.
+    pub fn new(answered: u64, late: u64, unanswered: u64) -> Self {
+        Self { missed: late.min(answered) + unanswered, of: answered + unanswered }
+    }
+
+    /// Counts rows; `None` where no row says whether a deadline was missed.
+    pub fn of_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
+        let mut has_deadline = false;
+        let (mut answered, mut late, mut unanswered) = (0, 0, 0);
+        for row in rows.into_iter().filter(|row| !row.warm_up()) {
+            let missed = row.value(DEADLINE_MISSED);
+            has_deadline |= missed.is_some();
+            if row.counts() {
+                answered += 1;
+                late += u64::from(missed == Some(1.0));
+            } else {
+                unanswered += 1;
+            }
+        }
+        has_deadline.then(|| Self::new(answered, late, unanswered))
+    }
+
+    /// The miss rate: the share of iterations that missed their deadline, 0 to 1; `None` before the first iteration.
+    pub fn rate(self) -> Option<f64> {
+        (self.of > 0).then(|| self.missed as f64 / self.of as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows::{Outcome, Row, Rows};
+
+    fn row(iteration: u64, outcome: Outcome, missed: Option<f64>) -> Row {
+        Row {
+            iteration,
+            at: iteration as f64,
+            episode: 0,
+            step: 0,
+            warm_up: iteration == 1,
+            outcome,
+            reason: None,
+            values: missed.map(|missed| (DEADLINE_MISSED.into(), missed)).into_iter().collect(),
+            upload: None,
+            download: None,
+        }
+    }
+
+    #[test]
+    fn late_and_unanswered_rows_miss_warm_up_left_out() {
+        let ends = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
+        let rows: Rows =
+            (1..).zip(ends).map(|(at, (outcome, missed))| row(at, outcome, Some(missed))).collect();
+        let misses = Misses::of_rows(&rows).expect("there is a deadline");
+        assert_eq!((misses, misses.rate()), (Misses { missed: 2, of: 3 }, Some(2.0 / 3.0)));
+    }
+
+    #[test]
+    fn rows_without_deadline_have_no_miss_rate() {
+        let rows: Rows = (1..5).map(|at| row(at, Outcome::Timeout, None)).collect();
+        assert_eq!(Misses::of_rows(&rows), None);
+        assert_eq!(Misses::new(0, 0, 0).rate(), None);
+    }
+}
