@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use peernet_logger::Slug;
-use peernet_networks::Address;
+use peernet_networks::{Address, InvalidEventStreamAddress};
 use serde::{Deserialize, Serialize};
 
 use peernet_store::RetentionConfig;
@@ -112,7 +112,7 @@ fn outside(value: u64, least: u64, most: u64) -> Option<String> {
 fn wrong_address(address: &str) -> Option<String> {
     match address.parse::<Address>() {
         Ok(address) => address.check_event_stream().err().map(|error| error.to_string()),
-        Err(error) => Some(error.to_string()),
+        Err(error) => Some(InvalidEventStreamAddress(error).to_string()),
     }
 }
 

@@ -25,7 +25,7 @@ pub use session::{
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
-    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress, MessageLoss,
-    NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure, UnknownAddress, UnusableAddress,
-    UnusableSetting, datagram, zmtp,
+    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress,
+    InvalidEventStreamAddress, MessageLoss, NetworkKind, NetworkMismatch, NoEventStream, Peer, SendFailure,
+    UnknownAddress, UnusableAddress, UnusableSetting, datagram, zmtp,
 };

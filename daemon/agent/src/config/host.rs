@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use peernet_clock::ClockIdentity;
 use peernet_logger::{InvalidName, Slug};
-use peernet_networks::Address;
-use serde::{Deserialize, Serialize};
+use peernet_networks::{Address, InvalidEventStreamAddress};
+use serde::{Deserialize, Deserializer, Serialize, de::Error as _};
 
 /// `[agent]`: the host itself and its connection to the aggregator.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,7 +22,7 @@ pub struct HostConfig {
     pub state_dir: PathBuf,
     /// Where finished iterations and live figures are sent: `tcp://host:port`, usually port 5550. Without it
     /// the agent measures and serves, and nothing is stored.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "event_stream_address")]
     pub aggregator: Option<Address>,
     /// Which clock this agent reads: agents of one machine with equal names may prove that they read one, so that one-way delays
     /// between them are exact. Another name makes peers treat it as a clock of its own, which is for tests and
@@ -67,6 +67,13 @@ impl Default for HostConfig {
             stop_timeout_ms: 5000,
         }
     }
+}
+
+/// Reads the address of an aggregator, whose network is one of those that carry the event stream.
+fn event_stream_address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Address>, D::Error> {
+    let text: Option<String> = Deserialize::deserialize(deserializer)?;
+    let address = text.map(|text| text.parse()).transpose();
+    address.map_err(|error| D::Error::custom(InvalidEventStreamAddress(error)))
 }
 
 impl HostConfig {

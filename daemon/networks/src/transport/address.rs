@@ -90,13 +90,18 @@ enum Host {
 
 /// A text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is not an address: {problem}; write {}, IPv6 hosts in brackets", forms())]
+#[error("{text:?} is not an address: {problem}; write {}", forms_like(text, NetworkKind::ALL))]
 pub struct InvalidAddress {
     /// What was given.
     pub text: String,
     /// What is wrong with it.
     pub problem: AddressProblem,
 }
+
+/// A text that is not an address at which agents and the aggregator exchange the event stream.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{:?} is not an address: {}; write {}", .0.text, .0.problem, forms_like(&.0.text, &[NetworkKind::default()]))]
+pub struct InvalidEventStreamAddress(pub InvalidAddress);
 
 /// What is wrong with a text that is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -314,9 +319,17 @@ fn parse_name(name: &str) -> Result<String, AddressProblem> {
     if is_name { Ok(name.to_owned()) } else { Err(AddressProblem::InvalidListenerName(name.to_owned())) }
 }
 
-/// How addresses are written, for messages: `tcp://host:port`.
-fn forms() -> String {
-    forms_of(NetworkKind::ALL)
+/// How a text that is meant to be an address of one of these networks is written, for messages: with its own scheme where that is one of
+/// theirs.
+fn forms_like(text: &str, networks: &[NetworkKind]) -> String {
+    let scheme = text.split_once("://").and_then(|(scheme, _)| Scheme::find(scheme));
+    let scheme = scheme.filter(|scheme| networks.contains(&scheme.network));
+    let forms = scheme.map_or_else(
+        || forms_of(networks),
+        |Scheme { network, text }| format!("{text}://{}", network.address_form().text(text)),
+    );
+    let brackets = if forms.contains("host") { ", IPv6 hosts in brackets" } else { "" };
+    format!("{forms}{brackets}")
 }
 
 /// How addresses of these networks are written.
@@ -412,6 +425,25 @@ mod tests {
             ("tcp://a b:5551", "\"a b\" is not a host name"),
         ] {
             assert_eq!(text.parse::<Address>().expect_err(text).problem.to_string(), problem);
+        }
+    }
+
+    #[test]
+    fn form_of_the_written_scheme_is_proposed() {
+        let advice = |text: &str| {
+            let words = text.parse::<Address>().expect_err(text).to_string();
+            words.split_once("; write ").expect("it says what to write").1.to_owned()
+        };
+        assert_eq!(advice("tcp://10.0.0.2"), "tcp://host:port, IPv6 hosts in brackets");
+        assert_eq!(advice("udp://10.0.0.2"), "udp://host:port, IPv6 hosts in brackets");
+        assert_eq!(advice("ros2://x/name"), "ros2://domain/name");
+        for text in ["10.0.0.2:5551", "pgm://10.0.0.2:5551"] {
+            let all = advice(text);
+            assert!(all.contains("tcp://host:port") && all.contains("ros1://host:port/name"), "{all}");
+        }
+        for text in ["tcp://10.0.0.2", "10.0.0.2:5551", "ros1://a:b/name", "udp://10.0.0.2"] {
+            let words = InvalidEventStreamAddress(text.parse::<Address>().expect_err(text)).to_string();
+            assert!(words.ends_with("; write tcp://host:port, IPv6 hosts in brackets"), "{words}");
         }
     }
 

@@ -13,7 +13,9 @@ mod zmq_tcp;
 mod zmq_udp;
 pub mod zmtp;
 
-pub use address::{Address, InvalidAddress, NetworkMismatch, NoEventStream, UnknownAddress};
+pub use address::{
+    Address, InvalidAddress, InvalidEventStreamAddress, NetworkMismatch, NoEventStream, UnknownAddress,
+};
 pub use address_group::AddressGroup;
 pub use host_checks::{UnusableAddress, UnusableSetting};
 
