@@ -127,7 +127,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     say("");
-    let header = ["host", "state", "CPU %", "waiting", "dropped"];
+    let header = ["host", "state", "CPU %", "waiting", "lost"];
     say(text(&header, &hosts.iter().map(|one| host_row(one, &rehearsed)).collect::<Vec<_>>()));
     for (name, how) in &rehearsed {
         say(format_args!(

@@ -183,7 +183,7 @@ pub struct Accounting {
     pub stored: u64,
     /// Waiting on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Dropped, and counted in gaps.
+    /// Dropped for want of room or lost when the agent was killed, and counted in gaps.
     pub dropped: u64,
     /// Gaps that were reported.
     pub gaps: u64,

@@ -17,8 +17,8 @@ use crate::zone::Zone;
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A spool fuller than this has room for little more.
 const NEARLY_FULL: f64 = 0.95;
-/// Why events are dropped.
-const NO_ROOM: &str = "no room in the agent's spool";
+/// Why events are lost; which reason it was, the gaps say.
+const LOST: &str = "dropped for want of room in the agent's spool, or lost when the agent was killed";
 /// The agent compresses when batches wait, whatever holds them up.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
@@ -53,7 +53,7 @@ pub(crate) struct Events {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Why some were dropped; `None` when none was.
+    /// Why some are lost; `None` when none is.
     pub lost: Option<&'static str>,
     pub spool: Spool,
     /// Number and unit, and what to make of it.
@@ -121,9 +121,9 @@ impl Events {
     }
 }
 
-/// Why events were dropped; `None` when none was.
+/// Why events are lost; `None` when none is.
 fn lost(account: &Accounting) -> Option<&'static str> {
-    (account.dropped > 0).then_some(NO_ROOM)
+    (account.dropped > 0).then_some(LOST)
 }
 
 fn counted_events(many: u64) -> String {
@@ -160,8 +160,8 @@ fn remarks(host: &HostPicture) -> Vec<Remark> {
         });
     }
     if let Some(why) = lost(account) {
-        let text = format!("{} dropped: {why}; see gaps.", counted_events(account.dropped));
-        remarks.push(Remark::new(Tone::Warn, "gap", "dropped", text));
+        let text = format!("{} {why}; the gaps say which.", counted_events(account.dropped));
+        remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
     if account.compressed {
         remarks.push(Remark::new(Tone::Quiet, "slow", "compressed", COMPRESSED));
@@ -211,7 +211,7 @@ pub(crate) struct EventLine {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Why some were dropped; `None` when none was.
+    /// Why some are lost; `None` when none is.
     pub lost: Option<&'static str>,
     pub spool: Spool,
     pub behind: String,
@@ -309,18 +309,21 @@ mod tests {
         host.accounting.spool_bytes = host.accounting.spool_limit_bytes;
         host.accounting.compressed = true;
         let words: Vec<&str> = remarks(&host).iter().map(|remark| remark.chip.word).collect();
-        assert_eq!(words, ["spool fails", "spool full", "dropped", "compressed"]);
+        assert_eq!(words, ["spool fails", "spool full", "lost", "compressed"]);
         let line = EventLine::new(&host);
         assert_eq!(line.remark.expect("something is wrong").chip.tone, Tone::Bad);
     }
 
     #[test]
-    fn what_was_dropped_is_marked_with_the_reason() {
+    fn lost_events_are_marked_with_every_reason() {
         let mut host = host();
         let dropped = worst(&host).expect("50 were dropped");
-        assert_eq!((dropped.chip.word, dropped.chip.tone), ("dropped", Tone::Warn));
-        assert_eq!(dropped.text, "50 events dropped: no room in the agent's spool; see gaps.");
-        assert_eq!(Events::of(&host).lost, Some(NO_ROOM));
+        assert_eq!((dropped.chip.word, dropped.chip.tone), ("lost", Tone::Warn));
+        assert_eq!(
+            dropped.text,
+            "50 events dropped for want of room in the agent's spool, or lost when the agent was killed; the gaps say which."
+        );
+        assert_eq!(Events::of(&host).lost, Some(LOST));
         host.accounting.dropped = 0;
         assert_eq!((worst(&host), EventLine::new(&host).lost), (None, None));
     }

@@ -112,7 +112,7 @@ async fn both_accounts_agree_at_rest() {
     }
     assert_eq!(all, picture.totals.stored.events);
     let page = bed.get("/hosts/cam-2").await;
-    assert!(page.text().contains("produced = acknowledged + waiting + dropped"), "{}", page.text());
+    assert!(page.text().contains("produced = acknowledged + waiting + lost"), "{}", page.text());
 }
 
 async fn pin(bed: &Bed, method: Method, run: &str, site: Option<&str>) -> Answer {

@@ -113,7 +113,7 @@ pub(crate) struct EventAccount {
     pub acknowledged: u64,
     /// Events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Events that were dropped for want of room, and counted in gaps.
+    /// Events that were dropped for want of room or lost when the agent was killed, and counted in gaps.
     pub dropped: u64,
     /// Gaps that were reported.
     pub gaps: u64,

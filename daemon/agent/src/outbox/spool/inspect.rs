@@ -36,8 +36,11 @@ pub struct Inspection {
     pub bytes: u64,
     /// Events that were handed in since the file was made.
     pub produced: i64,
-    /// Of those, dropped for want of room.
+    /// Of those, dropped, and counted in gaps.
     pub dropped: i64,
+    /// Of the dropped ones, those that were in the memory of an agent that was killed; the others found no room. `None` in a
+    /// spool of an earlier release, which did not tell them apart.
+    pub lost_when_killed: Option<i64>,
     /// Every damage that was found.
     #[serde(skip)]
     pub damages: Vec<SpoolDamage>,
@@ -128,6 +131,15 @@ pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
     Ok(u64::try_from(events).unwrap_or(0))
 }
 
+/// The losses of killed agents; `None` where the agent that wrote the spool did not count them.
+async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
+    let column = "SELECT count(*) > 0 FROM pragma_table_info('stream') WHERE name = 'lost_when_killed'";
+    if !sqlx::query_scalar(column).fetch_one(&mut *connection).await? {
+        return Ok(None);
+    }
+    sqlx::query_scalar("SELECT lost_when_killed FROM stream").fetch_optional(connection).await
+}
+
 fn reading(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }
@@ -185,6 +197,7 @@ impl Inspection {
         (self.host, self.stream) = (stream.host, stream.uuid);
         (self.acknowledged, self.produced, self.dropped) =
             (stream.acknowledged, stream.produced, stream.dropped);
+        self.lost_when_killed = lost_when_killed(connection).await?;
         let mut before = (stream.acknowledged, chain(&stream.chain));
         let mut rows = sqlx::query_as::<_, Batch>(
             "SELECT number, since_ns, events, chain, body FROM batch ORDER BY number",

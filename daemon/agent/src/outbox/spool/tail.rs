@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{Gap, RunCounts, Settled, SpoolState, Unresolved};
+use peernet_stream::{Gap, KILLED, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::feed::counter::{self, CountOwner, EventCounter};
@@ -210,6 +210,16 @@ async fn write_unreported(
     mut told: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
+    // What the table has already was counted when it was written.
+    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED).map(|gap| gap.count).sum();
+    sqlx::query(
+        "UPDATE stream SET lost_when_killed = lost_when_killed + ? - \
+         (SELECT coalesce(sum(count), 0) FROM unreported WHERE reason = ?) WHERE id = 1",
+    )
+    .bind(killed.cast_signed())
+    .bind(KILLED)
+    .execute(&mut *connection)
+    .await?;
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;
     for gap in unreported {
         told += gap.count;

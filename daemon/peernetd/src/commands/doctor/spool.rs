@@ -81,20 +81,61 @@ impl SpoolReport {
         for what in inspection.damages.iter().map(SpoolDamage::to_string) {
             self.problem(what, RENEW);
         }
-        if inspection.dropped > 0 {
-            self.findings.push(Finding {
-                severity: Severity::Notice,
-                what: format!(
-                    "{} events were dropped for want of room, and are told of as gaps",
-                    inspection.dropped
-                ),
-                advice: "raise [spool] limit_bytes, or look why the aggregator was away".to_owned(),
-            });
-        }
+        self.findings.extend(losses(inspection.dropped, inspection.lost_when_killed));
         self.inspection = inspection;
     }
 
     fn problem(&mut self, what: String, advice: &str) {
         self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
+    }
+}
+
+/// What is said of events that were lost: for want of room, or with an agent that was killed.
+fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
+    let finding = |events: i64, how: &str, advice: &str| {
+        (events > 0).then(|| Finding {
+            severity: Severity::Notice,
+            what: format!("{events} events {how}, and are counted in gaps"),
+            advice: advice.to_owned(),
+        })
+    };
+    const ROOM: &str = "raise [spool] limit_bytes, or look why the aggregator was away";
+    let Some(killed) = lost_when_killed else {
+        let how = "were dropped for want of room, or lost when the agent was killed";
+        return Vec::from_iter(finding(dropped, how, "look up the reason of the gaps on the page Incidents"));
+    };
+    let room = finding(dropped - killed, "were dropped for want of room", ROOM);
+    let killed = finding(
+        killed,
+        "were lost when the agent was killed before they reached its spool",
+        "stop the agent with SIGTERM or Ctrl-C, which writes everything to the spool first",
+    );
+    room.into_iter().chain(killed).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::losses;
+
+    #[test]
+    fn losses_are_told_by_their_cause() {
+        let told = |dropped, killed| -> Vec<_> {
+            losses(dropped, killed)
+                .into_iter()
+                .map(|finding| format!("{} → {}", finding.what, finding.advice))
+                .collect()
+        };
+        assert!(told(0, Some(0)).is_empty() && told(0, None).is_empty());
+        let [killed] = &told(2, Some(2))[..] else { panic!("{:?}", told(2, Some(2))) };
+        assert!(
+            killed.starts_with("2 events were lost when the agent was killed")
+                && !killed.contains("limit_bytes"),
+            "{killed}"
+        );
+        let [room, killed] = &told(5, Some(2))[..] else { panic!("{:?}", told(5, Some(2))) };
+        assert!(room.starts_with("3 events") && room.contains("limit_bytes"), "{room}");
+        assert!(killed.starts_with("2 events"), "{killed}");
+        let [either] = &told(4, None)[..] else { panic!("{:?}", told(4, None)) };
+        assert!(either.contains("for want of room, or") && either.contains("Incidents"), "{either}");
     }
 }

@@ -19,7 +19,7 @@ use peernet_stream::{Chain, SpoolState, SpooledBatch, Totals};
 use tempfile::TempDir;
 
 use super::file::SpoolFile;
-use super::{OpenSpool, SpoolError};
+use super::{OpenSpool, SpoolError, inspect};
 
 /// Whose spool it is.
 fn host() -> HostId {
@@ -51,6 +51,10 @@ impl Place {
         // Only what a test kills leaves it behind.
         counter.remove();
         (file, state)
+    }
+
+    async fn lost_when_killed(&self) -> Option<i64> {
+        inspect(&self.path()).await.expect("reads").lost_when_killed
     }
 }
 

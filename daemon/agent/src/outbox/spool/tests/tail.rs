@@ -48,6 +48,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     let both = [(Some(run), 4, KILLED.to_owned()), (Some(second), 1, KILLED.to_owned())];
     assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
+    assert_eq!(place.lost_when_killed().await, Some(5));
     let third = RunId::random();
     hand_in(&counter, third, 3);
     file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals))
@@ -57,6 +58,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
 
     let (_, state) = place.sound().await;
     assert_eq!(lost(&state), both[1..], "what was told is not told again");
+    assert_eq!(place.lost_when_killed().await, Some(5), "what was told stays counted");
 }
 
 #[tokio::test]
@@ -90,6 +92,7 @@ async fn what_was_sent_without_the_spool_stays_open_until_it_is_resolved() {
 
     let (_, state) = place.sound().await;
     assert_eq!((state.unresolved, state.unreported, state.totals.dropped), (None, vec![lost], 3));
+    assert_eq!(place.lost_when_killed().await, Some(3));
 }
 
 #[tokio::test]
