@@ -108,3 +108,21 @@ async fn secret_is_kept_once_and_cleared_beside_the_writer() {
     let unknown = clear_host_secret(&bed.path, "nobody").await;
     assert!(matches!(unknown, Err(ClearSecretError::NoHost { .. })), "{unknown:?}");
 }
+
+#[tokio::test]
+async fn hosts_that_only_others_name_are_not_known() {
+    let mut bed = Bed::new().await;
+    // Agents that serve an experiment never meet this aggregator: iterations name them.
+    for seed in 1..=5 {
+        let (run, cloud) = (RunId::random(), HostId::random());
+        let mut numbers = generate::Numbers::new(seed);
+        let start = generate::run_started(run, "line", NOW);
+        let iteration = generate::iteration(run, 1, (bed.edge, cloud), &mut numbers);
+        let work = bed.batch(vec![start, Event::Iteration(iteration)]);
+        assert!(bed.commit(&[work]).await.quarantined.is_empty());
+    }
+    assert_eq!(bed.count("SELECT count(*) FROM host WHERE name IS NULL").await, 5);
+    let known = known_hosts(&mut bed.other().await).await.expect("reads");
+    let known: Vec<HostId> = known.into_iter().map(|(host, _)| host).collect();
+    assert_eq!(known, [bed.edge], "only known hosts count against max_hosts");
+}
