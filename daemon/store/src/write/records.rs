@@ -86,7 +86,8 @@ pub(super) async fn missing(
 ) -> Result<Stored, Refusal> {
     let Missing { stream, from, through, events, .. } = missing;
     let reason = format!(
-        "batches {from} to {through} of stream {stream} never came: they were acknowledged elsewhere"
+        "batches {from} to {through} of stream {stream} are not in this database: another one stored them before this one was made or \
+         put back, and their agent has deleted them from its spool"
     );
     hole(connection, host, &reason, *events, now).await
 }
