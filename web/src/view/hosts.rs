@@ -104,13 +104,18 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
         .join(" ")
 }
 
-/// What is known of a host's wall clock beside the aggregator's own.
+/// What is known of a host's wall clock beside the aggregator's own. Processes of one machine tell the same boot id, which a copied
+/// virtual machine does as well: a clock that is far away is another one.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
     }
-    let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
     let size = ahead.abs().seconds();
+    if theirs.may_be_one_with(ours) && size < 1.0 {
+        let title = "it tells the same machine and clock as the aggregator; the page of a link says whether that is proven";
+        return ("the aggregator's".to_owned(), title.to_owned());
+    }
+    let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
     // The comparison includes the update's own way, so small differences mean nothing.
     if size < 1.0 {
         return ("its own".to_owned(), title);
@@ -204,6 +209,12 @@ mod tests {
     fn one_clock_is_said_to_be_one() {
         let ours = ClockIdentity::new("boot", "system");
         assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "the aggregator's");
+        let other_process = ClockIdentity { process: Some(7), ..ours.clone() };
+        assert_eq!(clock_words(&other_process, &ours, Span::from_millis(3)).0, "the aggregator's");
+        assert_eq!(
+            clock_words(&other_process, &ours, Span::from_seconds(9)).0,
+            "its own, 9.0\u{202f}s ahead"
+        );
         let other = ClockIdentity::new("other", "system");
         assert_eq!(clock_words(&other, &ours, Span::from_millis(-1_200)).0, "its own, 1.2\u{202f}s behind");
         assert_eq!(clock_words(&other, &ours, Span::from_millis(3)).0, "its own");

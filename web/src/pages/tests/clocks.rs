@@ -26,7 +26,7 @@ async fn a_link_is_shown_whatever_is_known_of_it() {
             // An update that is empty would blank what the page shows.
             let empty: Vec<_> = update.parts.iter().filter(|(_, html)| html.trim().is_empty()).collect();
             assert!(empty.is_empty(), "{topic}: {empty:?}");
-            assert!(html.contains("Each bound contains the true delay"), "{topic}: {html}");
+            assert!(html.contains("Each interval contains the true delay"), "{topic}: {html}");
             assert_eq!(update.parts.iter().any(|(id, _)| *id == "chart"), topic.contains("10min"), "{topic}");
         }
         let update = links::update(&app, &linked(half, Verdict::Ok)).expect("renders");

@@ -18,7 +18,7 @@ const fn both(clocks: RelatedClocks) -> &'static str {
     }
 }
 
-/// Under which conditions the bounds contain the true delay, in one sentence.
+/// Under which conditions the intervals contain the true delays: the sentence of README.md and docs/clocks.md with the figures of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = both(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
@@ -29,19 +29,17 @@ pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     if let Some(change) = assumptions.max_drift_change_ppm_per_s {
         conditions.push(format!("this rate changes by at most {}{SPACE}ppm per second", figure(change)));
     }
-    if !assumptions.clocks.are_free_running() {
-        conditions.push("no wall clock of these is stepped or slewed unnoticed".to_owned());
-    }
-    if assumptions.probes_authenticated == Some(false) {
-        conditions.push("nobody on the path forges answers to probes".to_owned());
-    }
+    conditions.push("neither is stepped unnoticed".to_owned());
+    let stamps = "the stamps are those of the two hosts";
+    conditions.push(match assumptions.probes_authenticated {
+        Some(false) => format!("{stamps} (their probes are not authenticated)"),
+        Some(true) | None => stamps.to_owned(),
+    });
     if assumptions.claims_trusted == Some(true) {
-        conditions.push("what the time daemons of both hosts claim is true".to_owned());
+        conditions.push("the trusted claims of time daemons are true".to_owned());
     }
     let last = conditions.pop().unwrap_or_default();
-    let conditions =
-        if conditions.is_empty() { last } else { format!("{} and {last}", conditions.join(", ")) };
-    format!("Each bound contains the true delay as long as {conditions}.")
+    format!("Each interval contains the true delay as long as {}, and {last}.", conditions.join(", "))
 }
 
 /// What a delay rests on, in words.
@@ -199,8 +197,8 @@ mod tests {
         let text = promise(&RAW).replace(SPACE, " ");
         assert_eq!(
             text,
-            "Each bound contains the true delay as long as the free-running clocks of both hosts drift apart by at most 200 ppm and this \
-             rate changes by at most 1.00 ppm per second."
+            "Each interval contains the true delay as long as the free-running clocks of both hosts drift apart by at most 200 ppm, this \
+             rate changes by at most 1.00 ppm per second, neither is stepped unnoticed, and the stamps are those of the two hosts."
         );
         let weakest = DelayAssumptions {
             clocks: RelatedClocks::Wall,
@@ -211,9 +209,9 @@ mod tests {
         };
         assert_eq!(
             promise(&weakest),
-            "Each bound contains the true delay as long as the wall clocks of both hosts drift apart no faster than assumed, no \
-             wall clock of these is stepped or slewed unnoticed, nobody on the path forges answers to probes and what the time \
-             daemons of both hosts claim is true."
+            "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than assumed, neither \
+             is stepped unnoticed, the stamps are those of the two hosts (their probes are not authenticated), and the trusted claims of \
+             time daemons are true."
         );
     }
 

@@ -99,9 +99,8 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
             if half > 0.0 {
                 let many = point.value.seconds() / half;
                 format!(
-                    "{takes}, {} times its bound of {}. The true value lies between {}{SPACE}ms.",
+                    "{takes}, {} times what it can be wrong by. The true value lies between {}{SPACE}ms.",
                     figure_of_times(many),
-                    bound(half),
                     ends_ms(lo, hi).join(" and ")
                 )
             } else {

@@ -1,6 +1,6 @@
 //! Where the bound of an offset comes from, and what would narrow it.
 
-use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks};
+use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
@@ -102,14 +102,19 @@ impl Origin {
 
 /// Returns what both hosts' time daemons claim now, where no delay rests on it.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
-    let link = subject.live?;
-    let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
-    let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
-    let (from, interval) = Discipline::offset(&edge, &cloud);
+    let (from, interval) = claimed_offset(subject)?;
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
     // A claim is one of wall clocks, and so is the offset that follows from two of them.
     let of = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
     is_unused.then(|| row(format!("{}{of}, not used", source(from, 0)), interval, false))
+}
+
+/// Returns the offset of the wall clocks that follows from what both hosts' time daemons claim now.
+fn claimed_offset(subject: &Subject<'_>) -> Option<(DelaySource, Interval)> {
+    let link = subject.live?;
+    let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
+    let (edge, cloud) = (claim(&link.live.edge)?, claim(&link.live.cloud)?);
+    Some(Discipline::offset(&edge, &cloud))
 }
 
 /// The key that lets claims of time daemons narrow a bound.
@@ -148,7 +153,7 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
                  with the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {known}, which alone gives {best_words}; another source narrows it.")
+            format!("{general} {known}, which alone gives {best_words}; {}.", narrowing(offset))
         } else {
             format!("{general} {known}, so the offset is known to half of that, {best_words}.")
         });
@@ -167,6 +172,20 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
     }
     why
 }
+
+/// What makes the bound narrower than the best round trip does alone.
+fn narrowing(offset: &Offset) -> String {
+    let others = offset.sources.iter().filter(|(from, _)| *from != DelaySource::InBand);
+    let others: Vec<String> = others.map(|(from, _)| source(*from, 0)).collect();
+    if others.is_empty() {
+        return "the fastest way there and the fastest way back, of different exchanges, narrow it together"
+            .to_owned();
+    }
+    format!("the offset {} narrows it", others.join(" and "))
+}
+
+/// Half the width of a bound below which no time daemon's claim narrows it: what PTP with the clock of a network interface claims.
+const BEST_CLAIM: Span = Span::from_micros(50);
 
 /// What would narrow the bound of this link.
 fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
@@ -197,14 +216,24 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     };
     let own = width(|source| source == DelaySource::InBand);
     let told = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
-    if !without.is_empty() {
+    let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
+    let claimed = claimed_offset(subject).map(|(_, interval)| interval);
+    if !is_wide {
+        // No time daemon claims less.
+    } else if !without.is_empty() {
         let hosts = without.join(" and ");
         hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST} is set"));
     } else if let Some(offset) = offset
         && unused_claims(subject, offset).is_some()
     {
-        let edge = &subject.edge;
-        hints.push(format!("{TRUST} = true on {edge}, where both time daemons can be relied on"));
+        if claimed.is_some_and(|claimed| claimed.width() >= offset.bounds.width()) {
+            hints.push(
+                "PTP on both hosts; what their time daemons claim now is wider and does not help".to_owned(),
+            );
+        } else {
+            let edge = &subject.edge;
+            hints.push(format!("{TRUST} = true on {edge}, where both time daemons can be relied on"));
+        }
     } else if let Some((own, told)) = own.zip(told)
         && told >= own
     {

@@ -41,7 +41,7 @@ fn the_verdicts_are_told_with_this_links_numbers() {
     let told = meanings(&Subject::live(&link));
     assert_eq!(
         told[0].text,
-        "takes 6.30\u{202f}ms, 9.7 times its bound of ±0.65\u{202f}ms. The true value lies between 5.65 and 6.95\u{202f}ms."
+        "takes 6.30\u{202f}ms, 9.7 times what it can be wrong by. The true value lies between 5.65 and 6.95\u{202f}ms."
     );
     assert!(told[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", told[1].text);
 }

@@ -27,7 +27,39 @@ fn claims_that_are_not_used_stand_beside_the_exchanges() {
     let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts, not used", "used"]);
     assert_eq!(origin.rows[1].width, "4.00");
+    assert!(origin.hints[0].contains("is wider and does not help"), "{origin:?}");
+
+    let close = Interval { lo: Span::from_micros(-100), hi: Span::from_micros(100) };
+    for clock in [&mut link.live.edge, &mut link.live.cloud].into_iter().flatten() {
+        clock.discipline = Some(Discipline { source: DelaySource::Chrony, error: close });
+    }
+    let origin = Origin::of(&Subject::live(&link), &course(&link));
     assert!(origin.hints[0].contains("trust_time_daemons = true on cam-1"), "{origin:?}");
+}
+
+#[test]
+fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
+    // Narrower than half of the best round trip, 1.30 ms.
+    let mut link = link(Some(0.00065), &[]);
+    if let Some(offset) = &mut link.live.now.offset {
+        let half = Span::from_micros(30);
+        offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
+    }
+    let told = |link: &LinkPicture| {
+        let origin = Origin::of(&Subject::live(link), &course(link));
+        (origin.why[0].clone(), origin.hints)
+    };
+    let (why, hints) = told(&link);
+    assert!(why.contains("the offset as claimed by chrony on both hosts narrows it"), "{why}");
+    assert_eq!(hints, ["a shorter path between the hosts"]);
+    if let Some(offset) = &mut link.live.now.offset {
+        offset.sources.truncate(1);
+    }
+    let (why, _) = told(&link);
+    assert!(
+        why.contains("of different exchanges, narrow it together") && !why.contains("another source"),
+        "{why}"
+    );
 }
 
 #[test]
