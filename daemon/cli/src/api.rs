@@ -53,11 +53,15 @@ impl Api {
             ureq::Error::Timeout(_) => {
                 anyhow!("waited {} for the whole answer", duration(within.as_secs_f64()))
             }
+            // Without the word that the library puts before it.
+            ureq::Error::Io(error) => error.into(),
             error => error.into(),
         };
-        let mut response = agent.get(&url).call().map_err(why).with_context(|| {
-            format!(
-                "cannot ask {url}; is an aggregator with a table [web] running there? give its address with --url"
+        let mut response = agent.get(&url).call().map_err(|error| {
+            let cause = why(error);
+            anyhow!(
+                "cannot ask {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
+                 with --url"
             )
         })?;
         let text = response

@@ -31,6 +31,7 @@ pub mod wish;
 use std::process::ExitCode;
 
 use crate::exit::Failure;
+use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
 /// Version with the commit it was built from.
@@ -95,11 +96,24 @@ impl Command {
     }
 }
 
+/// Subcommands that only `peernetd` has.
+const OF_DAEMON: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
+
+/// Adds to the error about an unknown subcommand which program has it.
+fn with_program(mut error: clap::Error) -> clap::Error {
+    let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
+    if OF_DAEMON.contains(&wanted.as_str()) {
+        let tip = format!("the daemon has this command: peernetd {wanted}");
+        let _no_other = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    }
+    error
+}
+
 /// The program `peernet`: carries out what its command line asks for.
 pub fn main() -> ExitCode {
     let line = match Line::try_parse() {
         Ok(line) => line,
-        Err(error) => return output::explain(error).into(),
+        Err(error) => return output::explain(with_program(error)).into(),
     };
     let done = match line {
         Line { command: Some(command), .. } => command.run(),
@@ -108,4 +122,23 @@ pub fn main() -> ExitCode {
         Line { .. } => Ok(()),
     };
     output::end(done).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn command_of_the_daemon_is_told_with_its_program() {
+        let told = |command: &str| {
+            let error = Line::try_parse_from(["peernet", command]).expect_err("it is unknown");
+            with_program(error).to_string()
+        };
+        assert!(
+            told("doctor").contains("tip: the daemon has this command: peernetd doctor"),
+            "{}",
+            told("doctor")
+        );
+        assert!(!told("dostor").contains("peernetd"), "{}", told("dostor"));
+    }
 }

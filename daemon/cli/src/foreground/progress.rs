@@ -31,6 +31,8 @@ pub(crate) struct Progress {
     said: MonoTime,
     /// Whether there was trouble at the last look.
     troubled: bool,
+    /// The reason of trouble that was printed last.
+    told: Option<String>,
 }
 
 enum Shown {
@@ -53,7 +55,7 @@ impl Progress {
                 Shown::Bar(bar)
             }
         };
-        Self { shown, said: now, troubled: false }
+        Self { shown, said: now, troubled: false, told: None }
     }
 
     /// Shows the state at `now` and how much of the whole is done, 0 to 1, or in the state's place what it waits for.
@@ -74,6 +76,7 @@ impl Progress {
             }
             Shown::Lines if now - self.said < LINE && !is_news => {}
             Shown::Lines => {
+                let trouble = trouble.map(|trouble| without_told_reason(trouble, &mut self.told));
                 complain(trouble.unwrap_or_else(|| state().0));
                 self.said = now;
             }
@@ -94,5 +97,36 @@ impl Progress {
             bar.finish_and_clear();
             BAR.lock().unwrap_or_else(PoisonError::into_inner).take();
         }
+    }
+}
+
+/// The text without the reason that stands in it in brackets, if that was printed before: lines stay where they were printed.
+fn without_told_reason(trouble: String, told: &mut Option<String>) -> String {
+    let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
+    let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
+    if told.as_deref() == Some(reason) {
+        return format!("{what};{wait}");
+    }
+    *told = Some(reason.to_owned());
+    trouble
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_repeat_no_reason() {
+        let mut told = None;
+        let mut line = |reason: &str, wait: &str| {
+            without_told_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)
+        };
+        assert_eq!(
+            line("refused (os error 111)", "it"),
+            "cloud is away (refused (os error 111)); waiting for it"
+        );
+        assert_eq!(line("refused (os error 111)", "5 s"), "cloud is away; waiting for 5 s");
+        assert_eq!(line("no room", "10 s"), "cloud is away (no room); waiting for 10 s");
+        assert_eq!(without_told_reason("no answer".to_owned(), &mut told), "no answer");
     }
 }

@@ -148,7 +148,7 @@ impl Devices {
     /// Checks that this device may be started in this role.
     ///
     /// # Errors
-    /// When it is not in the file, or the file has the roles the other way round (78).
+    /// When it is not in the file, the file has the roles the other way round, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
         let (file, server) = (&self.config.file, &self.server);
         let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
@@ -157,6 +157,9 @@ impl Devices {
                 "{file} has no device {name}; there is {}: use one of them as --name, or add it",
                 listed(&self.known)
             ));
+        }
+        if let Err(problem) = self.address.check_host() {
+            return wrong(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }
         match (serves, server == name.as_str()) {
             (true, false) => wrong(format!(
@@ -177,6 +180,24 @@ fn listed(known: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn network_that_the_build_lacks_is_told_in_words_of_the_file() {
+        let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
+        let devices = Devices::parse(text, "net.yaml", None).expect("reads");
+        let checked = devices.check(&"cluster".parse().expect("a name"), true);
+        match devices.address.check_host() {
+            Ok(()) => assert!(checked.is_ok(), "this build has ROS 2"),
+            Err(_) => {
+                let error = checked.expect_err("this build has no ROS 2").error.to_string();
+                assert!(
+                    error.starts_with("net.yaml: the address of the server cluster cannot be used: ros2://0/cluster: this build has no ROS 2"),
+                    "{error}"
+                );
+                assert!(error.contains("build peernetd with the cargo feature"), "{error}");
+            }
+        }
+    }
 
     const PUBLISHED: &str = "\
 devices:

@@ -15,7 +15,7 @@ use crate::{Address, SessionSettings};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OpenError {
     /// Nothing answers at the address.
-    #[error("cannot reach a cloud at {address}: {reason}; is it running, and is the address right?")]
+    #[error("cannot reach a cloud at {address}: {reason}{}", advice(.reason))]
     Unreachable {
         /// Address of the cloud.
         address: Address,
@@ -64,6 +64,11 @@ pub enum OpenError {
 
 fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
+}
+
+/// What to do about a cloud that cannot be reached; nothing where the reason says that itself, as it does of a missing ROS master.
+fn advice(reason: &str) -> &'static str {
+    if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }
 
 impl OpenError {
@@ -146,5 +151,25 @@ pub(crate) async fn handshake(
             true => OpenError::Unanswered { address, reason },
             false => OpenError::TimedOut { address, waited_ms },
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reason_that_says_what_to_do_is_not_followed_by_a_question() {
+        let told = |reason: &str| {
+            let address = "tcp://a:1".parse().expect("an address");
+            OpenError::Unreachable { address, reason: reason.to_owned() }.to_string()
+        };
+        let missing =
+            "no ROS master answers at http://a:11311: refused; start roscore there, or set ROS_MASTER_URI";
+        assert_eq!(told(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
+        assert!(
+            told("connection refused")
+                .ends_with("connection refused; is it running, and is the address right?")
+        );
     }
 }

@@ -11,7 +11,7 @@ use super::qos::InvalidQos;
 pub enum Ros2Error {
     /// The program was built without ROS 2.
     #[error(
-        "this build has no ROS 2; build with the cargo feature `ros2` of peernet-ros, or install the packages, which have it"
+        "this build has no ROS 2; build peernetd with the cargo feature `ros2`, or install the packages, which have it"
     )]
     NotBuilt,
     /// A name that ROS 2 does not allow.
