@@ -1,5 +1,6 @@
 //! Reading the file and checking everything it names.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
@@ -28,14 +29,25 @@ const LARGEST_FILE: u64 = 4 << 20;
 /// Tables that belong into another one, and what to write.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
 
-/// Tables that no table of an agent refers to.
-const INDEPENDENT: [&str; 3] = ["log", "aggregator", "web"];
+/// What is checked against another table: that table, and the end of the keys of the problems. They are not told where that table has
+/// mistakes of its own.
+const DEPENDENT: [(&str, &str); 9] = [
+    ("model", ".placement.model"),
+    ("bank", ".placement.model"),
+    ("model", "serve"),
+    ("bank", "serve"),
+    ("pipeline", "serve"),
+    ("pipeline", ".warm_up"),
+    ("serve", "probes.port"),
+    ("agent", "spool.file"),
+    ("lifecycle", "agent.stop_timeout_ms"),
+];
 
 /// Keys of the file that are arrays of tables; all others are tables.
 const ARRAYS: [&str; 2] = ["model", "pipeline"];
 
 /// The whole file.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     #[serde(default)]
@@ -116,7 +128,8 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
             return Err(problems);
         }
     };
-    let found = roles(&file).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let found =
+        roles(&file, &BTreeSet::new()).into_iter().map(|(key, text)| (key.to_owned(), text.to_owned()));
     let configuration = Configuration::from(file);
     let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
     if problems.is_empty() {
@@ -154,41 +167,56 @@ fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     Problem { file: path.to_owned(), line, key, text }
 }
 
-/// What is wrong with the tables that could be read, as far as it does not depend on the others.
-fn check_remainder(remainder: Remainder<File>) -> Vec<(String, String)> {
-    let mut configuration = Configuration::from(remainder.file);
-    // The tables of an agent refer to each other.
-    if !remainder.without.iter().all(|table| INDEPENDENT.contains(&table.as_str())) {
-        configuration.agent = None;
-    }
-    configuration.check()
+/// What is wrong with all that could be read, as far as it does not depend on what could not.
+fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
+    let file = std::mem::take(&mut remainder.file);
+    let roles = roles(&file, &remainder.incomplete).into_iter();
+    let roles = roles.map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let found = Configuration::from(file).check().into_iter();
+    let found = found.map(|(key, text)| (remainder.key_in_file(&key), text));
+    let is_certain = |(key, _): &(String, String)| {
+        let depends =
+            |(table, end): &(&str, &str)| remainder.incomplete.contains(*table) && key.ends_with(end);
+        !remainder.lacks(key) && !DEPENDENT.iter().any(depends)
+    };
+    roles.chain(found.filter(is_certain)).collect()
 }
 
-/// Tables that make no sense together or alone: a key and what is wrong.
-fn roles(file: &File) -> Vec<(&'static str, &'static str)> {
-    if file.agent.is_none() && file.aggregator.is_none() {
+/// Tables that make no sense together or alone: a key and what is wrong. Tables that are `incomplete` are there, although `file` may
+/// not have them.
+fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
+    let (has_agent, has_aggregator) = (
+        file.agent.is_some() || incomplete.contains("agent"),
+        file.aggregator.is_some() || incomplete.contains("aggregator"),
+    );
+    if !has_agent && !has_aggregator {
         return vec![("", "no role is switched on: add a table [agent], a table [aggregator], or both")];
     }
     let mut found = Vec::new();
-    let for_agent = file.spool.is_some()
-        || file.clock.is_some()
-        || file.probes.is_some()
-        || file.rehearsal.is_some()
-        || file.serve.is_some()
-        || file.bank.is_some()
-        || file.onnxruntime.is_some()
-        || !file.model.is_empty()
-        || !file.pipeline.is_empty();
-    if file.agent.is_none() && for_agent {
+    let for_agent = [
+        ("spool", file.spool.is_some()),
+        ("clock", file.clock.is_some()),
+        ("probes", file.probes.is_some()),
+        ("rehearsal", file.rehearsal.is_some()),
+        ("serve", file.serve.is_some()),
+        ("bank", file.bank.is_some()),
+        ("onnxruntime", file.onnxruntime.is_some()),
+        ("model", !file.model.is_empty()),
+        ("pipeline", !file.pipeline.is_empty()),
+    ];
+    if let Some((table, _)) = for_agent.into_iter().find(|(_, is_there)| !has_agent && *is_there) {
         found.push((
-            "",
+            table,
             "[spool], [clock], [probes], [rehearsal], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         ));
     }
-    if file.aggregator.is_none() && file.web.is_some() {
-        found.push(("", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
+    if !has_aggregator && file.web.is_some() {
+        found.push(("web", "[web] shows what an aggregator has: add a table [aggregator], or remove [web]"));
     }
-    if file.spool.is_some() && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none()) {
+    if file.spool.is_some()
+        && !incomplete.contains("agent")
+        && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none())
+    {
         found.push((
             "spool",
             "there is no spool without an aggregator: name one with [agent] aggregator, or remove [spool]",
@@ -328,11 +356,47 @@ mod tests {
             ":9: agent.io_threads: invalid type",
             ":13: pipeline[0].placement: missing field `model`",
             ":18: pipeline[1].rate: unknown field `rate`",
+            ":19: web: [web] shows what an aggregator has",
             ":20: web.listen: ",
         ]) {
             assert!(line.contains(expected), "{expected} in {text}");
         }
-        assert_eq!(lines.len(), 7, "{text}");
+        assert_eq!(lines.len(), 8, "{text}");
+    }
+
+    #[test]
+    fn mistake_hides_no_problem_of_what_can_be_read() {
+        let folder = tempfile::tempdir().expect("there is room for a temporary folder");
+        let sensor = "sensor = { kind = 'synthetic', size_bytes = 10 }";
+        let text = said(&format!(
+            "[agent]\nname = 'a'\nstate_dir = {:?}\nio_threads = 'x'\n[clock]\nwindow_s = 1\nunknown = 1\n\
+             [[model]]\nname = 'm'\nkind = 'nonsense'\n\
+             [[pipeline]]\nname = 'one'\n{sensor}\nplacement = {{ kind = 'nowhere' }}\n\
+             [[pipeline]]\nname = 'two'\n{sensor}\nplacement = {{ kind = 'local', model = 'm' }}\nload = {{ mode = 'rate', hz = -3 }}\n\
+             [[pipeline]]\nname = 'two'\nsensor = {{ kind = 'images', path = '/nonexistent' }}\nplacement = {{ kind = 'none' }}\n\
+             warm_up = {{ iteration = 3 }}\n",
+            folder.path()
+        ));
+        for expected in [
+            ":4: agent.io_threads: invalid type",
+            ":5: clock.fresh_s: ",
+            ":6: clock.window_s: ",
+            ":7: clock.unknown: unknown field",
+            ":10: model[0].kind: unknown variant `nonsense`",
+            ":14: pipeline[0].placement.kind: unknown variant `nowhere`",
+            ":19: pipeline[1].load.hz: ",
+            ":21: pipeline[2].name: another pipeline is named two already",
+            ":22: pipeline[2].sensor: ",
+            ":24: pipeline[2].warm_up.iteration: unknown field",
+        ] {
+            assert_eq!(
+                text.lines().filter(|line| line.contains(expected)).count(),
+                1,
+                "{expected} in {text}"
+            );
+        }
+        assert!(!text.contains("no [[model]]"), "the model is there, and cannot be read: {text}");
+        assert_eq!(text.lines().count(), 10, "{text}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and keys that are missing.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::Deserialize;
@@ -23,11 +23,15 @@ pub(super) struct Mistake {
     pub(super) error: Error,
 }
 
-/// What is left of a file when the tables with mistakes are taken away.
+/// What is left of a file when the keys with mistakes are taken away, and the tables that cannot be read without them.
 pub(super) struct Remainder<T> {
     pub(super) file: T,
-    /// The names of the tables that were taken away.
-    pub(super) without: BTreeSet<String>,
+    /// The names of the tables with mistakes, whether they are left or not.
+    pub(super) incomplete: BTreeSet<String>,
+    /// The paths of the keys that were taken away.
+    removed: Vec<String>,
+    /// Of each array of tables, which elements of the file are left.
+    places: BTreeMap<String, Vec<usize>>,
 }
 
 /// Reads a file, in which only the keys in `arrays` are arrays.
@@ -67,24 +71,48 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
     let mut mistakes: Vec<Mistake> =
         root.get_ref().iter().filter_map(|entry| needless_array(entry, arrays)).collect();
-    let mut without: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
+    let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
+    let (mut rest, mut removed, mut places) = (DeTable::new(), Vec::new(), BTreeMap::new());
     for part in parts(root.get_ref()) {
         if mistakes.iter().any(|mistake| mistake.key == part.name) {
             continue;
         }
         let before = mistakes.len();
-        part.find::<T>(&mut mistakes);
+        let left = part.find::<T>(&mut mistakes, &mut removed);
+        if let Some(left) = left {
+            part.put(left, &mut rest, &mut places);
+        }
         if mistakes.len() > before {
-            without.insert(part.name);
+            incomplete.insert(part.name);
         }
     }
     if mistakes.is_empty() {
         return (vec![first], None);
     }
-    let mut rest = root;
-    without.iter().for_each(|name| drop(rest.get_mut().remove(name.as_str())));
-    let remainder = T::deserialize(Deserializer::from(rest)).ok().map(|file| Remainder { file, without });
-    (mistakes, remainder)
+    let rest = Spanned::new(root.span(), rest);
+    let remainder = T::deserialize(Deserializer::from(rest)).ok();
+    (mistakes, remainder.map(|file| Remainder { file, incomplete, removed, places }))
+}
+
+impl<T> Remainder<T> {
+    /// The path in the whole file of a key of this one.
+    pub(super) fn key_in_file(&self, key: &str) -> String {
+        let in_array = || {
+            let (array, rest) = key.split_once('[')?;
+            let (place, rest) = rest.split_once(']')?;
+            let place = self.places.get(array)?.get(place.parse::<usize>().ok()?)?;
+            Some(format!("{array}[{place}]{rest}"))
+        };
+        in_array().unwrap_or_else(|| key.to_owned())
+    }
+
+    /// Whether something was taken away at a path of the whole file, below it or above it.
+    pub(super) fn lacks(&self, key: &str) -> bool {
+        let is_at = |key: &str, above: &str| {
+            key.strip_prefix(above).is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
+        };
+        self.removed.iter().any(|removed| is_at(key, removed) || is_at(removed, key))
+    }
 }
 
 /// One table of a file, or one element of an array of tables.
@@ -119,13 +147,23 @@ fn parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
 }
 
 impl<'a> Part<'a> {
-    /// Reads it again and again, each time without the key that could not be read, until nothing is wrong with the rest.
-    fn find<T: Deserialize<'a>>(&self, mistakes: &mut Vec<Mistake>) {
+    /// Reads it again and again, each time without the key that could not be read, until nothing is wrong with the rest, which it
+    /// returns. Adds the paths of the keys that it took away.
+    fn find<T: Deserialize<'a>>(
+        &self,
+        mistakes: &mut Vec<Mistake>,
+        without: &mut Vec<String>,
+    ) -> Option<Spanned<DeTable<'a>>> {
         let mut document = self.document.clone();
         let mut removed = Vec::new();
         while mistakes.len() < MOST_MISTAKES {
             let read = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
-            let Err(error) = read else { return };
+            let Err(error) = read else {
+                // Nothing of it is left where a key that is required at its top was taken away.
+                document.get_ref().get(self.name.as_str())?;
+                without.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
+                return Some(document);
+            };
             let steps = steps(error.path());
             let missing = missing_key(error.inner().message());
             // That a required key is missing is no mistake of the user when it was taken away here: its table goes as well.
@@ -133,19 +171,44 @@ impl<'a> Part<'a> {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
-                return;
+                return None;
             }
             if mistakes.len() + 1 == MOST_MISTAKES {
                 let error = Error::custom(
                     "there may be more mistakes, which are not listed; correct those above first",
                 );
                 mistakes.push(Mistake { key: String::new(), error });
-                return;
+                return None;
             }
             let is_removed = missing.is_none() && remove(document.get_mut(), &steps, &mut removed);
             mistakes.push(Mistake { key: self.key(&steps), error: error.into_inner() });
             if !is_removed {
-                return;
+                return None;
+            }
+        }
+        None
+    }
+
+    /// Puts what is left of it into the rest of the file, and says where it stood; an element of an array behind those before it.
+    fn put(
+        &self,
+        left: Spanned<DeTable<'a>>,
+        rest: &mut DeTable<'a>,
+        places: &mut BTreeMap<String, Vec<usize>>,
+    ) {
+        for (name, value) in left.into_inner() {
+            match (self.index, rest.get_mut(name.get_ref().as_ref())) {
+                (Some(_), Some(array)) => {
+                    if let (DeValue::Array(array), DeValue::Array(alone)) =
+                        (array.get_mut(), value.into_inner())
+                    {
+                        alone.into_iter().for_each(|element| array.push(element));
+                    }
+                }
+                _ => drop(rest.insert(name, value)),
+            }
+            if let Some(index) = self.index {
+                places.entry(self.name.clone()).or_default().push(index);
             }
         }
     }
@@ -229,15 +292,12 @@ impl fmt::Display for Mistake {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
 
     const ARRAYS: [&str; 1] = ["element"];
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[expect(dead_code, reason = "only what cannot be read is looked at")]
     struct File {
         #[serde(default)]
         first: First,
@@ -300,8 +360,31 @@ mod tests {
         }
         assert_eq!(told.len(), 9, "{told:#?}");
         let rest = rest.expect("the rest can be read");
-        assert_eq!(rest.without, ["element", "first", "third"].map(str::to_owned).into());
-        assert_eq!(rest.file.second.len(), 1);
+        assert_eq!(rest.incomplete, ["element", "first", "third"].map(str::to_owned).into());
+        assert_eq!((rest.file.second.len(), rest.file.first.number, rest.file.element.len()), (1, 0, 1));
+    }
+
+    #[test]
+    fn what_is_left_of_a_file_knows_where_it_stood() {
+        let (_, rest) = found(
+            "[first]\nnumber = 'x'\nlist = [1, 2]\n[[element]]\nname = 'a'\n\
+             [[element]]\nname = 'b'\nkind = { kind = 'one', size = 1 }\nnumber = 'x'\n",
+        );
+        let rest = rest.expect("the rest can be read");
+        assert_eq!(rest.file.first.list, [1, 2]);
+        let [element] = &rest.file.element[..] else { panic!("the other one has no kind") };
+        assert_eq!((element.name.as_str(), element.number), ("b", None));
+        assert_eq!(rest.key_in_file("element[0].name"), "element[1].name");
+        assert_eq!(rest.key_in_file("first.list[1]"), "first.list[1]");
+        for (key, is_lacking) in [
+            ("first.number", true),
+            ("first", true),
+            ("first.list", false),
+            ("element[1].number.x", true),
+            ("element[1].name", false),
+        ] {
+            assert_eq!(rest.lacks(key), is_lacking, "{key}");
+        }
     }
 
     #[test]
