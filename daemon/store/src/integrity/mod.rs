@@ -1,5 +1,6 @@
 //! Whether the database's file is damaged: who finds it says so here, and nothing is stored into it from then on.
 
+mod log_pages;
 mod page_check;
 pub(crate) mod pages;
 mod task;
@@ -15,6 +16,7 @@ use tokio::sync::watch;
 
 use crate::database_error::DatabaseError;
 
+pub(crate) use self::log_pages::log_path;
 pub(crate) use self::page_check::PageCheck;
 pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
 

@@ -3,9 +3,10 @@
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::log_pages::{LogPages, log_path};
 use super::pages::{PageFile, be32};
 
 /// A pass over the file, some pages at a time.
@@ -15,6 +16,7 @@ use super::pages::{PageFile, be32};
 #[derive(Debug)]
 pub(crate) struct PageCheck {
     file: PageFile,
+    log: PathBuf,
     next: u32,
     /// Pages that are none of a b-tree, with the number in their first bytes.
     others: HashMap<u32, u32>,
@@ -23,13 +25,14 @@ pub(crate) struct PageCheck {
 }
 
 impl PageCheck {
-    /// Begins; `None` when the file's header is not that of a database.
+    /// Begins, with the open file and the path of its log; `None` when the file's header is not that of a database.
     ///
     /// # Errors
-    /// When the file cannot be read; so for the other functions.
-    pub(crate) fn begin(database: Arc<File>) -> io::Result<Option<Self>> {
+    /// When a file cannot be read; so for the other functions.
+    pub(crate) fn begin(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
         Ok(PageFile::of(database)?.map(|file| Self {
             file,
+            log,
             next: 1,
             others: HashMap::new(),
             overflows: Vec::new(),
@@ -39,7 +42,8 @@ impl PageCheck {
     /// The whole pass at once, over a file that no connection of this process has open ([`PageFile::open`]): numbers of
     /// malformed pages.
     pub(crate) fn of(database: &Path) -> io::Result<Vec<u32>> {
-        let Some(mut check) = Self::begin(Arc::new(File::open(database)?))? else { return Ok(vec![1]) };
+        let file = Arc::new(File::open(database)?);
+        let Some(mut check) = Self::begin(file, log_path(database))? else { return Ok(vec![1]) };
         while check.step(1 << 20)? {}
         check.finish()
     }
@@ -51,7 +55,7 @@ impl PageCheck {
         let read = self.file.read(first, u32::try_from(count).unwrap_or(u32::MAX))?;
         for (number, page) in (first..).zip(read.chunks_exact(self.file.page_bytes)) {
             self.next = number + 1;
-            match self.file.well_formed_page(number, page.to_vec()) {
+            match self.file.well_formed_page(number, page.to_vec(), self.file.pages) {
                 Some(page) => self.overflows.extend(page.overflows()),
                 None if self.file.is_lock_page(number) => {}
                 None => {
@@ -62,29 +66,77 @@ impl PageCheck {
         Ok(self.next <= self.file.pages)
     }
 
-    /// The pages that are malformed and in use. While an aggregator stores, the file is not of one moment: only what is
-    /// malformed when it is read again counts, and whether SQLite reads the page at all is for the caller to find out.
+    /// The pages that are malformed and in use. While an aggregator stores, the main file is not of one moment: what the
+    /// log refers to is in use as well, and only what is malformed when it is read again counts. Pages that were moved
+    /// during the pass may still be among these: another pass does not find them.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing = self.file.first_missing()?;
+        self.follow_overflows(None)?;
         if self.others.is_empty() {
             return Ok(Vec::from_iter(missing));
         }
-        for first in std::mem::take(&mut self.overflows) {
-            let mut page = first;
-            // A chain that is broken ends at a page that is malformed or none: that is not told here.
-            while let Some(next) = self.others.remove(&page) {
-                page = next;
-            }
+        let log = LogPages::of(&self.log, self.file.page_bytes)?;
+        // The file has grown, and the log has pages that are still to be appended to it.
+        self.file.look_at_length()?;
+        let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
+        for number in log.iter().flat_map(LogPages::numbers) {
+            let page = log.as_ref().map_or(Ok(None), |log| log.read(number))?;
+            let page = page.and_then(|page| self.file.well_formed_page(number, page, last));
+            self.overflows.extend(page.iter().flat_map(|page| page.overflows()));
         }
-        let free: HashSet<u32> = self.file.free_pages()?.unwrap_or_default().into_iter().collect();
-        let mut malformed = Vec::from_iter(missing);
-        for number in self.others.into_keys().filter(|number| !free.contains(number)) {
+        for number in Vec::from_iter(self.others.keys().copied()) {
             let page = self.file.read(number, 1)?;
-            if self.file.well_formed_page(number, page).is_none() {
-                malformed.push(number);
+            if let Some(page) = self.file.well_formed_page(number, page, last) {
+                self.others.remove(&number);
+                self.overflows.extend(page.overflows());
             }
         }
+        self.follow_overflows(log.as_ref())?;
+        for free in [self.file.free_pages(|_| Ok(None))?, self.free_pages_of(log.as_ref())?] {
+            for number in free.into_iter().flatten() {
+                self.others.remove(&number);
+            }
+        }
+        if let Some(log) = &log
+            && !self.is_carried_over(log)?
+        {
+            // SQLite reads these from the log; in the main file there may be an older form, or a hole.
+            self.others.retain(|number, _| !log.holds(*number));
+        }
+        let mut malformed: Vec<u32> = missing.into_iter().chain(self.others.into_keys()).collect();
         malformed.sort_unstable();
         Ok(malformed)
+    }
+
+    /// Takes the pages with the rest of long records out of those that may be malformed. A chain that is broken ends at a
+    /// page that is malformed or none: that is not told here.
+    fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
+        let mut seen_in_log = HashSet::new();
+        while let Some(page) = self.overflows.pop() {
+            self.overflows.extend(self.others.remove(&page));
+            let in_log = log.filter(|_| seen_in_log.insert(page)).map_or(Ok(None), |log| log.read(page))?;
+            self.overflows.extend(in_log.map(|bytes| be32(&bytes, 0)));
+        }
+        Ok(())
+    }
+
+    /// Whether the main file has all pages of the log, but for those that may be malformed. A log that was carried over stays until the
+    /// next commit, and readers no longer look into it.
+    fn is_carried_over(&self, log: &LogPages) -> io::Result<bool> {
+        if !self.others.keys().any(|number| log.holds(*number)) {
+            return Ok(false);
+        }
+        for number in log.numbers().filter(|number| !self.others.contains_key(number)) {
+            let is_same = self.file.holds(number) && log.read(number)? == Some(self.file.read(number, 1)?);
+            if !is_same {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// The free pages according to the log.
+    fn free_pages_of(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
+        log.map_or(Ok(None), |log| self.file.free_pages(|number| log.read(number)))
     }
 }

@@ -87,8 +87,16 @@ impl PageFile {
         if header[..16] != *MAGIC || !page_bytes.is_power_of_two() || page_bytes < 512 || usable < 480 {
             return Ok(None);
         }
-        let pages = file.metadata()?.len() / page_bytes as u64;
-        Ok(Some(Self { file, page_bytes, usable, pages: u32::try_from(pages).unwrap_or(u32::MAX) }))
+        let mut file = Self { file, page_bytes, usable, pages: 0 };
+        file.look_at_length()?;
+        Ok(Some(file))
+    }
+
+    /// Counts the pages anew: a file that is written to grows.
+    pub(crate) fn look_at_length(&mut self) -> io::Result<()> {
+        let pages = self.file.metadata()?.len() / self.page_bytes as u64;
+        self.pages = u32::try_from(pages).unwrap_or(u32::MAX);
+        Ok(())
     }
 
     /// Reads pages from `first`, the file's first is 1, at most `count`.
@@ -121,10 +129,10 @@ impl PageFile {
         BtreePage::parse(number, bytes, self.usable)
     }
 
-    /// The page if all of its entries are well-formed, too, and refer to pages that exist.
-    pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>) -> Option<BtreePage> {
+    /// The page if all of its entries are well-formed, too, and refer to pages up to the number `last`.
+    pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>, last: u32) -> Option<BtreePage> {
         let page = self.btree_page(number, bytes)?;
-        let exists = |page: Option<u32>| page.is_none_or(|page| self.holds(page));
+        let exists = |page: Option<u32>| page.is_none_or(|page| (1..=last).contains(&page));
         let fits = |cell: Cell<'_>| exists(cell.child) && exists(cell.overflow);
         let whole =
             exists(page.right_child) && (0..page.cells).all(|index| page.cell(index).is_some_and(fits));
@@ -153,16 +161,25 @@ impl PageFile {
         Ok(next.is_none().then_some(record))
     }
 
-    /// All pages that are free; `None` when the list of them is broken.
-    pub(crate) fn free_pages(&self) -> io::Result<Option<Vec<u32>>> {
-        let first = self.read(1, 1)?;
+    /// All pages that are free; `None` when the list of them is broken. `newer` returns the newer form of a page, if there
+    /// is one.
+    pub(crate) fn free_pages(
+        &self,
+        newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
+    ) -> io::Result<Option<Vec<u32>>> {
+        let read = |number| match newer(number)? {
+            Some(bytes) => Ok(Some(bytes)),
+            None if self.holds(number) => self.read(number, 1).map(Some),
+            None => io::Result::Ok(None),
+        };
+        let Some(first) = read(1)? else { return Ok(None) };
         let (mut trunk, expected) = (be32(&first, 32), be32(&first, 36) as usize);
         let mut free = Vec::new();
         while trunk != 0 {
-            if !self.holds(trunk) || free.len() >= expected {
+            if free.len() >= expected {
                 return Ok(None);
             }
-            let bytes = self.read(trunk, 1)?;
+            let Some(bytes) = read(trunk)? else { return Ok(None) };
             free.push(trunk);
             let leaves = be32(&bytes, 4) as usize;
             if leaves > self.usable / 4 - 2 {

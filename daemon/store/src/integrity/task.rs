@@ -13,7 +13,7 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::{AbortOnDropHandle, TaskTracker};
 
-use super::{Integrity, PageCheck};
+use super::{Integrity, PageCheck, log_path};
 use crate::database_error::is_damage;
 use crate::limits::BUSY;
 
@@ -25,7 +25,9 @@ const FIRST_RATE: u64 = 128 << 20;
 const RATE: u64 = 16 << 20;
 /// Instructions of SQLite's machine between two looks at whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
-/// The pause between two passes.
+/// How often a page must look malformed before SQLite checks the whole file, which takes far longer.
+const PASSES: usize = 3;
+/// The pause between two looks for damage.
 const PAUSE: Duration = Duration::from_secs(2);
 
 /// The check of one database that is open, which goes on until it is told to stop.
@@ -121,7 +123,7 @@ async fn check_for_ever(
     }
 }
 
-/// Reads the file once.
+/// Looks for damage once.
 async fn pass(
     integrity: &Integrity,
     (file, reads): (&Arc<File>, &TaskTracker),
@@ -129,37 +131,70 @@ async fn pass(
     unused: &mut HashSet<u32>,
     stop: &CancellationToken,
 ) -> Result<(), sqlx::Error> {
-    let file = Arc::clone(file);
-    let malformed = match blocking(reads, move || PageCheck::begin(file)).await? {
-        Some(mut check) => {
-            let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP / rate));
-            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-            let mut more = true;
-            while more {
-                ticks.tick().await;
-                (check, more) = blocking(reads, move || {
-                    let more = check.step(STEP)?;
-                    Ok((check, more))
-                })
-                .await?;
-            }
-            blocking(reads, move || check.finish()).await?
-        }
-        None => vec![1],
-    };
+    let malformed = malformed_pages(&integrity.database, file, reads, rate).await?;
     unused.retain(|page| malformed.contains(page));
     let Some(first) = malformed.iter().find(|page| !unused.contains(page)) else { return Ok(()) };
+    let database = integrity.database.display();
     tracing::info!(
-        page = first,
-        pages = malformed.len(),
-        "pages of the database look malformed, checking all of it"
+        %database, page = first, pages = malformed.len(),
+        "pages of the database look malformed, SQLite checks the whole file"
     );
     match sqlite_finds(&integrity.database, stop).await? {
         Some(what) => integrity.found(format!("page {first} is malformed ({what})")),
-        // The log has a newer one, or nothing refers to it.
-        None => *unused = malformed.into_iter().collect(),
+        // Nothing refers to them.
+        None => {
+            tracing::info!(%database, "the database is not damaged: SQLite finds nothing wrong in the whole file");
+            *unused = malformed.into_iter().collect();
+        }
     }
     Ok(())
+}
+
+/// Reads the whole file, and again as long as pages look malformed, at most [`PASSES`] times: the pages that look
+/// malformed each time.
+///
+/// While events are stored, records move from page to page during a pass, and a page that holds the rest of one may look
+/// like no page of any record. Such a page differs from pass to pass, a damaged one stays.
+pub(super) async fn malformed_pages(
+    database: &Path,
+    file: &Arc<File>,
+    reads: &TaskTracker,
+    rate: u64,
+) -> Result<Vec<u32>, sqlx::Error> {
+    let mut malformed = read_pages(database, file, reads, rate).await?;
+    for _again in 1..PASSES {
+        if malformed.is_empty() {
+            break;
+        }
+        let still = read_pages(database, file, reads, FIRST_RATE).await?;
+        malformed.retain(|page| still.contains(page));
+    }
+    Ok(malformed)
+}
+
+/// Reads the file once.
+async fn read_pages(
+    database: &Path,
+    file: &Arc<File>,
+    reads: &TaskTracker,
+    rate: u64,
+) -> Result<Vec<u32>, sqlx::Error> {
+    let (file, log) = (Arc::clone(file), log_path(database));
+    let Some(mut check) = blocking(reads, move || PageCheck::begin(file, log)).await? else {
+        return Ok(vec![1]);
+    };
+    let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP / rate));
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut more = true;
+    while more {
+        ticks.tick().await;
+        (check, more) = blocking(reads, move || {
+            let more = check.step(STEP)?;
+            Ok((check, more))
+        })
+        .await?;
+    }
+    blocking(reads, move || check.finish()).await
 }
 
 async fn blocking<T: Send + 'static>(

@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use proptest::prelude::*;
-use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use tempfile::TempDir;
+use tokio_util::task::TaskTracker;
 
-use super::{Integrity, PageCheck};
+use super::task::malformed_pages;
+use super::{Integrity, PageCheck, log_path};
 
 const PAGE: u64 = 4096;
 
@@ -86,6 +88,119 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     File::options().write(true).open(&path).expect("opens").set_len(20 * PAGE + 7).expect("cuts it off");
     let malformed = PageCheck::of(&path).expect("reads");
     assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
+}
+
+/// A connection to a database with a log, with a table of long records in it.
+async fn growing_file(path: &Path) -> SqliteConnection {
+    let options = SqliteConnectOptions::new()
+        .filename(path)
+        .create_if_missing(true)
+        .journal_mode(SqliteJournalMode::Wal)
+        .synchronous(SqliteSynchronous::Off)
+        .pragma("wal_autocheckpoint", "0");
+    let mut connection = options.connect().await.expect("opens");
+    run(
+        &mut connection,
+        "CREATE TABLE long (a INTEGER PRIMARY KEY, b BLOB); CREATE INDEX by_content ON long (b)",
+    )
+    .await;
+    run(&mut connection, &long_records(300)).await;
+    connection
+}
+
+async fn run(connection: &mut SqliteConnection, script: &str) {
+    sqlx::raw_sql(AssertSqlSafe(script.to_owned())).execute(connection).await.expect("executes");
+}
+
+fn long_records(rows: u32) -> String {
+    format!(
+        "WITH RECURSIVE n (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < {rows})
+         INSERT INTO long (b) SELECT randomblob(iif(n % 3 = 0, 9000, 100)) FROM n"
+    )
+}
+
+fn malformed(path: &Path, log: PathBuf) -> Vec<u32> {
+    let file = Arc::new(File::open(path).expect("opens"));
+    let mut check = PageCheck::begin(file, log).expect("reads").expect("a database");
+    while check.step(20 * PAGE).expect("reads") {}
+    check.finish().expect("reads")
+}
+
+#[tokio::test]
+async fn pages_that_only_the_log_refers_to_are_in_use() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("mixed.sqlite");
+    let mut writer = growing_file(&path).await;
+    run(&mut writer, "PRAGMA wal_checkpoint(TRUNCATE)").await;
+    run(&mut writer, &long_records(300)).await;
+    let mut reader = SqliteConnectOptions::new().filename(&path).connect().await.expect("opens");
+    run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
+    run(&mut writer, &long_records(300)).await;
+    // Copies what the reader sees, and of that no page of which the log has a newer form: the long records, and not what refers to them.
+    run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
+    assert_ne!(malformed(&path, folder.path().join("none")), Vec::<u32>::new());
+    assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());
+}
+
+#[tokio::test]
+async fn damaged_page_is_found_although_the_log_still_has_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("idle.sqlite");
+    let mut writer = growing_file(&path).await;
+    // Carried over, and nothing is written after that: SQLite reads the main file.
+    run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
+    overwrite(&path, 2 * PAGE, &noise(3, 4096));
+    assert_eq!(malformed(&path, log_path(&path)), [3]);
+}
+
+#[tokio::test]
+async fn second_pass_clears_pages_that_moved_during_the_first() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("grows.sqlite");
+    let mut writer = growing_file(&path).await;
+    run(&mut writer, "PRAGMA wal_checkpoint(TRUNCATE)").await;
+
+    let file = Arc::new(File::open(&path).expect("opens"));
+    let mut check = PageCheck::begin(file, log_path(&path)).expect("reads").expect("a database");
+    assert!(check.step(20 * PAGE).expect("reads"));
+    run(&mut writer, &long_records(300)).await;
+    run(&mut writer, "DELETE FROM long WHERE a % 5 = 0").await;
+    run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
+    run(&mut writer, &long_records(30)).await;
+    while check.step(20 * PAGE).expect("reads") {}
+    assert_ne!(check.finish().expect("reads"), Vec::<u32>::new());
+    assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_page_stays_malformed_while_rows_are_written_and_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("busy.sqlite");
+    let mut writer = growing_file(&path).await;
+    let file = Arc::new(File::open(&path).expect("opens"));
+    let reading = SqliteConnectOptions::new().filename(&path).read_only(true);
+    let busy = tokio::spawn(async move {
+        let mut reader = reading.connect().await.expect("opens");
+        run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
+        for round in 1..200 {
+            if round % 4 == 0 {
+                // The checkpoints that follow must leave out what this one reads.
+                run(&mut reader, "COMMIT; BEGIN; SELECT count(*) FROM long").await;
+            }
+            run(&mut writer, &long_records(40)).await;
+            run(&mut writer, "DELETE FROM long WHERE a % 7 = (SELECT count(*) FROM long) % 7").await;
+            run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
+        }
+    });
+    let (reads, mut looks, mut alarms) = (TaskTracker::new(), 0, Vec::new());
+    while !busy.is_finished() {
+        let malformed = malformed_pages(&path, &file, &reads, 64 << 20).await.expect("reads");
+        looks += 1;
+        alarms.extend(Some(malformed).filter(|pages| !pages.is_empty()));
+    }
+    busy.await.expect("writes");
+    assert!(looks > 5, "{looks} looks");
+    assert_eq!(alarms, Vec::<Vec<u32>>::new(), "in {looks} looks");
 }
 
 #[tokio::test]

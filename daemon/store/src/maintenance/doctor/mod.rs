@@ -19,7 +19,7 @@ use crate::column::count;
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
-use crate::integrity::{PageCheck, has_table_list, remembered};
+use crate::integrity::{PageCheck, has_table_list, log_path, remembered};
 
 /// Free bytes of the disk below which the report names a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
@@ -177,10 +177,7 @@ impl Report {
     /// Reads the lengths of the files and the free space from the file system.
     fn read_lengths(&mut self, database: &Path) {
         let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-        let mut log =
-            std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
-        log.push("-wal");
-        (self.file.bytes, self.file.wal_bytes) = (length(database), length(Path::new(&log)));
+        (self.file.bytes, self.file.wal_bytes) = (length(database), length(&log_path(database)));
         match free_bytes(database) {
             Ok(bytes) => self.file.disk_free_bytes = bytes,
             Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),

@@ -1,0 +1,90 @@
+//! The pages in a database's log (`-wal`), read without SQLite.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+use super::pages::be32;
+
+/// Bytes of the log's header.
+const HEADER_BYTES: u64 = 32;
+/// Bytes of the header of a frame, which is one page.
+const FRAME_BYTES: u64 = 24;
+/// The first bytes of every log, but for the lowest bit, which tells the byte order of the checksums.
+const MAGIC: u32 = 0x377f_0682;
+
+/// The newest form of each page that is in the log.
+///
+/// A checkpoint copies pages from the log into the main file one after the other, and leaves some out while readers need
+/// their older form: the main file alone is not the database of any one moment. Checksums are not verified, so that this
+/// may hold pages of a transaction that is not committed.
+#[derive(Debug)]
+pub(super) struct LogPages {
+    file: File,
+    page_bytes: usize,
+    /// Where each page begins.
+    offsets: HashMap<u32, u64>,
+}
+
+/// Path of the log of a database: beside the file itself, also when that is named by a link.
+pub(crate) fn log_path(database: &Path) -> PathBuf {
+    let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
+    path.push("-wal");
+    path.into()
+}
+
+impl LogPages {
+    /// Reads which pages are in the log; `None` without a log, or while it is empty.
+    ///
+    /// # Errors
+    /// When the log cannot be read; so for the other functions.
+    pub(super) fn of(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
+        let file = match File::open(log) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            opened => opened?,
+        };
+        let mut header = [0; HEADER_BYTES as usize];
+        if !read_whole(&file, &mut header, 0)?
+            || be32(&header, 0) & !1 != MAGIC
+            || be32(&header, 8) as usize != page_bytes
+        {
+            return Ok(None);
+        }
+        let mut offsets = HashMap::new();
+        let mut at = HEADER_BYTES;
+        let mut frame = [0; FRAME_BYTES as usize];
+        // Frames of an earlier use of the log have other salts. Those are in the main file already.
+        while read_whole(&file, &mut frame, at)? && frame[8..16] == header[16..24] {
+            offsets.insert(be32(&frame, 0), at + FRAME_BYTES);
+            at += FRAME_BYTES + page_bytes as u64;
+        }
+        Ok(Some(Self { file, page_bytes, offsets }))
+    }
+
+    /// Numbers of the pages in it.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
+        self.offsets.keys().copied()
+    }
+
+    /// Whether a page is in it.
+    pub(super) fn holds(&self, number: u32) -> bool {
+        self.offsets.contains_key(&number)
+    }
+
+    /// One page; `None` when the log has it not.
+    pub(super) fn read(&self, number: u32) -> io::Result<Option<Vec<u8>>> {
+        let Some(at) = self.offsets.get(&number) else { return Ok(None) };
+        let mut bytes = vec![0; self.page_bytes];
+        Ok(read_whole(&self.file, &mut bytes, *at)?.then_some(bytes))
+    }
+}
+
+/// Fills the buffer; false at the end of the file.
+fn read_whole(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<bool> {
+    match file.read_exact_at(buffer, offset) {
+        Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
+        read => read.map(|()| true),
+    }
+}
