@@ -72,8 +72,8 @@ impl PageCheck {
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing = self.file.first_missing()?;
         self.follow_overflows(None)?;
-        if self.others.is_empty() {
-            return Ok(Vec::from_iter(missing));
+        if self.others.is_empty() && missing.is_none() {
+            return Ok(Vec::new());
         }
         let log = LogPages::of(&self.log, self.file.page_bytes)?;
         // The file has grown, and the log has pages that are still to be appended to it.
@@ -84,7 +84,7 @@ impl PageCheck {
             let page = page.and_then(|page| self.file.well_formed_page(number, page, last));
             self.overflows.extend(page.iter().flat_map(|page| page.overflows()));
         }
-        for number in Vec::from_iter(self.others.keys().copied()) {
+        for number in Vec::from_iter(self.others.keys().copied().filter(|number| self.file.holds(*number))) {
             let page = self.file.read(number, 1)?;
             if let Some(page) = self.file.well_formed_page(number, page, last) {
                 self.others.remove(&number);
@@ -97,13 +97,14 @@ impl PageCheck {
                 self.others.remove(&number);
             }
         }
+        let mut malformed: Vec<u32> = self.others.keys().copied().chain(missing).collect();
         if let Some(log) = &log
+            && malformed.iter().any(|number| log.holds(*number))
             && !self.is_carried_over(log)?
         {
-            // SQLite reads these from the log; in the main file there may be an older form, or a hole.
-            self.others.retain(|number, _| !log.holds(*number));
+            // SQLite reads these from the log; in the main file there may be an older form, a hole, or nothing yet.
+            malformed.retain(|number| !log.holds(*number));
         }
-        let mut malformed: Vec<u32> = missing.into_iter().chain(self.others.into_keys()).collect();
         malformed.sort_unstable();
         Ok(malformed)
     }
@@ -123,12 +124,10 @@ impl PageCheck {
     /// Whether the main file has all pages of the log, but for those that may be malformed. A log that was carried over stays until the
     /// next commit, and readers no longer look into it.
     fn is_carried_over(&self, log: &LogPages) -> io::Result<bool> {
-        if !self.others.keys().any(|number| log.holds(*number)) {
-            return Ok(false);
-        }
-        for number in log.numbers().filter(|number| !self.others.contains_key(number)) {
-            let is_same = self.file.holds(number) && log.read(number)? == Some(self.file.read(number, 1)?);
-            if !is_same {
+        // A file that was cut off lacks all pages from there on.
+        let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.holds(*number);
+        for number in log.numbers().filter(is_whole) {
+            if log.read(number)? != Some(self.file.read(number, 1)?) {
                 return Ok(false);
             }
         }

@@ -151,6 +151,8 @@ async fn damaged_page_is_found_although_the_log_still_has_it() {
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     overwrite(&path, 2 * PAGE, &noise(3, 4096));
     assert_eq!(malformed(&path, log_path(&path)), [3]);
+    File::options().write(true).open(&path).expect("opens").set_len(100 * PAGE).expect("cuts it off");
+    assert!(malformed(&path, log_path(&path)).contains(&101));
 }
 
 #[tokio::test]

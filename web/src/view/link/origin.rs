@@ -184,7 +184,7 @@ fn narrowing(offset: &Offset) -> String {
     format!("the offset {} narrows it", others.join(" and "))
 }
 
-/// Half the width of a bound below which no time daemon's claim narrows it: what PTP with the clock of a network interface claims.
+/// Half the width of a bound from which on a time daemon is recommended: what one claims of its own error is seldom less.
 const BEST_CLAIM: Span = Span::from_micros(50);
 
 /// What would narrow the bound of this link.
@@ -219,7 +219,7 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
     let claimed = claimed_offset(subject).map(|(_, interval)| interval);
     if !is_wide {
-        // No time daemon claims less.
+        // What a time daemon claims would be wider.
     } else if !without.is_empty() {
         let hosts = without.join(" and ");
         hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST} is set"));
