@@ -208,7 +208,8 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
 }
 
 /// Counts and means are equal, deviations but for their last digits; quantiles are within the sketch's 1 %. The store knows means of
-/// seconds, the file single iterations: ends of an interval differ by less than a fifth of its width.
+/// seconds, the file single iterations, so that their batches begin elsewhere: the width of an interval from 30 batches varies by 13 %
+/// (standard deviation), and ends differ by less than half of it.
 #[tokio::test]
 async fn files_of_runs_and_store_give_the_same_comparison() {
     let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
@@ -242,7 +243,7 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
         let Some(found) = found else { continue };
         assert!((found["value"].as_f64().expect("a number") - stage.mean.value).abs() < 1e-9, "{found}");
         let (lo, hi) = stage.mean.interval.expect("enough iterations");
-        let tolerance = 0.2 * (hi - lo);
+        let tolerance = 0.5 * (hi - lo);
         for (end, of_file) in found["interval"].as_array().expect("two ends").iter().zip([lo, hi]) {
             let end = end.as_f64().expect("a number");
             assert!((end - of_file).abs() <= tolerance, "{}: {found} {lo} {hi}", stage.stage);
