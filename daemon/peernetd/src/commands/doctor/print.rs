@@ -113,7 +113,7 @@ fn spool(report: &SpoolReport, now: WallTime) {
         return say("");
     }
     say(format_args!(
-        "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events handed in, {} dropped",
+        "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events handed in, {} lost",
         found.stream,
         found.host,
         fixed(found.acknowledged as f64, 0),
