@@ -15,6 +15,7 @@ const END: Span = Span::from_seconds(3);
 struct Judged {
     sent: RawTime,
     received: RawTime,
+    verdict: String,
     /// With the verdict `ok` or `limited`.
     is_good: bool,
     /// Good, and its interval misses the truth by so much.
@@ -37,7 +38,7 @@ impl Judged {
             None if is_good => panic!("good, and no bounds: {delay:?}"),
             _ => Span::ZERO,
         };
-        Self { sent, received, is_good, missed }
+        Self { sent, received, verdict: delay.verdict.clone(), is_good, missed }
     }
 }
 
