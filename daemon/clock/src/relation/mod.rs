@@ -209,6 +209,7 @@ impl Relation {
             }
             None => {
                 self.contradictions.suspects.drop_if_refuted(&bounds);
+                self.contradictions.suspects.drop_if_before(bounds.sent() - self.settings.window);
                 self.windows.insert(exchange, &bounds)
             }
         };

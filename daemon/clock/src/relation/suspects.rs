@@ -79,6 +79,16 @@ impl Suspects {
         self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
     }
 
+    /// Drops the suspects if all of them were sent before a time.
+    ///
+    /// Exchanges that fit both refute nothing, but once the window holds only what came after the suspects, it says the truth whether
+    /// there was a step or not.
+    pub(super) fn drop_if_before(&mut self, time: RawTime) {
+        if self.sent.iter().all(|sent| *sent < time) {
+            self.band = None;
+        }
+    }
+
     /// Whether no exchange contradicts the band.
     pub(super) fn is_empty(&self) -> bool {
         self.band.is_none()

@@ -181,3 +181,18 @@ fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
     }
     assert_eq!(relation.window(), 2);
 }
+
+#[test]
+fn suspicion_ends_with_window_if_nothing_refutes_it() {
+    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+    let mut relation = acquainted(&before);
+    let lie = after.trip(10e9, 3e4, 1e5, 3e4).observation();
+    assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
+    let is_trusted = |judged: &Judged| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+    for n in 1..=120 {
+        let seconds = 10.0 + f64::from(n) / 10.0;
+        let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
+        assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
+        assert!(seconds > 19.8 || !is_trusted(&judged), "{seconds} s: {judged:?}");
+    }
+}

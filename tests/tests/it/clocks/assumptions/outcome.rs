@@ -15,6 +15,7 @@ const END: Span = Span::from_seconds(3);
 struct Judged {
     sent: RawTime,
     received: RawTime,
+    #[expect(dead_code, reason = "for messages of failed assertions")]
     verdict: String,
     /// With the verdict `ok` or `limited`.
     is_good: bool,
