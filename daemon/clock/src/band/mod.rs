@@ -289,6 +289,14 @@ impl Band {
         self.exchanges
     }
 
+    /// Returns the time from which on exchanges bound the offset at a time: the begin of the window, or of the latest exchanges where
+    /// these are rare.
+    pub(crate) fn bounds_from(&self, at: RawTime) -> RawTime {
+        let begin = at.nanos().saturating_sub(self.window);
+        let oldest = self.latest.front().map_or(begin, |oldest| oldest.upper.x);
+        RawTime::from_nanos(begin.min(oldest))
+    }
+
     /// When the newest exchange returned, by the edge's clock.
     pub(crate) fn newest(&self) -> Option<RawTime> {
         (self.exchanges > 0).then(|| RawTime::from_nanos(self.newest))

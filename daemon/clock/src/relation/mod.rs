@@ -209,8 +209,10 @@ impl Relation {
             }
             None => {
                 self.contradictions.suspects.drop_if_refuted(&bounds);
-                self.contradictions.suspects.drop_if_before(bounds.sent() - self.settings.window);
-                self.windows.insert(exchange, &bounds)
+                let moved = self.windows.insert(exchange, &bounds);
+                let begin = self.windows.current().bounds_from(bounds.sent());
+                self.contradictions.suspects.drop_if_before(begin);
+                moved
             }
         };
         if let Some(moved) = moved {

@@ -196,3 +196,21 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
         assert!(seconds > 19.8 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
 }
+
+/// Eight exchanges bound the offset however far they are: until all of them came after the suspects, one of both may be wrong.
+#[test]
+fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
+    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+    let mut relation = acquainted(&before);
+    assert_eq!(
+        relation.learn(&after.trip(10e9, 3e4, 1e5, 3e4).observation()),
+        Learned::Refused(Refusal::Outlier)
+    );
+    for n in 1..=12 {
+        let at = 10.0 + f64::from(n) * 6.0;
+        let judged = relation.judge(&before.trip(at * 1e9, 1.5e7, 1e5, 1.5e7).observation());
+        let is_trusted = matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+        assert!(n > 7 || !is_trusted, "exchange {n}: {judged:?}");
+        assert!(n < 9 || is_trusted, "exchange {n}: {judged:?}");
+    }
+}
