@@ -17,6 +17,8 @@ mod doubts;
 mod median_bootstrap;
 mod ranking;
 mod render;
+#[cfg(test)]
+mod testing;
 
 pub use best::against_best;
 pub use columns::{ChosenColumns, Column, choose_columns};
