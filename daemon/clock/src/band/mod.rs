@@ -180,6 +180,16 @@ impl Band {
         self.hulls = Hulls::default();
     }
 
+    /// Returns the band without what it keeps from before a time.
+    pub(crate) fn since(&self, start: RawTime) -> Self {
+        let mut since = Self { hulls: Hulls::default(), ..self.clone() };
+        let start = start.nanos();
+        since.upper.expire(start);
+        since.lower.expire(start);
+        since.latest.retain(|bounds| bounds.upper.x >= start);
+        since
+    }
+
     /// The interval at a time; `None` without an exchange.
     pub(crate) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
         let q = at.nanos();

@@ -210,8 +210,7 @@ impl Relation {
             None => {
                 self.contradictions.suspects.drop_if_refuted(&bounds);
                 let moved = self.windows.insert(exchange, &bounds);
-                let begin = self.windows.current().bounds_from(bounds.sent());
-                self.contradictions.suspects.drop_if_before(begin);
+                self.contradictions.suspects.drop_if_settled(self.windows.current(), bounds.sent());
                 moved
             }
         };

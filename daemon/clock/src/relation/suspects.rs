@@ -47,8 +47,8 @@ impl UnannouncedSteps {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Suspects {
     band: Option<Band>,
-    /// Times at which they were sent: an answer that arrives twice counts once.
-    sent: Vec<RawTime>,
+    /// Each of them once: an answer that arrives twice counts once.
+    bounds: Vec<Bounds>,
 }
 
 impl Suspects {
@@ -57,12 +57,12 @@ impl Suspects {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
             None => {
-                self.sent.clear();
+                self.bounds.clear();
                 empty()
             }
         };
-        if !self.sent.contains(&bounds.sent()) {
-            self.sent.push(bounds.sent());
+        if !self.bounds.iter().any(|known| known.sent() == bounds.sent()) {
+            self.bounds.push(*bounds);
             band.insert(bounds);
         }
         if band.exchanges() >= SUSPECTS_FOR_STEP {
@@ -79,12 +79,18 @@ impl Suspects {
         self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
     }
 
-    /// Drops the suspects if all of them were sent before a time.
+    /// Drops the suspects once they contradict nothing that bounds the offset at a time, or are too old to bound it themselves.
     ///
-    /// Exchanges that fit both refute nothing, but once the window holds only what came after the suspects, it says the truth whether
-    /// there was a step or not.
-    pub(super) fn drop_if_before(&mut self, time: RawTime) {
-        if self.sent.iter().all(|sent| *sent < time) {
+    /// Exchanges that fit both refute nothing. But either the suspects are wrong, or the exchanges that they contradict are from before
+    /// a change of the clocks: those leave the window no later than a window after the change.
+    pub(super) fn drop_if_settled(&mut self, current: &Band, at: RawTime) {
+        if self.is_empty() {
+            return;
+        }
+        let begin = current.bounds_from(at);
+        let counting = current.since(begin);
+        let is_open = |suspect: &Bounds| suspect.sent() >= begin && counting.contradiction(suspect).is_some();
+        if !self.bounds.iter().any(is_open) {
             self.band = None;
         }
     }
@@ -99,6 +105,6 @@ impl Suspects {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.band.as_ref().map_or(0, Band::memory_bytes)
+        self.band.as_ref().map_or(0, Band::memory_bytes) + self.bounds.capacity() * size_of::<Bounds>()
     }
 }

@@ -192,8 +192,9 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
+        // The last of the near exchanges before it returned at 9.5 s.
         assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
-        assert!(seconds > 19.8 || !is_trusted(&judged), "{seconds} s: {judged:?}");
+        assert!(seconds > 19.4 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
 }
 

@@ -12,6 +12,8 @@ struct Seen {
     judged: u32,
     /// Seconds from the violation to the last of them.
     last_wrong: f64,
+    /// Seconds from the violation to the last delay that was `stale`.
+    last_stale: f64,
     /// Seconds from the violation to the first doubt, and what it was.
     doubted: Option<(f64, Doubt)>,
     /// Seconds from the violation to the first suspected jump.
@@ -35,6 +37,9 @@ fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, e
         let after = trip.ended / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             seen.judged += 1;
+            if delay.verdict == Verdict::Stale {
+                seen.last_stale = after;
+            }
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             if trusted && !contains(&delay, truth) {
                 assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.ended);
@@ -169,9 +174,34 @@ fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
         };
         let seen = see(&world, path, free_running(200.0), (30.0, 60.0));
         assert!(seen.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
+        assert!(seen.last_stale <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
         longest = longest.max(seen.last_wrong);
     }
     assert!(longest > 0.1, "nothing was violated: {longest}");
+}
+
+/// Under jitter few exchanges after the change contradict those from before it, too few to prove anything, and the others fit both.
+#[test]
+fn suspicion_after_change_of_rate_ends_with_window() {
+    let mut last_stale: f64 = 0.0;
+    for seed in 0..100 {
+        let world = drifting(0.0);
+        let world = World { edge: world.edge.faster(Span::from_seconds(30), 180.0), ..world };
+        let mut relation = Relation::new(free_running(200.0));
+        let mut dice = Dice::new(seed);
+        for n in 0..2_400 {
+            let begin = 15e9 + f64::from(n) * 20e6;
+            let mut way = || 5e4 + dice.between(0.0, 2e6) + dice.between(0.0, 2e6);
+            let (up, down) = (way(), way());
+            let judged = relation.judge(&world.trip(begin, up.floor(), 1e5, down.floor()).observation());
+            let after = begin / 1e9 - 30.0;
+            if judged.up.verdict == Verdict::Stale && after > 0.0 {
+                last_stale = last_stale.max(after);
+            }
+        }
+    }
+    assert!(last_stale > 1.0, "nothing was suspected: {last_stale}");
+    assert!(last_stale <= WINDOW, "{last_stale}");
 }
 
 #[test]
