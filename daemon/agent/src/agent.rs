@@ -21,18 +21,18 @@ use crate::check::{Problem, check, remarks};
 use crate::conditions::InspectionSettings;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
-use crate::feed::Tap;
+use crate::event_queue::EventTap;
 use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
-use crate::incidents::{Concerning, Incidents};
+use crate::incidents::{IncidentContext, Incidents};
 use crate::io::IoThreads;
 use crate::link::{Cloud, Links, Near, ProbeSettings};
-use crate::live::{Board, Display};
+use crate::live::{Display, LiveStatistics};
 use crate::observed::ObservedPipelines;
 use crate::outbox::{LiveSources, Outbox, Sources};
 use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
-use crate::serve::{Doors, ServeContext, Served};
+use crate::serve::{ServeContext, ServeEndpoints, Served};
 use crate::tasks::{Failure, Tasks};
 use crate::{host_clock, pipeline, serve, telemetry};
 
@@ -48,7 +48,7 @@ pub struct Running {
     live: LiveSources,
     serves: Vec<Address>,
     served: watch::Receiver<Served>,
-    tap: Option<Tap>,
+    tap: Option<EventTap>,
     parts: Parts,
 }
 
@@ -102,7 +102,7 @@ impl Agent {
         stop: CancellationToken,
         tap: mpsc::Sender<Event>,
     ) -> Result<Running, StartError> {
-        start(config, version, clock, stop, Some(Tap::new(tap))).await
+        start(config, version, clock, stop, Some(EventTap::new(tap))).await
     }
 }
 
@@ -111,7 +111,7 @@ async fn start(
     version: &'static str,
     clock: SharedClock,
     stop: CancellationToken,
-    tap: Option<Tap>,
+    tap: Option<EventTap>,
 ) -> Result<Running, StartError> {
     let name = config.agent.host_name()?;
     let state = StateLock::take(&config.agent.state_dir)?;
@@ -124,25 +124,25 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
-    let (feed, exit) = crate::feed::entrance(&config.agent, &clock, counter);
-    let feed = feed.tapped(tap.clone());
-    let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
+    let (event_queue, exit) = crate::event_queue::entrance(&config.agent, &clock, counter);
+    let event_queue = event_queue.tapped(tap.clone());
+    let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
     let (publish_clock, host_clock) = watch::channel(host_clock::not_asked_yet(&clock));
     let near = Near {
         name: name.clone(),
         clock: Arc::clone(&clock),
         own: host_clock.clone(),
-        feed: feed.clone(),
+        event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
     let links = Links::new(near, &config.clock, probes.clone());
     let inspection = Arc::new(InspectionSettings::of(&config));
     let host = Host { id, name, version, clock };
-    let events = EventSinks { feed, incidents, runs: Runs::default() };
+    let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
-    let endpoints = io.within(Doors::open(&config, &probes, &host)).await?;
-    let serves = endpoints.as_ref().map(Doors::addresses).unwrap_or_default();
+    let endpoints = io.within(ServeEndpoints::open(&config, &probes, &host)).await?;
+    let serves = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serves {
         tracing::info!(%address, network = %address.network(), "peers may ask for models");
     }
@@ -162,8 +162,8 @@ async fn start(
         fingerprints,
         inspection: Arc::clone(&inspection),
     };
-    let board = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
-    let live = LiveSources { board, metrics, links, clock: host_clock.clone() };
+    let live_statistics = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
+    let live = LiveSources { live_statistics, metrics, links, clock: host_clock.clone() };
     let (count, served) = watch::channel(Served::default());
     if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
@@ -277,7 +277,7 @@ impl Running {
 
     /// Since when a pipeline waits for its sensor, to be set up or to give a sample; `None` when it does not.
     pub fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.live.board.senses_since(pipeline)
+        self.live.live_statistics.senses_since(pipeline)
     }
 
     /// Loads one of this host's models now: what is wrong with it shows at once, and its first peer does not wait for it.
@@ -288,7 +288,7 @@ impl Running {
 
     /// Events that did not fit into the tap of [`Agent::start_observed`].
     pub fn untapped(&self) -> u64 {
-        self.tap.as_ref().map_or(0, Tap::missed)
+        self.tap.as_ref().map_or(0, EventTap::missed)
     }
 
     /// What the agent shows of itself now: every pipeline with the seconds that the aggregator has not seen
@@ -354,7 +354,7 @@ fn bank(
     bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
         let text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.loaded_in().seconds());
-        incidents.report(IncidentKind::ModelLoaded, Concerning::default(), text);
+        incidents.report(IncidentKind::ModelLoaded, IncidentContext::default(), text);
     })
 }
 
@@ -364,7 +364,7 @@ fn start_pipelines(
     tracker: &TaskTracker,
     config: &AgentConfig,
     context: &PipelineContext,
-) -> Board {
+) -> LiveStatistics {
     // Half of the time to stop is for what is under way, the other half for handing it over.
     let patience = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
@@ -383,7 +383,7 @@ fn start_pipelines(
         }
         display
     };
-    Board::new(config.pipelines.iter().map(start).collect())
+    LiveStatistics::new(config.pipelines.iter().map(start).collect())
 }
 
 fn describe(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {

@@ -3,7 +3,7 @@
 use peernet_clock::SharedClock;
 use peernet_logger::{HostId, Slug};
 
-use crate::feed::Feed;
+use crate::event_queue::EventQueue;
 use crate::incidents::Incidents;
 use crate::runs::Runs;
 
@@ -20,7 +20,7 @@ pub(crate) struct Host {
 /// Where parts of the agent report what happens.
 #[derive(Clone, Debug)]
 pub(crate) struct EventSinks {
-    pub(crate) feed: Feed,
+    pub(crate) event_queue: EventQueue,
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
 }

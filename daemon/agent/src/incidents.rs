@@ -4,7 +4,7 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{Event, Incident, IncidentKind};
 
-use crate::feed::Feed;
+use crate::event_queue::EventQueue;
 
 /// How far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the unit that fits.
 pub(crate) fn far_in_words(by: Span) -> String {
@@ -24,24 +24,24 @@ pub(crate) fn remark(text: &str) {
 #[derive(Clone, Debug)]
 pub(crate) struct Incidents {
     clock: SharedClock,
-    feed: Feed,
+    event_queue: EventQueue,
 }
 
 /// What an incident concerns.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Concerning<'a> {
+pub(crate) struct IncidentContext<'a> {
     pub(crate) pipeline: Option<&'a Slug>,
     pub(crate) run: Option<RunId>,
     pub(crate) peer: Option<HostId>,
 }
 
 impl Incidents {
-    pub(crate) const fn new(clock: SharedClock, feed: Feed) -> Self {
-        Self { clock, feed }
+    pub(crate) const fn new(clock: SharedClock, event_queue: EventQueue) -> Self {
+        Self { clock, event_queue }
     }
 
     /// Logs and reports an incident; `text` is one sentence for people.
-    pub(crate) fn report(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+    pub(crate) fn report(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         match kind {
             IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
                 self.note(kind, what, text);
@@ -55,19 +55,19 @@ impl Incidents {
     }
 
     /// As [`report`](Self::report), of something that makes a connection worse than it could be: a command shows it.
-    pub(crate) fn remark(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+    pub(crate) fn remark(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         remark(&text);
         self.tell(kind, what, text);
     }
 
     /// As [`report`](Self::report), of something that calls for nothing, whatever its kind.
-    pub(crate) fn note(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+    pub(crate) fn note(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let pipeline = what.pipeline.map_or("-", Slug::as_str);
         tracing::info!(%kind, pipeline, "{text}");
         self.tell(kind, what, text);
     }
 
-    fn tell(&self, kind: IncidentKind, what: Concerning<'_>, text: String) {
+    fn tell(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),
             kind,
@@ -76,6 +76,6 @@ impl Incidents {
             peer: what.peer,
             text,
         };
-        self.feed.event(what.pipeline, Event::Incident(incident));
+        self.event_queue.event(what.pipeline, Event::Incident(incident));
     }
 }

@@ -4,7 +4,7 @@ use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
 use peernet_stream::IncidentKind;
 
 use super::{Clocksource, Vmclock};
-use crate::incidents::{Concerning, Incidents, far_in_words};
+use crate::incidents::{IncidentContext, Incidents, far_in_words};
 
 /// Shortest time between two incidents about a slew: a clock whose rate is wrong disturbs every look.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
@@ -75,7 +75,7 @@ impl HostClockMonitor {
         texts.extend(self.look_at_clocksource());
         texts.extend(self.look_at_vmclock());
         for text in texts {
-            incidents.report(IncidentKind::ClockStep, Concerning::default(), text);
+            incidents.report(IncidentKind::ClockStep, IncidentContext::default(), text);
         }
     }
 
@@ -151,7 +151,7 @@ mod tests {
 
     use super::super::vmclock::tests::{disrupt, make};
     use super::*;
-    use crate::feed::{Feed, Tap};
+    use crate::event_queue::{EventQueue, EventTap};
 
     /// A monitor with a clock that the test moves and that drifts.
     struct ClockTestbed {
@@ -175,8 +175,8 @@ mod tests {
             let inner = Arc::clone(&manual) as SharedClock;
             let clock: SharedClock = Arc::new(RehearsedClock::new(inner, identity, drifts));
             let (listener, events) = mpsc::channel(100);
-            let feed = Feed::nowhere().tapped(Some(Tap::new(listener)));
-            let incidents = Incidents::new(Arc::clone(&clock), feed);
+            let event_queue = EventQueue::nowhere().tapped(Some(EventTap::new(listener)));
+            let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::below(sys.path());
             let vmclock = make(sys.path(), 7);

@@ -25,7 +25,7 @@ use super::shared::{Session, Shared, lock};
 use super::words::{
     excess_in_words, jump_in_words, lost_proof_in_words, restart_in_words, wall_set_in_words,
 };
-use crate::incidents::Concerning;
+use crate::incidents::IncidentContext;
 use crate::same_clock::NotProven;
 
 /// A session waits no longer for the proof that both ends read one clock: a cloud that has connected answers within a millisecond.
@@ -290,7 +290,7 @@ impl Link {
     fn tell(&self, news: News) {
         let host = &self.shared.host;
         for sample in news.samples {
-            host.feed.event(None, Event::Clock(Box::new(sample)));
+            host.event_queue.event(None, Event::Clock(Box::new(sample)));
         }
         let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [
@@ -301,7 +301,7 @@ impl Link {
             news.lost_proof.map(|lost| lost_proof_in_words(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
-            let what = Concerning { peer: Some(self.cloud.id), ..Concerning::default() };
+            let what = IncidentContext { peer: Some(self.cloud.id), ..IncidentContext::default() };
             host.incidents.report(IncidentKind::ClockStep, what, text);
         }
     }

@@ -11,7 +11,7 @@ use peernet_stream::NetworkName;
 use tokio::sync::watch;
 
 use crate::config::{ClockConfig, ProbesConfig, ReflectorAddress, Timestamps};
-use crate::feed::Feed;
+use crate::event_queue::EventQueue;
 use crate::incidents::Incidents;
 use crate::same_clock::ClockPeers;
 
@@ -22,7 +22,7 @@ pub(crate) struct Near {
     pub(crate) clock: SharedClock,
     /// What is known of this host's clocks.
     pub(crate) own: watch::Receiver<PeerClock>,
-    pub(crate) feed: Feed,
+    pub(crate) event_queue: EventQueue,
     pub(crate) incidents: Incidents,
 }
 

@@ -3,12 +3,12 @@
 //! Nothing is queued: an update is put together when it can be handed to the socket, from whatever changed
 //! since the last one that was. What could not be sent is part of the next.
 
-mod board;
 mod cell;
+mod live_statistics;
 mod ring;
 
-pub(crate) use board::{Board, Display, Receipt};
 pub(crate) use cell::DEADLINE_MISSED;
+pub(crate) use live_statistics::{Display, LiveStatistics, Receipt};
 
 use std::time::Duration;
 

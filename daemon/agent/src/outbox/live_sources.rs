@@ -8,12 +8,12 @@ use tokio::sync::watch;
 
 use crate::host_clock;
 use crate::link::Links;
-use crate::live::{Board, Receipt};
+use crate::live::{LiveStatistics, Receipt};
 
 /// Everything that the agent reads to make a live update.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveSources {
-    pub(crate) board: Board,
+    pub(crate) live_statistics: LiveStatistics,
     pub(crate) metrics: watch::Receiver<HostMetrics>,
     pub(crate) links: Links,
     /// State of this host's own clocks.
@@ -28,7 +28,7 @@ impl LiveSources {
         sent: WallTime,
         accounting: Accounting,
     ) -> (LiveUpdate, Receipt) {
-        let (pipelines, receipt) = self.board.look();
+        let (pipelines, receipt) = self.live_statistics.look();
         let update = LiveUpdate {
             host,
             sent,

@@ -1,6 +1,6 @@
 //! The way to the aggregator: events that must all arrive, and live figures that must be fresh.
 //!
-//! Pipelines hand their events to the [`Feed`] and go on. One task takes them from there, drives the sending end
+//! Pipelines hand their events to the [`EventQueue`] and go on. One task takes them from there, drives the sending end
 //! of the event stream (`peernet_stream::Sending`, which batches, numbers and repeats), and owns the
 //! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
 
@@ -33,9 +33,9 @@ use self::reports::Reports;
 use self::sender::Sender;
 use self::spool::{SpoolTask, SpoolTaskError};
 use crate::config::{AgentConfig, SpoolConfig};
-use crate::feed::Exit;
+use crate::event_queue::Exit;
 use crate::incidents::Incidents;
-use crate::pauses::Pauses;
+use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
@@ -99,14 +99,14 @@ impl Outbox {
             reports.put_aside(aside);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
-        let pauses = Pauses::new(description.id);
+        let reconnect_backoff = ReconnectBackoff::new(description.id);
         let machine = Sending::new(sending(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
         let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
         // Large, for the state machine lives in it.
-        let work = Box::pin(sender.run(address, pauses, told));
+        let work = Box::pin(sender.run(address, reconnect_backoff, told));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;

@@ -9,8 +9,8 @@ use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{Dropping, Said};
 use super::spool::PutAside;
-use crate::incidents::{Concerning, Incidents};
-use crate::pauses::Pauses;
+use crate::incidents::{IncidentContext, Incidents};
+use crate::reconnect_backoff::ReconnectBackoff;
 
 /// With a comma between thousands.
 fn grouped(number: u64) -> String {
@@ -82,7 +82,7 @@ impl Reports {
             ),
         };
         let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{untold}");
-        self.incidents.report(IncidentKind::Connected, Concerning::default(), text);
+        self.incidents.report(IncidentKind::Connected, IncidentContext::default(), text);
     }
 
     /// The aggregator knows no secret of this host and was told it.
@@ -105,8 +105,8 @@ impl Reports {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \
                  tried again every {} to {} s",
-                Pauses::SHORTEST.as_secs_f64(),
-                Pauses::LONGEST.as_secs()
+                ReconnectBackoff::SHORTEST.as_secs_f64(),
+                ReconnectBackoff::LONGEST.as_secs()
             );
             self.connection(IncidentKind::Disconnected, text);
         }
@@ -127,25 +127,25 @@ impl Reports {
             "the aggregator has batches up to {stored} of a stream that ends at {newest} here, or others under the \
              same numbers: the spool is a copy or a restored one; what it holds goes on in a new stream"
         );
-        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
     /// The spool cannot be written or read.
     pub(super) fn spool_failed(&self, reason: &str) {
         let text = format!("{reason}; measuring goes on, and it is tried again");
-        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
     /// It can again.
     pub(super) fn spool_recovered(&self) {
         let text = "the spool can be used again".to_owned();
-        self.incidents.note(IncidentKind::Gap, Concerning::default(), text);
+        self.incidents.note(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
     /// Something in it was not as it should be.
     pub(super) fn rotten(&mut self, text: String) {
         if self.rotten.as_ref() != Some(&text) {
-            self.incidents.report(IncidentKind::Gap, Concerning::default(), text.clone());
+            self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text.clone());
             self.rotten = Some(text);
         }
     }
@@ -158,7 +158,7 @@ impl Reports {
             aside.reason,
             aside.kept.display()
         );
-        self.incidents.report(IncidentKind::Gap, Concerning::default(), text);
+        self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
     /// So stand the events. That some are missing stands in the stream as a gap; the log is for who looks here.
@@ -182,7 +182,7 @@ impl Reports {
 
     fn connection(&mut self, kind: IncidentKind, text: String) {
         if self.said.as_ref() != Some(&text) {
-            self.incidents.report(kind, Concerning::default(), text.clone());
+            self.incidents.report(kind, IncidentContext::default(), text.clone());
             self.said = Some(text);
         }
     }

@@ -8,68 +8,68 @@ use futures::stream::{FuturesUnordered, StreamExt};
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
-use super::cycle::{Cycle, Ended, LoopError};
-use super::line::Line;
+use super::pipeline_loop::{LoopEnd, LoopError, PipelineLoop};
 use super::placement::Placement;
+use super::resources::PipelineResources;
 use super::run::Run;
 
 /// Runs iterations of `run` at `placement` until one of the ends; all that had begun has been recorded by then.
 ///
 /// After `stop` nothing begins any more, and what is under way has `patience` to finish.
 pub(super) async fn drive(
-    line: &mut Line,
+    resources: &mut PipelineResources,
     run: &mut Run,
     placement: &Placement,
     context: &PipelineContext,
     stop: &CancellationToken,
     patience: Duration,
-) -> Ended {
-    let timeout = line.config.timeout();
-    let mut cycle = Cycle::new(line, run, context);
-    let mut flights = FuturesUnordered::new();
+) -> LoopEnd {
+    let timeout = resources.config.timeout();
+    let mut pipeline_loop = PipelineLoop::new(resources, run, context);
+    let mut executing = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
     let mut gone = pin!(placement.closed());
     let mut given_up = pin!(tokio::time::sleep(Duration::ZERO));
     let (mut is_stopping, mut is_gone) = (false, false);
     loop {
-        if let Some(ready) = cycle.launch() {
-            flights.push(ready.fly(placement, timeout, cycle.line.actuator.clone()));
+        if let Some(ready) = pipeline_loop.launch() {
+            executing.push(ready.execute(placement, timeout, pipeline_loop.resources.actuator.clone()));
         }
-        if cycle.begin() {
+        if pipeline_loop.begin() {
             // A loop of parts that never wait would keep its thread from all other tasks.
             tokio::task::consume_budget().await;
             continue;
         }
-        if let Some(ended) = cycle.ended() {
+        if let Some(ended) = pipeline_loop.ended() {
             return ended;
         }
-        let alarm_at = cycle.wakes_at();
-        let sensing = cycle.line.sensing.as_mut().map(|sensing| &mut sensing.sample);
-        let alarm = &mut cycle.line.alarm;
+        let alarm_at = pipeline_loop.wakes_at();
+        let sensing = pipeline_loop.resources.sensing.as_mut().map(|sensing| &mut sensing.sample);
+        let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {
             biased;
             () = &mut stopping, if !is_stopping => {
                 is_stopping = true;
                 given_up.as_mut().reset(tokio::time::Instant::now() + patience);
-                cycle.end(Ended::Stopped);
+                pipeline_loop.end(LoopEnd::Stopped);
             }
             reason = &mut gone, if !is_gone => {
                 is_gone = true;
-                cycle.end(Ended::Disconnected(reason.to_string()));
+                pipeline_loop.end(LoopEnd::Disconnected(reason.to_string()));
             }
-            Some(landed) = flights.next() => cycle.land(landed),
+            Some(completed) = executing.next() => pipeline_loop.complete(completed),
             Some(sensed) = maybe(sensing) => match sensed {
-                Ok(sensed) => cycle.sensed(sensed),
-                Err(_) => cycle.sensor_died(),
+                Ok(sensed) => pipeline_loop.sensed(sensed),
+                Err(_) => pipeline_loop.sensor_died(),
             },
-            Some(rung) = maybe(alarm_at.map(|at| Box::pin(alarm.until(at)))) => {
-                if let Err(error) = rung {
-                    cycle.end(Ended::Broken(LoopError::Timer(Arc::new(error))));
+            Some(elapsed) = maybe(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
+                if let Err(error) = elapsed {
+                    pipeline_loop.end(LoopEnd::Broken(LoopError::Timer(Arc::new(error))));
                 }
             }
             () = &mut given_up, if is_stopping => {
-                cycle.abandon("the agent stopped before the answer came");
-                return Ended::Stopped;
+                pipeline_loop.abandon("the agent stopped before the answer came");
+                return LoopEnd::Stopped;
             }
         }
     }

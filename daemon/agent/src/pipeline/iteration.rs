@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
-use super::flight::Ticket;
+use super::in_flight::PendingIteration;
 
 /// Starts that were skipped between this iteration and the one before it, because the pipeline was too far
 /// behind its rate. Absent when there were none.
@@ -24,32 +24,38 @@ pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (R
 /// that a sensor or a model filled has room. `transport` is the time of both ways together, where it is known.
 pub(super) fn close(
     log: Recorder,
-    ticket: &Ticket,
+    pending: &PendingIteration,
     ended: MonoTime,
     closed_loop: bool,
     transport: Option<Span>,
 ) -> Tree {
-    let total = ended - ticket.start.intended;
+    let total = ended - pending.start.intended;
     let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
-    finish(log, ticket, ended, closed_loop, stages)
+    finish(log, pending, ended, closed_loop, stages)
 }
 
 /// As [`close`] for an iteration of a closed loop that had stages of which too little is known.
-pub(super) fn close_without_stages(log: Recorder, ticket: &Ticket, ended: MonoTime) -> Tree {
-    finish(log, ticket, ended, true, None)
+pub(super) fn close_without_stages(log: Recorder, pending: &PendingIteration, ended: MonoTime) -> Tree {
+    finish(log, pending, ended, true, None)
 }
 
-fn finish(log: Recorder, ticket: &Ticket, ended: MonoTime, closed_loop: bool, stages: Option<Span>) -> Tree {
-    let intended = ticket.start.intended;
+fn finish(
+    log: Recorder,
+    pending: &PendingIteration,
+    ended: MonoTime,
+    closed_loop: bool,
+    stages: Option<Span>,
+) -> Tree {
+    let intended = pending.start.intended;
     let total = ended - intended;
     let mut tree = log.finish();
-    if ticket.start.skipped > 0 {
-        let skipped = Measure::Value(ticket.start.skipped as f64, Unit::NONE);
+    if pending.start.skipped > 0 {
+        let skipped = Measure::Value(pending.start.skipped as f64, Unit::NONE);
         tree.add(NodeId::ROOT, SKIPPED_STARTS, total, skipped);
     }
     let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
     if !closed_loop {
-        add(LATENESS, Span::ZERO, ticket.begun - intended);
+        add(LATENESS, Span::ZERO, pending.began_at - intended);
     }
     add(stage::TOTAL, Span::ZERO, total);
     if let Some(stages) = stages {
@@ -102,7 +108,7 @@ mod tests {
         let intended = clock.mono();
         pass(3);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let (mut log, begun) = begin(&shared, HostId::random(), intended);
+        let (mut log, began_at) = begin(&shared, HostId::random(), intended);
         {
             let _sensing = log.time(stage::SENSING);
             pass(1);
@@ -126,8 +132,8 @@ mod tests {
             pass(1);
         }
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let ticket = Ticket { position, start: Start { intended, skipped: 7 }, begun };
-        close(log, &ticket, clock.mono(), false, transport)
+        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, began_at };
+        close(log, &pending, clock.mono(), false, transport)
     }
 
     fn millis(tree: &Tree, name: &str) -> Option<f64> {
@@ -149,11 +155,11 @@ mod tests {
         let clock: SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
-        let (mut log, begun) = begin(&clock, HostId::random(), intended);
+        let (mut log, began_at) = begin(&clock, HostId::random(), intended);
         while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::NOWHERE {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let ticket = Ticket { position, start: Start { intended, skipped: 7 }, begun };
-        let tree = close(log, &ticket, intended + STEP, false, None);
+        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, began_at };
+        let tree = close(log, &pending, intended + STEP, false, None);
         for (name, expected) in [("total", 1.0), ("unattributed", 1.0), ("lateness", 0.0)] {
             assert_eq!(millis(&tree, name), Some(expected), "{name}");
         }

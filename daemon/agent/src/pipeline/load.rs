@@ -71,7 +71,7 @@ impl Schedule {
     }
 
     /// Starts that were skipped and that no later start has told of.
-    pub(crate) const fn untold(&self) -> u64 {
+    pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
     }
 

@@ -135,10 +135,12 @@ impl Placement {
         }
     }
 
-    /// Takes leave of the peer; after the end of a run that was to have `ordered` iterations, with this word.
-    pub(super) async fn close(&self, ordered: Option<u64>) {
-        match (self, ordered) {
-            (Self::Remote { session, .. }, Some(ordered)) => session.close_after(ordered).await,
+    /// Takes leave of the peer; after the end of a run that was to have `planned_iterations` iterations, with this word.
+    pub(super) async fn close(&self, planned_iterations: Option<u64>) {
+        match (self, planned_iterations) {
+            (Self::Remote { session, .. }, Some(planned_iterations)) => {
+                session.close_after(planned_iterations).await
+            }
             (Self::Remote { session, .. }, None) => session.close().await,
             (Self::Local(_) | Self::None, _) => {}
         }

@@ -64,7 +64,7 @@ impl Progress {
     }
 
     /// How many there are if nothing but a number of iterations ends the run; those so far where none is set.
-    pub(crate) fn ordered(&self) -> u64 {
+    pub(crate) fn planned_iterations(&self) -> u64 {
         let left = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
         let counted = left.map(|left| left.saturating_add(self.given));
         counted.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.given)
@@ -136,16 +136,19 @@ mod tests {
 
     #[test]
     fn what_was_ordered_is_known_before_it_is_done() {
-        let ordered = |keys: &str| {
+        let planned_iterations = |keys: &str| {
             let mut progress = progress(keys, false);
             for _ in 0..7 {
                 progress.place(at(0));
             }
-            progress.ordered()
+            progress.planned_iterations()
         };
-        assert_eq!(ordered("warm_up = { iterations = 2 }\nlimit = { iterations = 30 }"), 32);
-        assert_eq!(ordered("warm_up = { iterations = 2 }\nlimit = { iterations = 30, total = 20 }"), 20);
-        assert_eq!(ordered("limit = { duration_s = 9.0 }"), 7);
+        assert_eq!(planned_iterations("warm_up = { iterations = 2 }\nlimit = { iterations = 30 }"), 32);
+        assert_eq!(
+            planned_iterations("warm_up = { iterations = 2 }\nlimit = { iterations = 30, total = 20 }"),
+            20
+        );
+        assert_eq!(planned_iterations("limit = { duration_s = 9.0 }"), 7);
     }
 
     #[test]
@@ -162,8 +165,9 @@ mod tests {
     fn episodes_and_their_first_steps_warm_up() {
         let keys = "episode_steps = 3\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
         let mut progress = progress(keys, false);
-        let places: Vec<_> = (0..7).map(|_| progress.place(at(0))).collect();
-        let shape: Vec<_> = places.iter().map(|place| (place.episode, place.step, place.warm_up)).collect();
+        let positions: Vec<_> = (0..7).map(|_| progress.place(at(0))).collect();
+        let shape: Vec<_> =
+            positions.iter().map(|place| (place.episode, place.step, place.warm_up)).collect();
         assert_eq!(
             shape,
             [
@@ -176,7 +180,7 @@ mod tests {
                 (2, 0, true)
             ]
         );
-        assert!(places.iter().map(|place| place.number).eq(1..=7));
+        assert!(positions.iter().map(|place| place.number).eq(1..=7));
     }
 
     #[test]

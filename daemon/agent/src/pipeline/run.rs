@@ -7,8 +7,8 @@ use peernet_stream::{
 };
 
 use super::context::PipelineContext;
-use super::cycle::Ended;
 use super::deadline;
+use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
 use crate::live::Display;
@@ -52,7 +52,7 @@ impl Run {
             conditions,
         };
         context.events.runs.began(description.clone());
-        context.events.feed.event(Some(&config.name), Event::RunStarted(description));
+        context.events.event_queue.event(Some(&config.name), Event::RunStarted(description));
         display.set_run(id);
         Self {
             id,
@@ -79,7 +79,7 @@ impl Run {
     }
 
     /// Whether midnight (UTC) has passed since the start and the run is one of those that end there.
-    pub(super) fn is_yesterdays(&self, now: WallTime) -> bool {
+    pub(super) fn is_from_previous_day(&self, now: WallTime) -> bool {
         self.day.is_some_and(|started| day(now) > started)
     }
 
@@ -89,11 +89,11 @@ impl Run {
     }
 
     /// How many iterations it was to have, once that is settled: one that was stopped or lost its peer may go on.
-    pub(super) fn ordered(&self, ended: &Ended) -> Option<u64> {
+    pub(super) fn planned_iterations(&self, ended: &LoopEnd) -> Option<u64> {
         match ended {
-            Ended::Limit | Ended::Midnight => Some(self.progress.given()),
-            Ended::NoMoreSamples | Ended::Broken(_) => Some(self.progress.ordered()),
-            Ended::Stopped | Ended::Disconnected(_) => None,
+            LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.given()),
+            LoopEnd::NoMoreSamples | LoopEnd::Broken(_) => Some(self.progress.planned_iterations()),
+            LoopEnd::Stopped | LoopEnd::Disconnected(_) => None,
         }
     }
 
@@ -115,7 +115,7 @@ impl Run {
         }
         let Position { number, episode, step, warm_up } = position;
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
-        context.events.feed.iteration(&self.pipeline, iteration);
+        context.events.event_queue.iteration(&self.pipeline, iteration);
     }
 
     /// Reports the end.
@@ -134,7 +134,7 @@ pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineC
 fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
     context.events.runs.ended(pipeline, run);
-    context.events.feed.event(Some(pipeline), Event::RunEnded(ended));
+    context.events.event_queue.event(Some(pipeline), Event::RunEnded(ended));
 }
 
 fn day(at: WallTime) -> i64 {

@@ -13,16 +13,16 @@ use peernet_stream::{Condition, EndReason, IncidentKind, PipelineState, Placemen
 use tokio_util::sync::CancellationToken;
 
 use super::context::PipelineContext;
-use super::cycle::{Ended, LoopError};
 use super::drive::drive;
-use super::line::{AssembleError, Line};
 use super::observe::{self, SourceError};
+use super::pipeline_loop::{LoopEnd, LoopError};
 use super::placement::{OpenFailure, Placement};
+use super::resources::{AssembleError, PipelineResources};
 use super::run::{Run, end_orphan};
 use crate::config::{PipelineConfig, PlacementConfig};
-use crate::incidents::{Concerning, remark};
+use crate::incidents::{IncidentContext, remark};
 use crate::live::Display;
-use crate::pauses::Pauses;
+use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Runs one pipeline until it finishes, fails, or the agent stops; its failure is its own affair and ends
 /// nothing else.
@@ -91,12 +91,13 @@ impl Trouble {
 
     /// How it will go on.
     fn outlook(&self) -> String {
-        let (shortest, longest) = (Pauses::SHORTEST.as_secs_f64(), Pauses::LONGEST.as_secs());
+        let (shortest, longest) =
+            (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
         match self {
             Self::Away => {
                 format!("trying again every {shortest} to {longest} s; the pipeline goes on by itself")
             }
-            Self::Refused(_) => format!("trying again every {} s", Pauses::REFUSED.as_secs()),
+            Self::Refused(_) => format!("trying again every {} s", ReconnectBackoff::REFUSED.as_secs()),
         }
     }
 }
@@ -107,11 +108,11 @@ impl Runner {
         if let PlacementConfig::Observe(observed) = &self.config.placement {
             return observe::live(self, observed).await;
         }
-        let Some(line) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
-        let mut line = line?;
+        let Some(resources) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
+        let mut resources = resources?;
         let mut run: Option<Run> = None;
         loop {
-            let Some(placement) = self.connect(&mut line, run.as_ref().map(Run::id)).await? else {
+            let Some(placement) = self.connect(&mut resources, run.as_ref().map(Run::id)).await? else {
                 self.end(run.as_ref(), EndReason::Stopped);
                 return Ok(());
             };
@@ -122,53 +123,58 @@ impl Runner {
             let current = match &mut run {
                 Some(run) => run,
                 None => {
-                    let begun = self.begin(line.facts(placement.facts()), &placement, false).await;
-                    line.begin_beat(self.context.host.clock.mono());
-                    run.insert(begun)
+                    let began_at = self.begin(resources.facts(placement.facts()), &placement, false).await;
+                    resources.restart_schedule(self.context.host.clock.mono());
+                    run.insert(began_at)
                 }
             };
-            let ended = self.measure(&mut line, current, &placement).await;
-            let ordered = current.ordered(&ended);
+            let ended = self.measure(&mut resources, current, &placement).await;
+            let planned_iterations = current.planned_iterations(&ended);
             let (reason, result) = match ended {
-                Ended::Disconnected(reason) => {
+                LoopEnd::Disconnected(reason) => {
                     self.disconnected(&placement, current.id(), reason);
                     continue;
                 }
-                Ended::Limit | Ended::NoMoreSamples | Ended::Midnight => (EndReason::Finished, Ok(())),
-                Ended::Stopped => (EndReason::Stopped, Ok(())),
-                Ended::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
+                LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight => (EndReason::Finished, Ok(())),
+                LoopEnd::Stopped => (EndReason::Stopped, Ok(())),
+                LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
             self.end(run.as_ref(), reason);
-            if line.schedule.untold() > 0 {
-                let (pipeline, starts) = (&self.config.name, line.schedule.untold());
+            if resources.schedule.unreported_skips() > 0 {
+                let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
             }
-            placement.close(ordered).await;
+            placement.close(planned_iterations).await;
             return result;
         }
     }
 
     /// Sets up sensor, transforms and actuator on a thread that may block.
-    async fn assemble(&self) -> Result<Line, AssembleError> {
+    async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
         let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
         self.display.set_senses_since(Some(clock.mono()));
-        let assembling = move || Line::assemble(config, display, clock, &fingerprints);
+        let assembling = move || PipelineResources::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
         self.display.set_senses_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
     /// Measures at one placement; midnight begins a new run on the way.
-    async fn measure(&self, line: &mut Line, run: &mut Run, placement: &Placement) -> Ended {
+    async fn measure(
+        &self,
+        resources: &mut PipelineResources,
+        run: &mut Run,
+        placement: &Placement,
+    ) -> LoopEnd {
         self.display.set_state(PipelineState::Running);
         loop {
-            let ended = drive(line, run, placement, &self.context, &self.stop, self.patience).await;
-            if !matches!(ended, Ended::Midnight) {
+            let ended = drive(resources, run, placement, &self.context, &self.stop, self.patience).await;
+            if !matches!(ended, LoopEnd::Midnight) {
                 return ended;
             }
             run.end(EndReason::Finished, &self.context);
-            *run = self.begin(line.facts(placement.facts()), placement, true).await;
+            *run = self.begin(resources.facts(placement.facts()), placement, true).await;
         }
     }
 
@@ -208,8 +214,12 @@ impl Runner {
     }
 
     /// Opens the placement, however long that takes. `None` when the agent stops.
-    async fn connect(&self, line: &mut Line, run: Option<RunId>) -> Result<Option<Placement>, PipelineError> {
-        let mut pauses = Pauses::new(self.context.host.id);
+    async fn connect(
+        &self,
+        resources: &mut PipelineResources,
+        run: Option<RunId>,
+    ) -> Result<Option<Placement>, PipelineError> {
+        let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
         // has been said.
         let mut said = run.map(|_| Trouble::Away);
@@ -217,7 +227,7 @@ impl Runner {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
             // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
-            line.schedule.catch_up(self.context.host.clock.mono());
+            resources.schedule.catch_up(self.context.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {
                     self.connected(&placement, run);
@@ -225,10 +235,10 @@ impl Runner {
                 }
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
-                Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), pauses.grow()),
+                Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), reconnect_backoff.grow()),
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();
-                    (Trouble::Refused(error.clone()), error, pauses.refused())
+                    (Trouble::Refused(error.clone()), error, reconnect_backoff.refused())
                 }
             };
             if said.as_ref() != Some(&trouble) {
@@ -252,7 +262,7 @@ impl Runner {
             }
             let caveat = placement.caveat().map(|caveat| format!("; {caveat}")).unwrap_or_default();
             let text = format!("connected to {name}, which runs {model} on {device}{caveat}");
-            let what = Concerning { pipeline: Some(&self.config.name), run, peer: Some(peer) };
+            let what = IncidentContext { pipeline: Some(&self.config.name), run, peer: Some(peer) };
             self.context.events.incidents.report(IncidentKind::Connected, what, text);
             self.follow_remarks(placement, peer);
         }
@@ -268,7 +278,7 @@ impl Runner {
             while remarks.changed().await.is_ok() {
                 let all = remarks.borrow_and_update().clone();
                 for text in all.get(told..).unwrap_or_default() {
-                    let what = Concerning { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
+                    let what = IncidentContext { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
                     incidents.remark(IncidentKind::Connected, what, format!("pipeline {pipeline}: {text}"));
                 }
                 told = all.len();
@@ -280,7 +290,7 @@ impl Runner {
         let Some((peer, name)) = placement.peer() else { return };
         let address = self.peer_address().map(Address::to_string).unwrap_or_default();
         let text = format!("lost {name} at {address}: {reason}; the run goes on when it is back");
-        let what = Concerning { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
+        let what = IncidentContext { pipeline: Some(&self.config.name), run: Some(run), peer: Some(peer) };
         self.context.events.incidents.report(IncidentKind::Disconnected, what, text);
         self.display.set_state(PipelineState::Waiting(reason));
     }
@@ -293,7 +303,7 @@ impl Runner {
     }
 
     pub(super) fn report(&self, kind: IncidentKind, run: Option<RunId>, text: String) {
-        let what = Concerning { pipeline: Some(&self.config.name), run, peer: None };
+        let what = IncidentContext { pipeline: Some(&self.config.name), run, peer: None };
         self.context.events.incidents.report(kind, what, text);
     }
 }

@@ -1,4 +1,4 @@
-//! The sensor and the transforms of a pipeline, on the thread that suits them.
+//! Runs the sensor and the transforms of a pipeline, inline or on a thread.
 
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -9,44 +9,44 @@ use peernet_sample::Sample;
 use peernet_sensors::{Sensor, SensorError, Transform};
 use tokio::sync::oneshot;
 
-/// What the sensor yielded, and the recorder with `sensing` in it. `Ok(None)` when it has ended.
-pub(super) struct Sensed {
+/// The sensor's sample and the recorder with the node `sensing`. `Ok(None)` if the sensor has no more samples.
+pub(super) struct SensorOutput {
     pub(super) log: Recorder,
     pub(super) sample: Result<Option<Sample>, SensorError>,
 }
 
 /// The sensor and the transforms after it.
-pub(super) struct Chain {
+pub(super) struct SensorChain {
     pub(super) sensor: Box<dyn Sensor>,
     pub(super) transforms: Vec<Box<dyn Transform>>,
 }
 
-/// How the chain is run.
-pub(super) enum Senses {
-    /// In the pipeline's own task: it neither blocks nor computes, and a thread would only cost two hops.
-    Inline(Chain),
+/// Runs a sensor and its transforms.
+pub(super) enum SensorExecutor {
+    /// In the pipeline's own task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
+    Inline(SensorChain),
     /// On a thread of its own, named after the pipeline.
-    Thread(SyncSender<Order>),
+    Thread(SyncSender<SampleRequest>),
 }
 
-/// A sample under way.
+/// Answer to the request for a sample.
 #[expect(clippy::large_enum_variant, reason = "lives for a moment; boxing would allocate once an iteration")]
-pub(super) enum Sensing {
-    Done(Sensed),
-    Pending(oneshot::Receiver<Sensed>),
+pub(super) enum SensorResponse {
+    Done(SensorOutput),
+    Pending(oneshot::Receiver<SensorOutput>),
 }
 
-/// What the thread is asked for.
-pub(super) struct Order {
+/// Request to the thread for one sample.
+pub(super) struct SampleRequest {
     log: Recorder,
-    reply: oneshot::Sender<Sensed>,
+    reply: oneshot::Sender<SensorOutput>,
 }
 
-impl Chain {
-    /// Asks the sensor for a sample and transforms it, recording `sensing` with `capture` and `transform`.
-    fn run(&mut self, mut log: Recorder) -> Sensed {
+impl SensorChain {
+    /// Takes a sample and transforms it; records `sensing` with `capture` and `transform`.
+    fn run(&mut self, mut log: Recorder) -> SensorOutput {
         let sample = self.sample(&mut log);
-        Sensed { log, sample }
+        SensorOutput { log, sample }
     }
 
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
@@ -64,12 +64,12 @@ impl Chain {
     }
 }
 
-impl Senses {
-    /// Finds the right place for a chain.
+impl SensorExecutor {
+    /// Starts a thread for the chain if it blocks or computes.
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub(super) fn new(chain: Chain, pipeline: &Slug) -> io::Result<Self> {
+    pub(super) fn new(chain: SensorChain, pipeline: &Slug) -> io::Result<Self> {
         if !chain.sensor.blocks() && chain.transforms.is_empty() {
             return Ok(Self::Inline(chain));
         }
@@ -78,24 +78,24 @@ impl Senses {
         Ok(Self::Thread(orders))
     }
 
-    /// Begins a sample; there is never more than one under way.
-    pub(super) fn begin(&mut self, log: Recorder) -> Sensing {
+    /// Requests a sample. At most one request is pending.
+    pub(super) fn begin(&mut self, log: Recorder) -> SensorResponse {
         match self {
-            Self::Inline(chain) => Sensing::Done(chain.run(log)),
+            Self::Inline(chain) => SensorResponse::Done(chain.run(log)),
             Self::Thread(orders) => {
                 let (reply, sensed) = oneshot::channel();
-                // When the thread is gone the order is dropped, and with it `reply`: the receiver learns of it.
-                let _ = orders.try_send(Order { log, reply });
-                Sensing::Pending(sensed)
+                // If the thread has ended, the request is dropped with `reply`, which closes the receiver.
+                let _ = orders.try_send(SampleRequest { log, reply });
+                SensorResponse::Pending(sensed)
             }
         }
     }
 }
 
-/// The thread: ends when the pipeline does.
-fn serve(mut chain: Chain, orders: &Receiver<Order>) {
-    while let Ok(Order { log, reply }) = orders.recv() {
-        // A pipeline that has stopped in between does not want the sample any more.
+/// Serves requests until the pipeline drops its end of the channel.
+fn serve(mut chain: SensorChain, orders: &Receiver<SampleRequest>) {
+    while let Ok(SampleRequest { log, reply }) = orders.recv() {
+        // The pipeline may have stopped meanwhile.
         let _ = reply.send(chain.run(log));
     }
 }

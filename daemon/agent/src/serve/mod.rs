@@ -1,13 +1,13 @@
 //! The serving side: sessions of peers that want this host's models.
 
 mod asked;
-mod doors;
+mod endpoints;
 mod listeners;
 mod reflector;
 mod served;
 mod service;
 
-pub(crate) use doors::{Doors, calibration};
+pub(crate) use endpoints::{ServeEndpoints, calibration};
 pub use served::Served;
 
 use std::collections::HashMap;
@@ -35,7 +35,7 @@ use self::listeners::Listeners;
 use self::service::{Refusal, Service};
 use crate::conditions::InspectionSettings;
 use crate::host::Host;
-use crate::incidents::{Concerning, Incidents, remark};
+use crate::incidents::{IncidentContext, Incidents, remark};
 use crate::observed::ObservedPipelines;
 use crate::same_clock::ClockWitness;
 use crate::telemetry;
@@ -68,46 +68,46 @@ pub(crate) enum ServeError {
 
 /// Serves at all ports until it is told to stop, and counts the answers. The error is why a port was lost.
 pub(crate) async fn run(
-    doors: Doors,
+    endpoints: ServeEndpoints,
     context: ServeContext,
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     let named = Named {
-        probes: doors.probes,
-        instance: doors.instance,
-        probe_key: doors.probe_key,
-        built_in: doors.built_in,
+        probes: endpoints.probes,
+        instance: endpoints.instance,
+        probe_key: endpoints.probe_key,
+        built_in: endpoints.built_in,
     };
     let own = context.own.clone();
     let (served, hardware) = (Arc::new(served), telemetry::hardware());
-    for listener in &doors.listeners {
+    for listener in &endpoints.listeners {
         if let Some(caveat) = listener.caveat() {
             remark(&format!("{}: {caveat}", listener.address()));
         }
     }
-    let caveats = doors.listeners.iter().map(|listener| listener.caveat().map(str::to_owned)).collect();
+    let caveats = endpoints.listeners.iter().map(|listener| listener.caveat().map(str::to_owned)).collect();
     let server = Server {
         context,
         named,
         hardware,
         served,
         peers: HashMap::new(),
-        probing: doors.reflectors.iter().map(Reflector::peers).collect(),
+        probing: endpoints.reflectors.iter().map(Reflector::peers).collect(),
         asked: Asked::default(),
         caveats,
     };
-    let announcers = doors.listeners.iter().map(Listener::announcer).collect();
+    let announcers = endpoints.listeners.iter().map(Listener::announcer).collect();
     let announcing = async {
         announce(own, announcers, stop.clone()).await;
         Ok(())
     };
-    let reflectors = doors.reflectors.into_iter().map(|reflector| reflector.run(stop.clone()));
+    let reflectors = endpoints.reflectors.into_iter().map(|reflector| reflector.run(stop.clone()));
     let reflecting = async {
         futures::future::try_join_all(reflectors).await?;
         Ok(())
     };
-    let serving = sessions(Listeners::new(doors.listeners), server, stop.clone());
+    let serving = sessions(Listeners::new(endpoints.listeners), server, stop.clone());
     let ((), (), ()) = tokio::try_join!(serving, reflecting, announcing)?;
     Ok(())
 }
@@ -171,7 +171,7 @@ async fn sessions(
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
-                    let what = Concerning { peer: host, ..Concerning::default() };
+                    let what = IncidentContext { peer: host, ..IncidentContext::default() };
                     server.context.incidents.remark(IncidentKind::Refused, what, text);
                 }
                 None => return Err(ServeError::PortLost(listeners.address(listener).clone())),
@@ -359,13 +359,13 @@ impl Server {
         let peer = session.and_then(|session| self.peers.get(&session));
         let of =
             peer.map(|peer| format!("the session of {} for its pipeline {}: ", peer.name, peer.pipeline));
-        let what = Concerning { peer: peer.map(|peer| peer.host), ..Concerning::default() };
+        let what = IncidentContext { peer: peer.map(|peer| peer.host), ..IncidentContext::default() };
         let text = format!("{}{text}", of.unwrap_or_default());
         self.context.incidents.remark(IncidentKind::Connected, what, text);
     }
 
     fn report(&self, kind: IncidentKind, peer: HostId, text: String) {
-        let what = Concerning { peer: Some(peer), ..Concerning::default() };
+        let what = IncidentContext { peer: Some(peer), ..IncidentContext::default() };
         self.context.incidents.report(kind, what, text);
     }
 }

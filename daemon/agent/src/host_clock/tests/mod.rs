@@ -25,9 +25,12 @@ fn watched(
     rehearsal: Option<RehearsalConfig>,
     clock: &SharedClock,
 ) -> (watch::Receiver<PeerClock>, DropGuard) {
-    let (feed, _) =
-        crate::feed::entrance(&HostConfig::default(), clock, crate::feed::EventCounter::default());
-    let incidents = Incidents::new(Arc::clone(clock), feed);
+    let (event_queue, _) = crate::event_queue::entrance(
+        &HostConfig::default(),
+        clock,
+        crate::event_queue::EventCounter::default(),
+    );
+    let incidents = Incidents::new(Arc::clone(clock), event_queue);
     let (publish, published) = watch::channel(not_asked_yet(clock));
     let stop = CancellationToken::new();
     tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_stream::{Accounting, Event, Sending, SentUnspooled};
 
-use crate::feed::Exit;
+use crate::event_queue::Exit;
 use crate::runs::Runs;
 
 /// Without an event for so long, the next one wakes the task, and looks cost nothing until then.

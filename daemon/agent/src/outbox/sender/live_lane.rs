@@ -51,7 +51,7 @@ impl LiveLane {
 
     /// The aggregator may have been started anew and know no second of ours.
     pub(super) fn start_over(&self) {
-        self.sources.board.start_over();
+        self.sources.live_statistics.start_over();
     }
 
     /// Sends a live update, before all that waits for the connection: it is worth nothing later. On a slow link it is
@@ -80,7 +80,7 @@ impl LiveLane {
         if !self.is_blocked {
             (self.is_due, self.told_ends) = (false, ends);
             machine.shown(bytes);
-            self.sources.board.delivered(&receipt);
+            self.sources.live_statistics.delivered(&receipt);
         }
     }
 

@@ -21,9 +21,9 @@ use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::shutdown::Shutdown;
 use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
-use crate::feed::Exit;
+use crate::event_queue::Exit;
 use crate::live;
-use crate::pauses::Pauses;
+use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 
 /// How often the feed is emptied while events come. Looking is cheaper than being woken for each event, above all for
@@ -77,7 +77,7 @@ impl Sender {
     pub(super) async fn run(
         mut self,
         address: Address,
-        mut pauses: Pauses,
+        mut reconnect_backoff: ReconnectBackoff,
         stop: oneshot::Receiver<Instant>,
     ) -> Result<(), SpoolTaskError> {
         let mut looks = tokio::time::interval(LOOK);
@@ -120,18 +120,18 @@ impl Sender {
                     Happened::Failed(reason) => {
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, pauses.grow());
+                        line = Line::dial(&address, reconnect_backoff.grow());
                     }
                     Happened::Gone(reason) => {
                         unanswered = false;
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, pauses.grow());
+                        line = Line::dial(&address, reconnect_backoff.grow());
                     }
                     Happened::Message(frame) => {
                         if self.hear(&frame) {
                             unanswered = false;
-                            pauses.reset();
+                            reconnect_backoff.reset();
                         }
                     }
                     // It is filled below.
@@ -141,7 +141,7 @@ impl Sender {
                     unanswered = false;
                     self.lost();
                     self.reports.mute(&address);
-                    line = Line::dial(&address, pauses.grow());
+                    line = Line::dial(&address, reconnect_backoff.grow());
                 }
                 _ = looks.tick(), if !quiet => self.take(),
                 Some(event) = self.intake.next(), if quiet => {

@@ -19,7 +19,7 @@ use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
 use super::sync::ended;
 use super::tail;
-use crate::feed::counter;
+use crate::event_queue::counter;
 use crate::lock::FileLock;
 
 /// A spool file that is open, of one stream of one host.

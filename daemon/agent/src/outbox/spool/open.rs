@@ -18,8 +18,8 @@ use super::look::{APPLICATION_ID, Look};
 use super::reserve::Reserve;
 use super::statements::MOST_PROCESSES;
 use super::{PutAside, SpoolError, tail};
-use crate::feed::EventCounter;
-use crate::feed::counter::CountOwner;
+use crate::event_queue::EventCounter;
+use crate::event_queue::counter::CountOwner;
 use crate::lock::FileLock;
 
 pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");

@@ -5,7 +5,7 @@ use peernet_logger::RunId;
 use peernet_stream::{Gap, KILLED, RunCounts, Settled, SpoolState, Unresolved};
 use sqlx::{FromRow, SqliteConnection};
 
-use crate::feed::counter::{self, CountOwner, EventCounter};
+use crate::event_queue::counter::{self, CountOwner, EventCounter};
 
 /// What the file says of the process before.
 #[derive(FromRow)]

@@ -10,10 +10,10 @@ use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherPlace, Topic};
 use crate::config::ObserveConfig;
-use crate::pauses::Pauses;
 use crate::pipeline::placement::{conditions, observed};
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
+use crate::reconnect_backoff::ReconnectBackoff;
 
 /// How long a topic may be without a publisher before that is reported.
 const QUIET: Duration = Duration::from_secs(10);
@@ -120,7 +120,7 @@ async fn connect(
 ) -> Result<Option<Source>, SourceError> {
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
-    let mut pauses = Pauses::new(host.id);
+    let mut reconnect_backoff = ReconnectBackoff::new(host.id);
     let mut said = String::new();
     loop {
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
@@ -148,7 +148,7 @@ async fn connect(
             said.clone_from(&text);
         }
         runner.display.set_state(PipelineState::Waiting(text));
-        if runner.stop.run_until_cancelled(tokio::time::sleep(pauses.grow())).await.is_none() {
+        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.grow())).await.is_none() {
             return Ok(None);
         }
     }

@@ -8,7 +8,7 @@ use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage}
 use super::arrivals::Arrival;
 use super::message::TopicMessage;
 use crate::link::HostStamp;
-use crate::pipeline::flight::Ticket;
+use crate::pipeline::in_flight::PendingIteration;
 use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
 use crate::pipeline::progress::Position;
@@ -88,7 +88,7 @@ pub(super) fn answered(
     let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
     log.timed(stage::INFERENCE, begun.mono, ended.mono);
     add_topics(log.tree_mut(), input, output, ended.mono - begun.mono, uncounted);
-    (iteration::close(log, &ticket(input.position, begun), ended.mono, true, None), ended)
+    (iteration::close(log, &pending(input.position, begun), ended.mono, true, None), ended)
 }
 
 /// Returns when the iteration of a pair began and ended.
@@ -117,7 +117,7 @@ pub(super) fn unanswered(
     let begun = input.message.received;
     let mut log = Recorder::begin_at(SharedClock::clone(clock), host, begun);
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
-    iteration::close(log, &ticket(position, begun), ended.mono, true, None)
+    iteration::close(log, &pending(position, begun), ended.mono, true, None)
 }
 
 fn add(tree: &mut Tree, names: &TopicNames, received: &Received, at: Span, missing: u64) {
@@ -146,8 +146,8 @@ fn age(message: &TopicMessage) -> Option<Span> {
     (age.abs() <= MAX_AGE).then_some(age)
 }
 
-const fn ticket(position: Position, begun: Stamp) -> Ticket {
-    Ticket { position, start: Start { intended: begun.mono, skipped: 0 }, begun: begun.mono }
+const fn pending(position: Position, begun: Stamp) -> PendingIteration {
+    PendingIteration { position, start: Start { intended: begun.mono, skipped: 0 }, began_at: begun.mono }
 }
 
 #[cfg(test)]

@@ -109,7 +109,7 @@ impl<'a> Observation<'a> {
             if ending.is_none() {
                 if run.is_over(now) {
                     ending = Some(SessionEnded::Limit);
-                } else if run.is_yesterdays(clock.wall()) {
+                } else if run.is_from_previous_day(clock.wall()) {
                     ending = Some(SessionEnded::Midnight);
                 }
             }

@@ -12,13 +12,13 @@ use peernet_sample::{Description, Sample};
 use peernet_stream::{EndReason, Event, Outcome};
 use tokio::sync::{oneshot, watch};
 
-use super::super::cycle::{Awaited, Cycle};
 use super::super::iteration;
 use super::super::load::Start;
-use super::super::sensing::Sensed;
+use super::super::pipeline_loop::{PendingSample, PipelineLoop};
+use super::super::sensing::SensorOutput;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
-use crate::feed::{EventCounter, Exit};
+use crate::event_queue::{EventCounter, Exit};
 use crate::host::{EventSinks, Host};
 use crate::incidents::Incidents;
 use crate::link::{Links, Near, ProbeSettings};
@@ -71,14 +71,14 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
-    let (feed, exit) = crate::feed::entrance(&of_host, &clock, EventCounter::default());
-    let incidents = Incidents::new(Arc::clone(&clock), feed.clone());
+    let (event_queue, exit) = crate::event_queue::entrance(&of_host, &clock, EventCounter::default());
+    let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let (_own, own) = watch::channel(PeerClock::default());
     let near = Near {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
         own,
-        feed: feed.clone(),
+        event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
     let probes = ProbeSettings::read(&config.probes, &config.clock).expect("no key is needed");
@@ -89,7 +89,7 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
             version: "0.0.0",
             clock: Arc::clone(&clock),
         },
-        events: EventSinks { feed, incidents, runs: Runs::default() },
+        events: EventSinks { event_queue, incidents, runs: Runs::default() },
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
         fingerprints: FingerprintKey::new([0; 32]),
         links: Links::new(near, &config.clock, probes),
@@ -135,7 +135,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     assert_eq!(Some(ended.run), started);
     let reason = ended.reason.failure().expect("it broke off").to_owned();
     assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::Board::new(vec![display]).look();
+    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).look();
     assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
     reason
 }
@@ -158,7 +158,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
     let (context, pipeline, display, mut exit) = context(sensor, Arc::clone(&clock));
-    let mut line = Line::assemble(
+    let mut resources = PipelineResources::assemble(
         Arc::clone(&pipeline),
         Arc::clone(&display),
         Arc::clone(&clock),
@@ -169,13 +169,13 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let mut run = Run::begin(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &display);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
-    let (log, begun) = iteration::begin(&clock, context.host.id, start.intended);
+    let (log, began_at) = iteration::begin(&clock, context.host.id, start.intended);
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
-    assert!(tell.send(Sensed { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    line.sensing = Some(Awaited { run: asked(run.id()), start, begun, sample });
-    drop(Cycle::new(&mut line, &mut run, &context));
-    assert!(line.sensing.is_none());
+    assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
+    resources.sensing = Some(PendingSample { run: asked(run.id()), start, began_at, sample });
+    drop(PipelineLoop::new(&mut resources, &mut run, &context));
+    assert!(resources.sensing.is_none());
     run.end(EndReason::Stopped, &context);
     let mut outcomes = Vec::new();
     loop {

@@ -4,7 +4,7 @@ use peernet_logger::{RunId, Slug};
 use peernet_stream::{HandedIn, KILLED, SentUnspooled};
 
 use super::*;
-use crate::feed::EventCounter;
+use crate::event_queue::EventCounter;
 
 fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)

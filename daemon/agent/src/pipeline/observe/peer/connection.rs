@@ -13,13 +13,13 @@ use peernet_stream::{IncidentKind, Outcome, PipelineState};
 use super::PeerTold;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
-use crate::incidents::Concerning;
+use crate::incidents::IncidentContext;
 use crate::link::Crossing;
 use crate::observed::{MODEL, StampAnswer, StampRequest};
-use crate::pauses::Pauses;
 use crate::pipeline::context::PipelineContext;
 use crate::pipeline::placement::{OpenFailure, Placement};
 use crate::pipeline::runner::Runner;
+use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Opens sessions with the peer.
 pub(super) struct PeerConnector {
@@ -61,9 +61,10 @@ impl PeerTrouble {
 
     /// The trouble and how it goes on, for people.
     pub(super) fn describe(&self) -> String {
-        let (shortest, longest) = (Pauses::SHORTEST.as_secs_f64(), Pauses::LONGEST.as_secs());
+        let (shortest, longest) =
+            (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
         let again = match self.is_refusal {
-            true => format!("every {} s", Pauses::REFUSED.as_secs()),
+            true => format!("every {} s", ReconnectBackoff::REFUSED.as_secs()),
             false => format!("every {shortest} to {longest} s"),
         };
         format!("{} (trying again {again})", self.text)
@@ -79,8 +80,8 @@ impl PeerTrouble {
     }
 
     /// How long to wait before the next try.
-    pub(super) fn pause(&self, pauses: &mut Pauses) -> Duration {
-        if self.is_refusal { pauses.refused() } else { pauses.grow() }
+    pub(super) fn pause(&self, reconnect_backoff: &mut ReconnectBackoff) -> Duration {
+        if self.is_refusal { reconnect_backoff.refused() } else { reconnect_backoff.grow() }
     }
 }
 
@@ -107,7 +108,7 @@ impl PeerConnector {
 
     /// Opens the session that a run waits for. `None` when the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
-        let mut pauses = Pauses::new(self.context.host.id);
+        let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         let mut said = None;
         loop {
             let trouble = match runner.stop.run_until_cancelled(self.open()).await? {
@@ -115,7 +116,7 @@ impl PeerConnector {
                 Err(trouble) => trouble,
             };
             runner.display.set_state(PipelineState::Waiting(trouble.text.clone()));
-            let pause = trouble.pause(&mut pauses);
+            let pause = trouble.pause(&mut reconnect_backoff);
             if said.as_ref() != Some(&trouble) {
                 let text = format!("{}; the run begins when the peer answers", trouble.describe());
                 self.report(trouble.kind(), None, text);
@@ -176,7 +177,7 @@ impl PeerConnector {
     pub(super) fn report(&self, kind: IncidentKind, peer: Option<HostId>, text: String) {
         let events = &self.context.events;
         let run = events.runs.current(&self.pipeline);
-        events.incidents.report(kind, Concerning { pipeline: Some(&self.pipeline), run, peer }, text);
+        events.incidents.report(kind, IncidentContext { pipeline: Some(&self.pipeline), run, peer }, text);
     }
 
     pub(super) const fn host(&self) -> &Host {

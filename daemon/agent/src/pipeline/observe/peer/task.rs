@@ -15,8 +15,8 @@ use super::{Pair, SettledPair, record_without_peer};
 use crate::host::Host;
 use crate::link::Crossing;
 use crate::observed::MAX_KEYS;
-use crate::pauses::Pauses;
 use crate::pipeline::observe::record;
+use crate::reconnect_backoff::ReconnectBackoff;
 
 /// The task of one pipeline. It ends when the observer hands over nothing more.
 pub(super) struct PeerTask {
@@ -111,14 +111,14 @@ impl PeerTask {
     /// Opens a session again, however long that takes. `None` when the observer hands over nothing more.
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
-        let mut pauses = Pauses::new(connector.host().id);
+        let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
         let mut said = None;
         loop {
             let trouble = match self.attend(connector.open()).await? {
                 Ok(connection) => return Some(connection),
                 Err(trouble) => trouble,
             };
-            let pause = trouble.pause(&mut pauses);
+            let pause = trouble.pause(&mut reconnect_backoff);
             // That it went away has been said.
             if trouble.is_refusal() && said.as_ref() != Some(&trouble) {
                 connector.report(trouble.kind(), None, trouble.describe());

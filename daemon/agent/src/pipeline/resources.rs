@@ -1,4 +1,4 @@
-//! What a pipeline keeps over all its runs: its sensor, its actuator, its beat.
+//! The parts of a pipeline that outlive a run: sensor, actuator, schedule.
 
 use std::io;
 use std::sync::Arc;
@@ -9,11 +9,11 @@ use peernet_external::exec::FingerprintKey;
 use peernet_sensors::{SensorError, SensorKind, Transform, TransformKind};
 use tokio::task::JoinError;
 
-use super::acting::Acting;
-use super::alarm::Alarm;
-use super::cycle::Awaited;
+use super::actuator_executor::ActuatorExecutor;
 use super::load::Schedule;
-use super::sensing::{Chain, Senses};
+use super::pipeline_loop::PendingSample;
+use super::sensing::{SensorChain, SensorExecutor};
+use super::start_timer::StartTimer;
 use crate::config::PipelineConfig;
 use crate::live::Display;
 
@@ -40,23 +40,23 @@ pub(super) enum AssembleError {
     Panicked(#[from] JoinError),
 }
 
-/// An assembled pipeline without a place to compute.
-pub(super) struct Line {
+/// The parts of a pipeline without the place where it computes.
+pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
-    pub(super) senses: Senses,
-    /// The sample that the sensor is asked for. It may outlive a connection: nobody can take the question back.
-    pub(super) sensing: Option<Awaited>,
-    /// `None` when answers are not acted upon.
-    pub(super) actuator: Option<Acting>,
+    pub(super) sensor: SensorExecutor,
+    /// The sample that the sensor was asked for. A request cannot be withdrawn, so it may outlive the connection.
+    pub(super) sensing: Option<PendingSample>,
+    /// `None` if the pipeline has no actuator.
+    pub(super) actuator: Option<ActuatorExecutor>,
     pub(super) schedule: Schedule,
-    pub(super) alarm: Alarm,
-    /// Sensor, transforms, load and so on, as pairs for people.
+    pub(super) start_timer: StartTimer,
+    /// Sensor, transforms and load as label and text, for the page of a run.
     facts: Vec<(String, String)>,
 }
 
-impl Line {
-    /// Opens the sensor and sets up the rest. Blocks: a folder of pictures may be on a slow disk.
+impl PipelineResources {
+    /// Opens the sensor, the transforms and the actuator. Blocks: a folder of pictures may be on a slow disk.
     ///
     /// # Errors
     /// When a part of it cannot be set up.
@@ -80,32 +80,32 @@ impl Line {
         }
         facts.extend(config.actuator.facts());
         facts.extend(config.actuator.arguments(fingerprints));
-        let senses =
-            Senses::new(Chain { sensor, transforms }, &config.name).map_err(AssembleError::Thread)?;
+        let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)
+            .map_err(AssembleError::Thread)?;
         Ok(Self {
-            actuator: Acting::new(&config.actuator, &clock)?,
+            actuator: ActuatorExecutor::new(&config.actuator, &clock)?,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
-            alarm: Alarm::new(clock).map_err(AssembleError::Timer)?,
+            start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
             display,
-            senses,
+            sensor,
             sensing: None,
             facts,
         })
     }
 
-    /// Begins the beat anew, with a run: what came due before there was one is nobody's latency.
-    pub(super) fn begin_beat(&mut self, now: MonoTime) {
+    /// Starts the schedule with a run. Starts that came due before it belong to no run and count in no latency.
+    pub(super) fn restart_schedule(&mut self, now: MonoTime) {
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
-    /// What the run's page says of sensor, transforms and load, then of the model.
+    /// Returns label and text of sensor, transforms and load, then those of the model.
     pub(super) fn facts(&self, model: Vec<(String, String)>) -> Vec<(String, String)> {
         self.facts.iter().cloned().chain(model).collect()
     }
 
-    /// Iterations that may be under way at once.
-    pub(super) fn places(&self) -> usize {
+    /// Returns how many iterations may be in flight at once: one in a closed loop.
+    pub(super) fn max_in_flight(&self) -> usize {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
     }
 }

@@ -1,4 +1,4 @@
-//! The actuator of a pipeline, on the thread that suits it.
+//! Runs the actuator of a pipeline, inline or on a thread.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 use tokio::sync::Mutex;
 use tokio::task::{JoinError, spawn_blocking};
 
-/// The reason why an answer was not acted upon.
+/// Reason why an actuator did not act on an answer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ActError {
     /// The actuator refused or failed.
@@ -20,16 +20,16 @@ pub(super) enum ActError {
     Panicked(#[from] JoinError),
 }
 
-/// Acts on one answer after the other, in the order in which they came.
+/// Runs a pipeline's actuator, one answer after the other in order of arrival.
 #[derive(Clone)]
-pub(super) struct Acting {
+pub(super) struct ActuatorExecutor {
     actuator: Arc<Mutex<Box<dyn Actuator>>>,
-    /// It may block: in the pipeline's own task it would hold up all that is under way.
+    /// Whether the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
 }
 
-impl Acting {
-    /// Sets up the actuator; `None` when answers are not acted upon: then nothing is recorded either.
+impl ActuatorExecutor {
+    /// Opens the actuator. `None` if the configuration has none; then no node is recorded.
     ///
     /// # Errors
     /// When the actuator cannot be set up.
@@ -42,7 +42,7 @@ impl Acting {
         Ok(Some(Self { actuator: Arc::new(Mutex::new(actuator)), blocks }))
     }
 
-    /// Acts on an answer, recording `actuation`.
+    /// Acts on an answer and records `actuation`.
     pub(super) async fn act(
         &self,
         mut log: Recorder,
@@ -54,14 +54,14 @@ impl Acting {
             let acted = act(actuator.as_mut(), &mut log, source, answer);
             return (log, acted.map_err(ActError::from));
         }
-        // When the thread panics this copy tells what was known before.
+        // If the thread panics, this copy has what was recorded before.
         let spare = log.clone();
         let (source, answer) = (source.to_owned(), answer.clone());
-        let acting = spawn_blocking(move || {
+        let actuator_executor = spawn_blocking(move || {
             let acted = act(actuator.as_mut(), &mut log, &source, &answer);
             (log, acted.map_err(ActError::from))
         });
-        acting.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
+        actuator_executor.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
     }
 }
 

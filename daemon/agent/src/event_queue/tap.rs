@@ -8,12 +8,12 @@ use tokio::sync::mpsc;
 
 /// The way to the program; clones are the same. Measuring does not wait for it either.
 #[derive(Clone, Debug)]
-pub(crate) struct Tap {
+pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
     missed: Arc<AtomicU64>,
 }
 
-impl Tap {
+impl EventTap {
     pub(crate) fn new(listener: mpsc::Sender<Event>) -> Self {
         Self { listener, missed: Arc::default() }
     }
@@ -39,7 +39,7 @@ mod tests {
     use peernet_logger::RunId;
     use peernet_stream::{EndReason, RunEnded};
 
-    use super::super::Feed;
+    use super::super::EventQueue;
     use super::*;
 
     fn ended() -> Event {
@@ -50,13 +50,13 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_counted() {
         let (sender, mut listener) = mpsc::channel(1);
-        let tap = Tap::new(sender);
-        let feed = Feed::nowhere().tapped(Some(tap.clone()));
+        let tap = EventTap::new(sender);
+        let event_queue = EventQueue::nowhere().tapped(Some(tap.clone()));
         let (first, second) = (ended(), ended());
-        feed.event(None, first.clone());
-        feed.event(None, second.clone());
+        event_queue.event(None, first.clone());
+        event_queue.event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(first), 1));
-        feed.event(None, second.clone());
+        event_queue.event(None, second.clone());
         assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(second), 1));
     }
 
@@ -64,11 +64,11 @@ mod tests {
     fn the_outbox_gets_its_own() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (feed, mut exit) = super::super::channel(clock, super::super::EventCounter::default());
+        let (event_queue, mut exit) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
-        let feed = feed.tapped(Some(Tap::new(sender)));
+        let event_queue = event_queue.tapped(Some(EventTap::new(sender)));
         let event = ended();
-        feed.event(None, event.clone());
+        event_queue.event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
         assert_eq!(exit.queue.try_recv().ok(), Some(event));
     }

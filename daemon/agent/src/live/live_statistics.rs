@@ -85,13 +85,13 @@ impl Display {
 
 /// All pipelines of the agent.
 #[derive(Clone, Debug)]
-pub(crate) struct Board(Arc<[Arc<Display>]>);
+pub(crate) struct LiveStatistics(Arc<[Arc<Display>]>);
 
 /// What was put into an update: to be handed back once the update is on its way.
 #[derive(Debug)]
 pub(crate) struct Receipt(Vec<Shown>);
 
-impl Board {
+impl LiveStatistics {
     pub(crate) fn new(displays: Vec<Arc<Display>>) -> Self {
         Self(displays.into())
     }

@@ -1,4 +1,4 @@
-//! A timer that is exact enough for starts.
+//! Timer for the starts of iterations, more precise than a millisecond.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -9,20 +9,20 @@ use rustix::time::{
 };
 use tokio::io::unix::AsyncFd;
 
-/// Waits for a moment of the monotonic clock.
+/// A kernel timer (`timerfd`) on the monotonic clock.
 ///
-/// The timers of tokio are rounded up to whole milliseconds, which would stand in the latency of every
-/// iteration that is counted from its intended start; the kernel's are not.
+/// Timers of tokio are rounded up to whole milliseconds. Latency counts from the intended start, so that every iteration
+/// would seem late by up to a millisecond.
 #[derive(Debug)]
-pub(crate) struct Alarm {
+pub(crate) struct StartTimer {
     timer: AsyncFd<OwnedFd>,
     clock: SharedClock,
-    /// What the timer is set to.
+    /// Time to which the kernel's timer is set.
     set: Option<MonoTime>,
 }
 
-impl Alarm {
-    /// An alarm that is not set.
+impl StartTimer {
+    /// Creates a timer that is not set.
     ///
     /// # Errors
     /// When the kernel has no timer to give: too many open files.
@@ -80,10 +80,10 @@ mod tests {
     #[tokio::test]
     async fn an_alarm_never_rings_early_and_can_be_set_anew() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
-        let mut alarm = Alarm::new(Arc::clone(&clock)).expect("a timer");
+        let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {
             let at = clock.mono() + Span::from_millis(millis);
-            alarm.until(at).await.expect("rings");
+            start_timer.until(at).await.expect("rings");
             assert!(clock.mono() >= at);
         }
     }
@@ -91,15 +91,15 @@ mod tests {
     #[tokio::test]
     async fn a_wait_that_was_given_up_does_not_disturb_the_next() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
-        let mut alarm = Alarm::new(Arc::clone(&clock)).expect("a timer");
+        let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         let far = clock.mono() + Span::from_seconds(3600);
         tokio::select! {
             biased;
-            _ = alarm.until(far) => unreachable!("an hour has not passed"),
+            _ = start_timer.until(far) => unreachable!("an hour has not passed"),
             () = std::future::ready(()) => {}
         }
         let near = clock.mono() + Span::from_millis(2);
-        alarm.until(near).await.expect("rings");
+        start_timer.until(near).await.expect("rings");
         assert!(clock.mono() >= near);
     }
 }

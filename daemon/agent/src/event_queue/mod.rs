@@ -4,7 +4,7 @@ pub(crate) mod counter;
 mod tap;
 
 pub(crate) use self::counter::EventCounter;
-pub(crate) use self::tap::Tap;
+pub(crate) use self::tap::EventTap;
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,11 +24,11 @@ const RESERVE: usize = 512;
 
 /// Where events go in; clones are the same.
 #[derive(Clone, Debug)]
-pub(crate) struct Feed {
+pub(crate) struct EventQueue {
     /// To the outbox; `None` for an agent without an aggregator.
     outbox: Option<Arc<Entrance>>,
     /// To the program that runs the agent; `None` when it does not listen.
-    tap: Option<Tap>,
+    tap: Option<EventTap>,
 }
 
 #[derive(Debug)]
@@ -60,21 +60,21 @@ pub(crate) struct Overflow {
 type Origin = (Option<Slug>, Option<RunId>);
 
 /// An entrance and an exit with a queue between them.
-pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (Feed, Exit) {
+pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, Exit) {
     let (sender, queue) = mpsc::channel(PLACES + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
     let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
-    (Feed { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow, counter })
+    (EventQueue { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow, counter })
 }
 
-impl Feed {
+impl EventQueue {
     /// A feed into nothing, for an agent without an aggregator.
     pub(crate) const fn nowhere() -> Self {
         Self { outbox: None, tap: None }
     }
 
     /// The same feed, of which every event also goes to `tap`.
-    pub(crate) fn tapped(self, tap: Option<Tap>) -> Self {
+    pub(crate) fn tapped(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }
 
@@ -128,12 +128,12 @@ pub(crate) fn entrance(
     config: &HostConfig,
     clock: &SharedClock,
     counter: EventCounter,
-) -> (Feed, Option<Exit>) {
+) -> (EventQueue, Option<Exit>) {
     if config.aggregator.is_none() {
-        return (Feed::nowhere(), None);
+        return (EventQueue::nowhere(), None);
     }
-    let (feed, exit) = channel(SharedClock::clone(clock), counter);
-    (feed, Some(exit))
+    let (event_queue, exit) = channel(SharedClock::clone(clock), counter);
+    (event_queue, Some(exit))
 }
 
 #[cfg(test)]
@@ -196,15 +196,15 @@ mod tests {
     fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (feed, exit) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
+        let (event_queue, exit) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
         let offered = PLACES as u64 + 2;
         for number in 1..=offered {
             clock.advance(Span::from_nanos(10));
-            feed.iteration(&pipeline, iteration(&clock, run, number));
+            event_queue.iteration(&pipeline, iteration(&clock, run, number));
         }
         let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
-        feed.event(Some(&pipeline), Event::RunEnded(ended));
+        event_queue.event(Some(&pipeline), Event::RunEnded(ended));
 
         assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));
         let gaps = exit.overflow.take_gaps();

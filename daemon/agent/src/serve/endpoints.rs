@@ -17,7 +17,7 @@ const CALIBRATION: &str = "calibration";
 
 /// The ports for sessions, and those for probes unless that is switched off.
 #[derive(Debug)]
-pub(crate) struct Doors {
+pub(crate) struct ServeEndpoints {
     /// Tells this process from others behind the same address, and from those before it.
     pub(super) instance: u64,
     /// What peers are given with their session to authenticate probes, unless a key of this host's own is configured.
@@ -32,7 +32,7 @@ pub(crate) struct Doors {
     pub(super) probes: Vec<Option<u16>>,
 }
 
-impl Doors {
+impl ServeEndpoints {
     /// Takes the ports, if the host is to serve.
     pub(crate) async fn open(
         config: &AgentConfig,

@@ -7,12 +7,12 @@ use peernet_statistics::SplitMix64;
 
 /// Growing pauses with jitter, so that many edges do not all come back to a restarted cloud at once.
 #[derive(Debug)]
-pub(crate) struct Pauses {
+pub(crate) struct ReconnectBackoff {
     next: Duration,
     random: SplitMix64,
 }
 
-impl Pauses {
+impl ReconnectBackoff {
     pub(crate) const SHORTEST: Duration = Duration::from_millis(250);
     pub(crate) const LONGEST: Duration = Duration::from_secs(5);
     /// Between tries after a refusal, which rarely mends itself.
@@ -53,13 +53,13 @@ mod tests {
 
     #[test]
     fn pauses_grow_to_the_longest_and_begin_anew_after_a_success() {
-        let mut pauses = Pauses::new(HostId::from_bytes([7; 16]));
+        let mut reconnect_backoff = ReconnectBackoff::new(HostId::from_bytes([7; 16]));
         let around = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
         for middle in [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0] {
-            let pause = pauses.grow();
+            let pause = reconnect_backoff.grow();
             assert!(around(pause, middle), "{pause:?} should be about {middle} s");
         }
-        pauses.reset();
-        assert!(around(pauses.grow(), 0.25));
+        reconnect_backoff.reset();
+        assert!(around(reconnect_backoff.grow(), 0.25));
     }
 }

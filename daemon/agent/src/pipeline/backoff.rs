@@ -1,0 +1,55 @@
+//! Pauses of a closed loop while every iteration fails. No I/O.
+
+use peernet_clock::{MonoTime, Span};
+use peernet_stream::Outcome;
+
+/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can: a model's queue
+/// may be full, or every picture broken.
+#[derive(Debug, Default)]
+pub(super) struct FailureBackoff {
+    failures: u32,
+    until: Option<MonoTime>,
+}
+
+impl FailureBackoff {
+    /// Failures in a row without a pause: a few samples may be bad.
+    const FREE: u32 = 3;
+    const LONGEST: Span = Span::from_seconds(1);
+
+    /// Records how an iteration ended.
+    pub(super) fn record_outcome(&mut self, outcome: &Outcome, now: MonoTime) {
+        if *outcome == Outcome::Ok {
+            *self = Self::default();
+            return;
+        }
+        self.failures = self.failures.saturating_add(1);
+        let over = self.failures.saturating_sub(Self::FREE);
+        let pause = Span::from_millis(1 << over.min(10)).min(Self::LONGEST);
+        self.until = (over > 0).then(|| now + pause);
+    }
+
+    /// Returns the end of the pause; `None` if there is none now.
+    pub(super) fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
+        self.until.filter(|until| *until > now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_failures_are_free_many_slow_down_and_a_success_lets_go() {
+        let (mut backoff, now) = (FailureBackoff::default(), MonoTime::from_nanos(0));
+        let failed = Outcome::Failed("broken".into());
+        let reconnect_backoff: Vec<i64> = (0..16)
+            .map(|_| {
+                backoff.record_outcome(&failed, now);
+                backoff.paused_until(now).map_or(0, |until| (until - now).nanos() / 1_000_000)
+            })
+            .collect();
+        assert_eq!(reconnect_backoff, [0, 0, 0, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000, 1000, 1000, 1000]);
+        backoff.record_outcome(&Outcome::Ok, now);
+        assert_eq!(backoff.paused_until(now), None);
+    }
+}
