@@ -1,4 +1,4 @@
-//! By how much the clocks of a host are wrong on purpose.
+//! Description of the faults that are injected into the clocks of a host.
 
 use std::fmt;
 
@@ -6,58 +6,59 @@ use serde::{Deserialize, Serialize};
 
 use crate::{RawTime, Span, WallTime};
 
-/// How the wall clock and the free-running clock are made wrong:
-/// `shown = true + offset + drift × (true − since) + steps of this clock so far`.
+/// Faults of the wall clock and the free-running clock: `shown = true + offset + drift × (true − since) + steps of this
+/// clock so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RehearsalDescription {
-    /// Ahead from the start.
+    /// Offset from the start on.
     pub offset: Span,
-    /// Runs fast by so many parts per million.
+    /// Drift in parts per million; positive if the clock is fast.
     pub drift_ppm: f64,
     /// Steps, in any order.
     pub steps: Vec<RehearsedStep>,
-    /// What the true wall clock showed at the start, when drift and steps begin to count.
+    /// True wall-clock time of the start, from which drift and steps count.
     pub since: WallTime,
 }
 
-/// A step of a rehearsed clock.
+/// A step of a clock with injected faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RehearsedStep {
-    /// So long after the start.
+    /// Time of the step after the start.
     pub at: Span,
-    /// By so much.
+    /// Size of the step.
     pub by: Span,
-    /// Which clock. Left out where it is the wall clock, the only one that earlier releases step.
+    /// Clock that is stepped. The serialised form omits the wall clock, which is the only one that earlier releases
+    /// step.
     #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
     pub clock: SteppedClock,
 }
 
 impl RehearsedStep {
-    /// A step of the wall clock.
+    /// Creates a step of the wall clock.
     pub const fn of_wall(at: Span, by: Span) -> Self {
         Self { at, by, clock: SteppedClock::Wall }
     }
 }
 
-/// A clock that a rehearsal steps.
+/// Clock that an injected step applies to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SteppedClock {
-    /// The wall clock, as an administrator sets it. The step is noticed at once.
+    /// The wall clock, as when an administrator sets it. The step is noticed at once.
     #[default]
     Wall,
-    /// The free-running clock, as where a virtual machine was paused. Nothing on the host notices the step.
+    /// The free-running clock, as when a virtual machine is paused. Nothing on the host notices the step.
     Raw,
 }
 
 impl SteppedClock {
-    /// Whether it is the wall clock.
+    /// Returns whether it is the wall clock.
     pub fn is_wall(&self) -> bool {
         *self == Self::Wall
     }
 }
 
-/// In words: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
+/// Formats the faults, such as `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
 impl fmt::Display for RehearsalDescription {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let millis = |span: Span| span.nanos() as f64 / 1e6;
@@ -74,25 +75,26 @@ impl fmt::Display for RehearsalDescription {
 }
 
 impl RehearsalDescription {
-    /// What the wall clock shows when the true one shows `truth`.
+    /// Returns the time that the wall clock shows when the true one shows `truth`.
     pub fn shown(&self, truth: WallTime) -> WallTime {
         truth + self.error_at(truth)
     }
 
-    /// How far the wall clock is ahead when the true one shows `truth`.
+    /// Returns how far the wall clock is ahead when the true one shows `truth`.
     pub fn error_at(&self, truth: WallTime) -> Span {
         self.error_after(truth - self.since, SteppedClock::Wall)
     }
 
-    /// What the free-running clock shows when the true one shows `truth` and showed `since` at the start.
+    /// Returns the time that the free-running clock shows when the true one shows `truth` and showed `since` at the
+    /// start.
     pub fn raw_shown(&self, truth: RawTime, since: RawTime) -> RawTime {
         truth + self.error_after(truth - since, SteppedClock::Raw)
     }
 
-    /// What the true wall clock showed when this one showed `shown`, to the nanosecond.
+    /// Returns the true wall-clock time at which this clock showed `shown`, to the nanosecond.
     ///
-    /// A clock that was set back shows some times twice, and one that was set forward leaves some out: then it is the
-    /// last such time, or that of the step.
+    /// A clock that was set back shows some times twice, and one that was set forward skips some. The result is then
+    /// the last such time, or the time of the step.
     pub fn true_of(&self, shown: WallTime) -> WallTime {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
         let mut begins: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
@@ -111,14 +113,14 @@ impl RehearsalDescription {
         end
     }
 
-    /// How far a clock is ahead so long after the start.
+    /// Returns how far a clock is ahead at a time after the start.
     fn error_after(&self, elapsed: Span, clock: SteppedClock) -> Span {
         let drift = elapsed.nanos() as f64 * self.drift_ppm * 1e-6;
         let steps: Span = self.steps_within(elapsed, clock).map(|step| step.by).sum();
         self.offset + Span::from_nanos(drift.round() as i64) + steps
     }
 
-    /// The inverse without steps.
+    /// Returns the true time at which the clock showed `shown`, without steps.
     fn smooth_true_of(&self, shown: WallTime) -> WallTime {
         let ahead = shown - self.offset;
         let elapsed = (ahead - self.since).nanos() as f64;
@@ -126,7 +128,7 @@ impl RehearsalDescription {
         ahead - Span::from_nanos(drift.round() as i64)
     }
 
-    /// The steps of a clock until so long after the start.
+    /// Returns the steps of a clock up to a time after the start.
     pub(crate) fn steps_within(
         &self,
         elapsed: Span,

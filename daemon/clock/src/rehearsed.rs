@@ -1,22 +1,22 @@
-//! Clocks that are wrong on purpose.
+//! A clock with injected faults.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::rehearsal::{RehearsalDescription, SteppedClock};
 use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, SharedClock, Span, WallTime};
 
-/// A clock whose wall clock and free-running clock are wrong on purpose; its monotonic clock is untouched.
+/// A clock whose wall clock and free-running clock have injected faults. Its monotonic clock is unchanged.
 #[derive(Debug)]
 pub struct RehearsedClock {
     inner: SharedClock,
     identity: ClockIdentity,
     description: RehearsalDescription,
-    /// What the true free-running clock showed when the rehearsal began.
+    /// Time of the true free-running clock at the start.
     raw_since: RawTime,
     seen: Mutex<Seen>,
 }
 
-/// Steps of both kinds, as of the last look.
+/// Numbers of steps, as of the last query: those of the inner clock and the injected ones.
 #[derive(Debug, Default)]
 struct Seen {
     inner: u32,
@@ -25,7 +25,7 @@ struct Seen {
 }
 
 impl RehearsedClock {
-    /// `inner`, made wrong as described.
+    /// Creates a clock that shows `inner` with the faults of `description`.
     pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
         let seen = Mutex::new(Seen { inner: inner.wall_epoch(), ..Seen::default() });
         let now = inner.stamp();
@@ -33,7 +33,8 @@ impl RehearsedClock {
         Self { inner, identity, description, raw_since, seen }
     }
 
-    /// Rehearsed steps of the wall clock are known, not found: they count from the moment they are due, and for ever.
+    /// Updates and returns the numbers of steps. Injected steps are known in advance: they count from the moment they
+    /// are due.
     fn look(&self) -> MutexGuard<'_, Seen> {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let inner = self.inner.wall_epoch();

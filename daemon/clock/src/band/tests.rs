@@ -13,7 +13,7 @@ fn band(window: Span) -> Band {
     Band::new(model(), window, window)
 }
 
-/// Clocks at the limit, on either side and in either direction, and clocks that wander within it.
+/// Returns worlds whose clocks drift at the limit, on either side and in either direction, or wander within it.
 fn worlds(offset: Span, length: Span, dice: &mut Dice) -> Vec<World> {
     let still = Wall::drifting(Span::ZERO, 0.0);
     let mut worlds = Vec::new();
@@ -27,7 +27,7 @@ fn worlds(offset: Span, length: Span, dice: &mut Dice) -> Vec<World> {
     worlds
 }
 
-/// Answers that were overtaken: some are heard of later than they ended.
+/// Delays some answers, so that the trips are learnt in another order than that of their ends.
 fn overtaken(trips: &mut [Trip], dice: &mut Dice) {
     for trip in trips.iter_mut() {
         trip.ended += if dice.chance(0.1) { dice.exponential(2e9) } else { 0.0 };
@@ -95,7 +95,7 @@ proptest! {
                 counted.map(|(_, bounds)| point(bounds).carried(drift, q)).min().expect("has exchanges")
             };
             let known = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
-            // The oldest slot goes when its best point does, with others that may be younger.
+            // The oldest slot expires when its best point does, together with points that may be younger.
             let short = window.nanos() - 500_000_000;
             for (point, bound) in [
                 ((|bounds| bounds.upper) as fn(&Bounds) -> Point, known.hi.nanos()),
@@ -108,7 +108,7 @@ proptest! {
     }
 }
 
-/// A jump that fits what round trips allow spoils intervals for as long as the window lasts, and no longer.
+/// Checks that a jump which the round trips cannot exclude makes intervals wrong only as long as the window.
 #[test]
 fn a_jump_that_no_exchange_excludes_is_over_after_the_window() {
     let jump = Span::from_millis(15);
@@ -147,7 +147,7 @@ fn rare_exchanges_count_however_old_they_are() {
     }
 }
 
-/// Where nothing but drift and whole nanoseconds stands between the bounds and the truth.
+/// Checks trips without delay, for which only drift and rounding separate the bounds from the truth.
 #[test]
 fn even_without_any_delay_the_truth_is_inside() {
     let mut dice = Dice::new(11);
@@ -170,7 +170,8 @@ fn even_without_any_delay_the_truth_is_inside() {
     }
 }
 
-/// Mean and largest distance of the estimate from the truth, microseconds, at the newest exchange, from 10 s on.
+/// Returns the mean and the largest distance of the estimate from the truth in microseconds, at the newest exchange,
+/// from 10 s on.
 fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
     let mut dice = Dice::new(7);
     let mut band = band(Span::from_seconds(600));
@@ -190,7 +191,7 @@ fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
 fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift() {
     let mut dice = Dice::new(3);
     for (n, world) in worlds(Span::from_seconds(-1), Span::from_seconds(120), &mut dice).iter().enumerate() {
-        // The last two wander as no crystal does: by tens of ppm within seconds.
+        // The last two wander by tens of ppm within seconds, which no crystal does.
         let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
         for hz in [10.0, 200.0] {
             let (mean, most) = errors(world, Path::VETH, hz);

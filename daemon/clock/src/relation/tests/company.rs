@@ -23,7 +23,7 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
         assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
         assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
     }
-    // Set forward while the cloud worked: a delay that is positive and wrong.
+    // The cloud's clock is set forward while it serves: the delay is positive and wrong.
     let mut observation = world.trip(6e9, 30e3, 100e3, 30e3).observation();
     observation.exchange.replied = observation.exchange.replied + Span::from_seconds(1);
     observation.exchange.returned = observation.exchange.returned + Span::from_seconds(1);
@@ -74,14 +74,14 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
     let world = world(Span::from_millis(5));
     let mut relation = acquainted(&world);
-    // An image of half a second, so that the interval is not what limits.
+    // An image whose transfer takes half a second, so that the width of the interval is no limit.
     let big = |t: f64| world.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late = big(40e9);
     let judged = relation.judge(&late.observation());
     assert_eq!((judged.learned, judged.up.verdict), (Learned::Taken, Verdict::Stale));
     assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
-    // Its own exchange is company for the next, and for itself when it is judged again.
+    // Its own exchange makes the next delay recent, and itself when it is judged again.
     assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);
     let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
     assert_eq!(again.verdict, Verdict::Ok);

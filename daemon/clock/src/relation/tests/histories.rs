@@ -1,4 +1,4 @@
-//! Generated histories of two clocks and the paths between them that keep the assumptions: no interval is ever wrong.
+//! Generated histories of two clocks and of the paths between them that keep the assumptions. No interval may be wrong.
 
 use std::env;
 
@@ -6,15 +6,15 @@ use super::*;
 
 const LIMIT_PPM: f64 = 200.0;
 const CHANGE_PPM_PER_S: f64 = 1.0;
-/// Seconds of a history.
+/// Length of a history in seconds.
 const LENGTH: f64 = 60.0;
 
-/// A history: trips in the order in which their answers are known, with the cloud's epoch at the time.
+/// Trips in the order in which their answers become known, each with the cloud's epoch at that time.
 struct History {
     trips: Vec<(Trip, u32)>,
 }
 
-/// Histories of `make test`; `PEERNET_HISTORIES` asks for more.
+/// Returns the number of histories: 1,000, or the value of `PEERNET_HISTORIES`.
 fn histories() -> u64 {
     env::var("PEERNET_HISTORIES").ok().and_then(|count| count.parse().ok()).unwrap_or(1_000)
 }
@@ -28,7 +28,7 @@ fn settings() -> RelationSettings {
     }
 }
 
-/// A path from 0.03 to 300 ms on either way, with waiting and loss.
+/// Returns a path of 0.03 to 300 ms in each direction, with jitter and loss.
 fn path(dice: &mut Dice) -> Path {
     let mut way = |shortest: f64, longest: f64| (dice.between(shortest.ln(), longest.ln())).exp();
     let (up, down, jitter, burst) = (way(3e4, 300e6), way(3e4, 300e6), way(1e3, 20e6), way(1e5, 200e6));
@@ -39,7 +39,7 @@ impl History {
     fn generate(dice: &mut Dice) -> Self {
         let pause = if dice.chance(0.4) { dice.between(0.5f64.ln(), 600f64.ln()).exp() } else { 0.0 };
         let length = Span::from_seconds_f64(LENGTH + pause + 10.0);
-        // The two share what is allowed; at the very limit in a third of the histories.
+        // The two clocks share the limit; in a third of the histories they reach it.
         let clock = |dice: &mut Dice| {
             let offset = Span::from_nanos(dice.between(-1e15, 1e15) as i64);
             let half = LIMIT_PPM / 2.0;
@@ -49,14 +49,14 @@ impl History {
             Wall::warming(offset, half, CHANGE_PPM_PER_S / 2.0, length, dice)
         };
         let (mut edge, mut cloud) = (clock(dice), clock(dice));
-        // So short a path that nothing but the assumptions keeps bounds from the truth.
+        // The path is so short that only the assumptions separate the bounds from the truth.
         let is_tight = dice.chance(0.2);
         if is_tight {
             edge = Wall::drifting(Span::ZERO, 0.0);
             cloud = Wall::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, dice);
         }
         let paused = dice.between(5.0, LENGTH - 5.0);
-        // A cloud that was started anew has another clock, and says so.
+        // A cloud that was restarted has another clock, and reports it.
         let restarted = dice.chance(0.2);
         if restarted {
             let by = Span::from_nanos(dice.between(-1e12, 1e12) as i64);
@@ -82,7 +82,7 @@ impl History {
             }
         }
         let restart = (paused + pause / 2.0) * 1e9;
-        // Nothing that was under way is answered by a cloud that was started anew.
+        // A restarted cloud answers no request that was in flight.
         trips.retain(|trip| {
             !restarted
                 || trip.ended < restart
@@ -122,7 +122,7 @@ fn delays_of_generated_histories_contain_the_truth() {
             };
             check(answer.up, trip.up);
             check(answer.down, trip.down);
-            // An earlier one again, with what came after it.
+            // Judges an earlier delay again, with the exchanges that followed it.
             let earlier = n - n.min((n * 7919) % 50);
             let (before, _) = &history.trips[earlier];
             if newest_epoch == 0 {

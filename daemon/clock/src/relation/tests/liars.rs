@@ -125,8 +125,8 @@ fn impossible_exchanges_are_told_apart() {
     assert_eq!(told, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
 }
 
-/// A peer that shifts both its stamps alike shows what another clock would show: two-way exchanges cannot tell. A claim
-/// about both hosts' clocks that does not come from the peer's stamps can.
+/// A peer that shifts both its stamps alike shows what another clock would show; two-way exchanges cannot detect it. A
+/// claim about both hosts' clocks that does not come from the peer's stamps can.
 #[test]
 fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
     let (honest, lying) = (world(Span::ZERO), world(Span::from_millis(40)));
@@ -192,13 +192,13 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
-        // The last of the near exchanges before it returned at 9.5 s.
+        // The last of the exchanges with short round trips before the suspect returned at 9.5 s.
         assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
         assert!(seconds > 19.4 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
 }
 
-/// Eight exchanges bound the offset however far they are: until all of them came after the suspects, one of both may be wrong.
+/// Eight exchanges bound the offset at any age: until all of them follow the suspect, either may be wrong.
 #[test]
 fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
     let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));

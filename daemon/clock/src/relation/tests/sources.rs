@@ -9,7 +9,8 @@ fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
     Some(Discipline { source, error: millis(lo, hi) })
 }
 
-/// A relation whose band is about [-15, 35] ms, estimate 10: 20 ms up, 30 down, the cloud 5 ms ahead.
+/// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms
+/// ahead.
 fn asymmetric() -> Relation {
     let world =
         World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_millis(5), 0.0) };
@@ -21,7 +22,7 @@ fn asymmetric() -> Relation {
     relation
 }
 
-/// Source, bounds in milliseconds, estimate, verdict.
+/// Returns the source, the bounds and the estimate in milliseconds, and the verdict.
 fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
     let offset = relation.offset(at(10), WallTime::default()).expect("known");
     let millis = |span: Span| (span.seconds() * 1e3).round() as i64;
@@ -58,7 +59,7 @@ fn claims_that_are_not_trusted_change_nothing() {
     }
     let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
     assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
-    // 10 ppm for ten seconds.
+    // The drift is 10 ppm for ten seconds.
     assert!(known.bounds.contains(Span::from_micros(5_100)));
 }
 
@@ -68,7 +69,7 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     let exact = claim(DelaySource::Kernel, 0, 0);
     relation.set_disciplines(exact, claim(DelaySource::Chrony, 4, 6));
-    // The estimate is off by an asymmetry that the claim reveals.
+    // The claim reveals an asymmetry by which the estimate is wrong.
     assert_eq!(answer(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
     relation.set_disciplines(exact, claim(DelaySource::Kernel, 4, 12));
     assert_eq!(answer(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));

@@ -2,7 +2,7 @@ use super::*;
 
 const STEP: Span = Span::from_seconds(3);
 
-/// The two clocks of a world whose edge is set by so much at the 10th second.
+/// Returns a world whose edge clock is set by `by` at the tenth second.
 fn edge_set(by: Span) -> World {
     let world = world(Span::from_millis(5));
     World { edge: world.edge.stepped(Span::from_seconds(10), by), ..world }
@@ -13,9 +13,11 @@ fn cloud_set(by: Span) -> World {
     World { cloud: world.cloud.stepped(Span::from_seconds(10), by), ..world }
 }
 
-/// Ten a second until the 10th, then a hundred a second for three seconds; `witness` adds what the hosts know.
-/// Returns how long it took until the first `ok` or `limited` after the step, and the relation. All of those contain
-/// the truth.
+/// Judges ten exchanges per second until the tenth second, then a hundred per second for three seconds. `witness` adds
+/// the epochs that the hosts report.
+///
+/// Returns the time from the step to the first `ok` or `limited` delay, and the relation. Panics if such a delay does
+/// not contain the truth.
 fn survive(world: &World, witness: impl Fn(&Trip) -> ExchangeObservation) -> (Option<f64>, Relation) {
     let mut relation = acquainted(world);
     let mut recovered = None;
@@ -43,7 +45,8 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
             assert_eq!(relation.window(), 1);
-            // A clock that was set back needs as long to be sure which exchanges began after it.
+            // After a clock was set back by some seconds, it takes as many to know which exchanges began after the
+            // step.
             let limit =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
             assert!(recovered.is_some_and(|after| after < limit), "{by} {recovered:?}");
@@ -93,7 +96,7 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     }
     assert_eq!(picture(&relation), before);
     assert_eq!(relation.learn(&spans(40)), Learned::Taken);
-    // A rehearsed clock of 100 ppm through ten seconds.
+    // A clock with an injected drift of 100 ppm, for ten seconds.
     let long = world.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
     let drifted =
@@ -101,7 +104,7 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
     assert_eq!(relation.learn(&drifted), Learned::Taken);
 }
 
-/// Too small a step for the monotonic clocks' comparison, and the counter was read after the stamps.
+/// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
 #[test]
 fn an_exchange_begun_before_the_news_of_a_step_is_refused_though_it_tells_the_new_epoch() {
     for (world, edge_epoch, cloud_epoch) in
@@ -130,7 +133,7 @@ fn a_notice_ends_the_window_once() {
     assert_eq!((relation.window(), relation.offset(at(10), WallTime::default())), (1, None));
     relation.cloud_stepped(1);
     let told = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
-    // The first may have been under way during the step.
+    // The first exchange may have been in flight during the step.
     let first = relation.judge(&told(world.trip(10.1e9, 3e4, 1e5, 3e4)));
     assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
@@ -164,7 +167,7 @@ fn overtaken_answers_of_an_older_epoch_are_refused_and_a_counter_begun_anew_is_b
         assert_eq!(learned == Learned::Taken, epoch == 7);
     }
     assert_eq!(relation.window(), 0);
-    // The cloud's agent was started again.
+    // The agent of the cloud was restarted.
     let learned: Vec<Learned> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
     assert_eq!(relation.window(), 1);
     assert!(matches!(learned[8], Learned::Restarted(_)), "{learned:?}");

@@ -24,7 +24,7 @@ proptest! {
         let mut relation = relation();
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.observation());
-            // Jitter alone looks like a jump once in a while, which makes nothing wrong.
+            // Jitter alone looks like a jump now and then, which makes no delay wrong.
             prop_assert!(matches!(judged.learned, Learned::Taken | Learned::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
@@ -33,7 +33,7 @@ proptest! {
                 prop_assert_eq!(delay.source, DelaySource::InBand);
                 prop_assert_eq!(delay.verdict == Verdict::Stale, count < 2);
             }
-            // The exchange itself bounds both, as long as the clocks do not run apart while the cloud serves.
+            // The exchange itself bounds both delays, as long as the clocks do not drift apart while the cloud serves.
             let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
             let slack = Span::from_nanos(relation.windows.limit().over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
             prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
@@ -68,7 +68,8 @@ proptest! {
         let mut dice = Dice::new(seed);
         let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(9), ppm) };
         let mut relation = relation();
-        // The receiver at the edge has the message going up this late, so that the cloud's has it before, and the one going down.
+        // The receiver at the edge gets the upward message this late, after the cloud's receiver, and the downward one,
+        // too.
         let late = Span::from_nanos(late);
         for (count, trip) in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut dice).iter().enumerate() {
             let exchange = &trip.exchange;
@@ -88,7 +89,7 @@ proptest! {
     }
 }
 
-/// What is promised: clocks a second apart and drifting at the very limit, two namespaces on one machine.
+/// Checks the documented accuracy: clocks one second apart that drift at the limit, with two namespaces on one machine.
 #[test]
 fn of_ten_thousand_iterations_all_contain_the_truth_and_the_mean_error_is_small() {
     for (edge, cloud) in [((1, 50.0), (0, 0.0)), ((-1, -50.0), (0, 0.0)), ((0, 0.0), (1, -50.0))] {
@@ -114,7 +115,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 50.0) };
     let mut relation = relation();
     for n in 0..20 {
-        // Ten seconds on the cloud: its clock runs 500 µs ahead meanwhile, the way there and back takes 60.
+        // Ten seconds of service: the cloud's clock gains 500 µs meanwhile, and both directions together take 60 µs.
         let trip = world.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
         let judged = relation.judge(&trip.observation());
         assert_eq!(judged.learned, Learned::Taken);
@@ -122,7 +123,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
     }
 }
 
-/// A second of a drifting clock is not a second; the interval holds the delay by either clock.
+/// A second of one clock is not a second of the other. The interval contains the delay by either clock.
 #[test]
 fn a_long_delay_is_inside_by_whichever_clock_it_is_counted() {
     let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 50.0) };

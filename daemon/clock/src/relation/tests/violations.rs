@@ -1,34 +1,34 @@
-//! What a violated assumption does to intervals, and for how long.
+//! Effect of a violated assumption on intervals, and its duration.
 
 use super::*;
 
 const WINDOW: f64 = 10.0;
 
-/// What was seen after an assumption was violated.
+/// Observations after an assumption was violated.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Delays outside their intervals though `ok` or `limited`.
+    /// Delays outside their intervals although `ok` or `limited`.
     wrong: u32,
     judged: u32,
-    /// Seconds from the violation to the last of them.
+    /// Seconds from the violation to the last wrong delay.
     last_wrong: f64,
-    /// Seconds from the violation to the last delay that was `stale`.
+    /// Seconds from the violation to the last `stale` delay.
     last_stale: f64,
-    /// Seconds from the violation to the first doubt, and what it was.
+    /// Seconds from the violation to the first doubt, and that doubt.
     doubted: Option<(f64, Doubt)>,
     /// Seconds from the violation to the first suspected jump.
     jumped: Option<f64>,
-    /// Whether the doubt stood at the end.
+    /// `true` if the relation was in doubt at the end.
     doubted_at_end: bool,
     jumps: u32,
 }
 
-/// Judges ten exchanges a second for so many seconds; the assumption is violated from `at` on.
+/// Judges ten exchanges per second. `times` are the seconds of the violation and of the end.
 fn see(world: &World, path: Path, settings: RelationSettings, times: (f64, f64)) -> Seen {
     see_at(10.0, world, path, settings, times)
 }
 
-/// The same with so many exchanges a second.
+/// Judges `hz` exchanges per second in the same way.
 fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
     let mut relation = Relation::new(settings);
     let mut seen = Seen::default();
@@ -71,8 +71,8 @@ fn drifting(ppm: f64) -> World {
     World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(3), ppm) }
 }
 
-/// Over a long path the interval is far wider than what the clocks drift within the window: none is wrong, and after some minutes the
-/// exchanges prove that the limit is not kept.
+/// Over a long path the interval is far wider than the drift within the window: no delay is wrong, and after some
+/// minutes the exchanges prove that the limit is exceeded.
 #[test]
 fn drift_beyond_the_limit_over_a_long_path_is_proven_in_time() {
     for (ppm, proven_after) in
@@ -95,7 +95,8 @@ fn drift_beyond_the_limit_over_a_short_path_is_noticed_within_the_window() {
     }
 }
 
-/// As when a virtual machine is moved: by less than the round trip, so that no exchange contradicts the others.
+/// A jump such as that of a migrated virtual machine. It is smaller than the round trip, so that no exchange
+/// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
     for (way, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
@@ -104,7 +105,8 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
             let world = drifting(20.0);
             let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
             let seen = see(&world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
-            // 39 ms move every near exchange by more than waiting explains, 10 ms only those that did not wait.
+            // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
+            // of exchanges without a wait.
             let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
             assert!(seen.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {seen:?}");
             assert!(
@@ -115,7 +117,7 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
     }
 }
 
-/// Of the edge's clock, while exchanges are under way: set back, they seem to take less time than the path needs.
+/// A jump of the edge's clock while exchanges are in flight. After a jump back they seem shorter than the path.
 #[test]
 fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
     for (way, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)] {
@@ -124,7 +126,7 @@ fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
             let world = drifting(20.0);
             let world = World { edge: world.edge.stepped(Span::from_seconds(30), jump), ..world };
             let seen = see_at(60.0, &world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
-            // 3 ms are within the jitter; a jump beyond the round trip contradicts what was known and is a step.
+            // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
             let is_suspected = way.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
             assert!(!is_suspected || seen.jumped.is_some_and(in_time), "{way:?} {jitter} {jump}: {seen:?}");
@@ -133,7 +135,7 @@ fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
     }
 }
 
-/// As when a route changes: narrower bounds, and no jump.
+/// A route change that shortens the path gives narrower bounds and no jump.
 #[test]
 fn path_that_becomes_shorter_is_no_jump() {
     let world = drifting(20.0);
@@ -151,7 +153,7 @@ fn path_that_becomes_shorter_is_no_jump() {
     assert!(at_once.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
 }
 
-/// Whatever the path, the jump and the change of rate.
+/// Covers random paths, jumps and changes of rate.
 #[test]
 fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
     let mut longest: f64 = 0.0;
@@ -180,7 +182,8 @@ fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
     assert!(longest > 0.1, "nothing was violated: {longest}");
 }
 
-/// Under jitter few exchanges after the change contradict those from before it, too few to prove anything, and the others fit both.
+/// Under jitter few exchanges after the change contradict those before it, too few to prove anything, and the others
+/// fit both.
 #[test]
 fn suspicion_after_change_of_rate_ends_with_window() {
     let mut last_stale: f64 = 0.0;
@@ -230,7 +233,8 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     assert!(!relation.in_doubt());
 }
 
-/// A delay from before a suspected jump is not judged by what came after it, one in between by both.
+/// A delay from before a suspected jump is not judged by the exchanges after it; a delay between the two is judged by
+/// both.
 #[test]
 fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let jump = Span::from_millis(30);
@@ -258,7 +262,7 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     assert!((2..30).contains(&hulls), "{hulls}");
 }
 
-/// One that waited does not show the jump, so that it is taken for one of before it.
+/// An exchange that waited does not show the jump, and is taken for one from before it.
 #[test]
 fn exchange_that_did_not_show_the_jump_bounds_no_delay_before_it() {
     let world = drifting(0.0);

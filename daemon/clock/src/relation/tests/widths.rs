@@ -1,8 +1,9 @@
-//! How wide intervals are, and how far estimates are from the truth.
+//! Widths of intervals and errors of estimates.
 
 use super::*;
 
-/// Returns of the delays of one path, in milliseconds: median width, mean distance of the estimate from the truth; jumps suspected.
+/// Returns the median width and the mean error of the estimate of the delays over a path, in milliseconds, and the
+/// number of suspected jumps.
 fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, u32) {
     let mut relation = Relation::new(settings);
     let (mut widths, mut errors) = (Vec::new(), 0.0);
@@ -19,7 +20,7 @@ fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, 
     (widths[widths.len() / 2], errors / widths.len() as f64, relation.counts().restarts)
 }
 
-/// Oscillators of ordinary machines.
+/// Returns a world with the oscillators of ordinary machines.
 fn world() -> World {
     let mut dice = Dice::new(1);
     let mut clock = |offset| Wall::warming(offset, 20.0, 0.02, Span::from_seconds(320), &mut dice);
@@ -46,7 +47,7 @@ fn limit_of_drift_change_narrows_intervals_under_jitter() {
     }
 }
 
-/// Four times the limit of drift costs nothing where its change is limited, too.
+/// A four times higher limit of drift does not widen intervals if the change of the drift is limited, too.
 #[test]
 fn quiet_path_is_as_narrow_as_with_a_lower_limit_of_drift() {
     let world = world();
