@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{Anchor, HostId, Measure, Unit, stage};
 
-/// A tree from `(path, value)` pairs in the order of logging; containers where there is no value.
+/// Builds a tree from `(path, value)` pairs in the order of logging. Nodes without a value are containers.
 fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
     let mut tree = Tree::new(stage::ITERATION, anchor);

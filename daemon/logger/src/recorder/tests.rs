@@ -134,7 +134,7 @@ fn nodes_below_the_deepest_level_are_left_out_and_their_elders_stay() {
     assert!(tree.nodes()[1..].iter().all(|node| !node.measure.is_open()));
 }
 
-/// A tree of a worker on another host, and of a third that the worker asked.
+/// Returns a tree of a worker on another host, with nodes of a third host that the worker asked.
 fn foreign(third: HostId) -> Tree {
     let (clock, mut log) = recorder();
     clock.advance(Span::from_nanos(50));
@@ -155,7 +155,7 @@ fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
     let other = foreign(third);
     let (clock, _) = recorder();
     clock.advance(Span::from_nanos(7));
-    // The third host is the one that inserts: it is already there.
+    // The inserting host is the third host, which the tree already contains.
     let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), third);
     let root = {
         let mut inference = log.container(stage::INFERENCE);

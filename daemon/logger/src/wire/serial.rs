@@ -1,4 +1,4 @@
-//! Trees and growths inside other serialised things: bytes for machines, objects for people, checked both ways.
+//! Serde implementations of trees and growths: bytes in binary formats, objects in human-readable ones.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};

@@ -74,7 +74,7 @@ fn tree() -> impl Strategy<Value = Tree> {
             let hosts = anchors.len();
             let mut grown: Vec<Node> = Vec::new();
             for (at, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
-                // Near the root, so that no branch grows deeper than is allowed.
+                // Parents near the root, so that no branch exceeds the largest depth.
                 let parent = (at > 0).then(|| NodeId(parent.index(at.min(MAX_DEPTH - 1)) as u32));
                 let host = HostIndex(host.index(hosts) as u8);
                 grown.push(Node { parent, name, host, start, measure });
@@ -101,7 +101,7 @@ proptest! {
         let bytes = wire(&tree);
         let read = decode(&bytes).expect("our own");
         prop_assert_eq!(&read, &tree);
-        // Equality alone would not see the sign of a zero.
+        // Equality does not distinguish the signs of zero.
         prop_assert_eq!(wire(&read), bytes);
         let packed = rmp_serde::to_vec(&tree).expect("plain data");
         prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
@@ -154,7 +154,7 @@ fn for_people_a_tree_is_an_object_and_is_checked_as_well() {
     assert!(error.contains("stands before its parent"), "{error}");
 }
 
-/// A tree on the wire by hand: what our own writer would never write.
+/// Builds a wire form by hand that the writer never produces.
 fn by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
     let mut out = vec![0x93, 1];
     writer::array(&mut out, anchors as u32);
@@ -251,6 +251,6 @@ fn transit_without_raw_stamps_keeps_its_earlier_form() {
     assert_eq!(wire(&transit(Some(stamps))), by_hand(1, &[ROOT, &later]));
     let json = serde_json::to_string(&transit(Some(stamps))).expect("plain data");
     assert_eq!(serde_json::from_str::<Tree>(&json).expect("our own"), transit(Some(stamps)));
-    // One of the two alone is no form.
+    // A node with only one of the two stamps is malformed.
     assert!(decode(&by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
 }
