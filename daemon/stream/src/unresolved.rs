@@ -1,5 +1,7 @@
-//! What a process sent while its spool could not be written, and took with it when it was killed: whether that is stored, the
-//! aggregator's first answer says.
+//! Batches that a process sent while its spool could not be written, before it was killed. The aggregator's first
+//! welcome tells whether they are stored.
+//!
+//! Without this step such events would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
@@ -7,37 +9,38 @@ use crate::counts::{CountedEvents, SentUnspooled, Settled};
 use crate::totals::Totals;
 use crate::{Gap, MOST_UNDER_WAY};
 
-/// Of how many batches [`SentUnspooled`] is to be kept: those that may be under way, and the last that is acknowledged.
+/// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
+/// one.
 pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
 
-/// The end of a process of which part may be stored that its spool does not have.
+/// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unresolved {
-    /// What it counted.
+    /// Events that the process counted.
     pub counted: CountedEvents,
-    /// What the spool has of that.
+    /// Events that the spool accounts for.
     pub settled: Settled,
-    /// As [`super::Totals::told`], when it was killed.
+    /// Number of dropped events that gaps had reported ([`super::Totals::told`]).
     pub told: u64,
-    /// Events in all batches that came into the spool by then.
+    /// Number of events in all batches that were written to the spool.
     pub events: u64,
 }
 
-/// What became of it. Added to the [`Totals`] of the spool.
+/// Result for an earlier process, which is added to the [`Totals`] of the spool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Resolved {
-    /// Events of batches that are stored and never came into the spool.
+    /// Number of events in batches that are stored and were never written to the spool.
     pub(super) stored: u64,
-    /// Events that are lost.
+    /// Number of lost events.
     pub(super) lost: u64,
-    /// Events that were dropped and that a stored gap reports.
+    /// Number of dropped events that a stored gap reports.
     pub(super) told: u64,
-    /// Events that were handed in and are stored.
+    /// Number of events that were handed in and are stored.
     taken: u64,
 }
 
 impl CountedEvents {
-    /// Whether anything was sent that is not in the spool.
+    /// Returns whether batches were sent that are not in the spool.
     pub(super) fn may_be_stored(&self, settled: &Settled, totals: &Totals) -> bool {
         self.sent.iter().any(|sent| sent.taken > settled.taken || sent.told > totals.told)
     }
@@ -49,7 +52,7 @@ impl Unresolved {
         Self { counted, settled, told: totals.told, events }
     }
 
-    /// The aggregator has all up to the batch of this number, which that process sent.
+    /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
     pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> Resolved {
         let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
         let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
@@ -62,8 +65,8 @@ impl Unresolved {
         }
     }
 
-    /// The losses that no gap reports yet: those in `owed` and so many `untold` ones of before that, which stay, and those of
-    /// the process itself. What its stored gaps reported is left out, the oldest first.
+    /// Updates the losses that no gap reports yet: those in `owed`, `untold` earlier ones, and those of the process
+    /// itself. Losses that its stored gaps reported are removed, the oldest first.
     pub(super) fn unreported(&self, resolved: &Resolved, owed: &mut VecDeque<Gap>, untold: &mut u64) {
         let mut told = resolved.told;
         while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
@@ -74,7 +77,7 @@ impl Unresolved {
         told -= of_before;
         let of_lost = told.min(resolved.lost);
         told -= of_lost;
-        // What a later process lost may stand in one gap with what was told.
+        // One gap may contain losses of a later process together with reported ones.
         while let Some(mut gap) = (told > 0).then(|| owed.pop_front()).flatten() {
             let of_gap = told.min(gap.count);
             told -= of_gap;
@@ -88,7 +91,7 @@ impl Unresolved {
 }
 
 impl Totals {
-    /// These with what became of the process before.
+    /// Returns the totals with the result for the earlier process.
     pub(super) fn with(self, resolved: &Resolved) -> Self {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
@@ -109,7 +112,8 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// The spool has batches up to 3 with 10 of 30 events; 4 and 5 were sent, with 6 events and then 3 more and a gap of 2.
+    /// Returns a spool that has batches up to 3 with 10 of 30 events. Batches 4 and 5 were sent, with 6 events and with
+    /// 3 events and a gap of 2.
     fn unresolved(run: RunId) -> (SpoolState, Unresolved) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.told) = (15, 3, 1);
@@ -125,7 +129,7 @@ mod tests {
         (state, unresolved)
     }
 
-    /// The counts of the gaps that name a run and of those that name none.
+    /// Returns the counts of the gaps with a run and of those without one.
     fn gaps(unresolved: &Unresolved, resolved: &Resolved, mut untold: u64) -> (u64, u64) {
         let mut owed = VecDeque::new();
         unresolved.unreported(resolved, &mut owed, &mut untold);
@@ -138,7 +142,7 @@ mod tests {
     #[test]
     fn aggregator_says_which_events_are_lost() {
         let (state, unresolved) = unresolved(RunId::random());
-        // Untold are 3 - 1 events; handed in and neither stored nor told are 20.
+        // 3 - 1 events are not reported; 20 were handed in and neither stored nor dropped.
         let none = unresolved.resolve(3, Some(PROCESS));
         assert_eq!((none.stored, none.lost, none.told), (0, 20, 0));
         assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));

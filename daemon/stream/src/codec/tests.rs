@@ -14,7 +14,7 @@ fn interval(lo: i64, hi: i64) -> Interval {
     Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }
 }
 
-/// A sample with everything that one can hold.
+/// Returns a sample with all optional fields.
 fn clock() -> ClockSample {
     let at = WallTime::from_unix_nanos;
     let exchange = Exchange {
@@ -105,7 +105,7 @@ fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
     BatchHead { host, stream, process: 7, number, before, chain, events, events_before }
 }
 
-/// A frame of so many events, and what it was made from.
+/// Returns a frame of `count` events, its head, and the events.
 fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
     let events = some(count);
     let body = body_of(&events);
@@ -191,7 +191,7 @@ fn events_must_be_as_many_as_the_head_says() {
 
 #[test]
 fn a_body_that_grows_without_end_is_not_unpacked() {
-    // Compresses to almost nothing: the head would have to lie to let it in.
+    // The body compresses to almost nothing, so that only a wrong length in the head could pass the limit.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
     let mut frame = batch_frame(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
@@ -264,7 +264,7 @@ proptest! {
         let _ = (events(&body, 2), events(&body[..cut.index(at_body + 1)], 2));
     }
 
-    /// Whatever bit of a frame changes: it is another batch's by its head, or its events are not read.
+    /// Checks that every changed bit is detected: the head is that of another batch, or the events are not read.
     #[test]
     fn no_bit_changes_unnoticed(bit: prop::sample::Index, compress: bool) {
         let (frame, head, _) = frame_of(2, compress);

@@ -1,4 +1,4 @@
-//! Streams that found no room.
+//! Streams with a batch that found no room.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -22,7 +22,7 @@ impl Deferred {
         }
     }
 
-    /// The one that waits longest.
+    /// Removes and returns the stream that waits longest.
     pub(super) fn pop(&mut self) -> Option<StreamId> {
         let stream = self.order.pop_front()?;
         self.known.remove(&stream);

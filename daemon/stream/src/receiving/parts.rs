@@ -1,4 +1,4 @@
-//! Batches that come in parts, put together again.
+//! Reassembly of batches that arrive in parts.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use bytes::Bytes;
 use super::super::codec::Part;
 use peernet_logger::HostId;
 
-/// What came of batches that are not whole yet: one of each host at most, bounded in bytes for all together.
+/// Batches with missing parts: at most one per host, with a limit on the bytes of all together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Parts {
     begun: BTreeMap<HostId, Begun>,
@@ -26,8 +26,8 @@ impl Parts {
         Self { begun: BTreeMap::new(), bytes: 0, most }
     }
 
-    /// A part came; returns the frame of the batch that it completes. A part that does not follow what came before
-    /// ends that: the batch counts as never come.
+    /// Adds a part. Returns the frame of the batch that it completes. A part that does not follow the previous one
+    /// discards the batch.
     pub(super) fn take(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.forget(part.host);
@@ -47,7 +47,7 @@ impl Parts {
         self.forget(part.host)
     }
 
-    /// What came of a host's batch counts as never come; returns it.
+    /// Removes the incomplete batch of a host, and returns its bytes.
     pub(super) fn forget(&mut self, host: HostId) -> Option<Bytes> {
         let begun = self.begun.remove(&host)?;
         self.bytes -= begun.bytes.len() as u64;
@@ -84,7 +84,7 @@ mod tests {
             assert_eq!(parts.take(&wrong), None);
             assert_eq!(parts.take(&part(host, 3, 6, b"def")), None, "it has ended");
         }
-        // A batch that is sent again begins anew.
+        // A batch that is sent again starts with its first part.
         parts.take(&part(host, 0, 6, b"abc"));
         parts.take(&part(host, 0, 4, b"12"));
         assert_eq!(parts.take(&part(host, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));

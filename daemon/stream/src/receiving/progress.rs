@@ -1,4 +1,4 @@
-//! How far a stream has come, and which batch is next.
+//! Progress of one stream: which batches are accepted and stored, and which batch is next.
 
 use std::collections::VecDeque;
 
@@ -6,16 +6,16 @@ use super::super::MOST_UNDER_WAY;
 use super::{Arrival, BatchHead, Chain, Hello, Mark, Missing, StreamId, ToAgent};
 use peernet_logger::HostId;
 
-/// Largest batch number that is believed: SQLite's integers end there.
+/// Largest accepted batch number: the largest integer of SQLite.
 pub(super) const LAST_BATCH: u64 = i64::MAX as u64;
 
-/// A batch whose bytes do not match its hash is given up when it came so often.
+/// Number of times that a batch may arrive damaged before it is accepted as damaged.
 const DAMAGED_TIMES: u32 = 3;
 
-/// Batches that may be accepted and not stored: an agent that keeps to its window needs half of it.
+/// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
 const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
 
-/// A batch by its number; its chain, and the number of events up to it, where they are known.
+/// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,
@@ -29,24 +29,24 @@ impl From<Mark> for Position {
     }
 }
 
-/// How far a stream is accepted and stored.
+/// Accepted and stored positions of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Progress {
     pub(super) host: HostId,
-    /// The process that said hello last.
+    /// Process that sent the last hello.
     process: u64,
-    /// What the database has of the stream; without it, `stored` is where the stream begins.
+    /// Mark in the database. Without it, `stored` is the beginning of the stream.
     mark: Option<Mark>,
     stored: Position,
     accepted: Position,
-    /// The connected agent is known to hold the same batches as we do, up to here: it compared them when it was
-    /// welcomed, or sent them since.
+    /// Last batch that the connected agent is known to hold in the same form: the agent compared the chains when it was
+    /// welcomed, or sent the batch since.
     confirmed: u64,
-    /// What was accepted and is not both stored and confirmed, ascending; of a gap the last number only.
+    /// Batches that are accepted and not both stored and confirmed, in ascending order; of a gap only the last number.
     pending: VecDeque<(u64, Chain)>,
-    /// The number from which batches were asked for again, until the first of them comes.
+    /// Number from which batches were requested again, until the first of them arrives.
     asked: Option<u64>,
-    /// A batch that came damaged, and how often in a row.
+    /// A batch that arrived damaged, and how often in a row.
     damaged: Option<(BatchHead, u32)>,
 }
 
@@ -71,8 +71,8 @@ impl Progress {
         }
     }
 
-    /// An agent that holds the stream was let in; `same` when it is the process that was here before. Returns what
-    /// neither has.
+    /// Updates the progress for the hello of an agent. `same` tells whether it is the process that was connected
+    /// before. Returns the batches that neither end has.
     pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<Missing> {
         if let Some(mark) = mark {
             self.take(mark);
@@ -94,12 +94,13 @@ impl Progress {
         })
     }
 
-    /// The last batch that is stored, and the mark for the agent to compare; one before the first when none is.
+    /// Returns the number of the last stored batch, which is one before the first if none is, and the mark for the
+    /// agent to compare.
     pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
         (self.stored.number, self.mark)
     }
 
-    /// A batch of the stream came from the connected agent.
+    /// Decides about a batch of the stream from the connected agent.
     pub(super) fn arrive(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
         let number = head.number;
         if number <= self.settled() {
@@ -107,7 +108,7 @@ impl Progress {
         } else if number <= self.accepted.number {
             self.again(head, window)
         } else if number > LAST_BATCH || self.is_full() {
-            // Only an agent that ignores its window gets here.
+            // Only an agent that ignores its window sends such a batch.
             Arrival::Hole(None)
         } else if number > self.next() {
             Arrival::Hole(self.ask(head.stream))
@@ -121,7 +122,7 @@ impl Progress {
         }
     }
 
-    /// A number that was accepted before.
+    /// Handles a batch whose number was accepted before.
     fn again(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let known = self.pending.iter().find(|(pending, _)| *pending == number);
@@ -131,7 +132,7 @@ impl Progress {
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain stands for every batch before it as well.
+        // The chain identifies every batch before it as well.
         self.confirmed = self.confirmed.max(number);
         self.drop_settled();
         match number <= self.stored.number {
@@ -140,13 +141,13 @@ impl Progress {
         }
     }
 
-    /// The next batch does not match its hash: damaged on its way, or in the spool.
+    /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
     fn arrive_damaged(&mut self, head: &BatchHead) -> Arrival {
         let before = self.damaged.filter(|(damaged, _)| damaged == head);
         let times = before.map_or(0, |(_, times)| times) + 1;
         if times < DAMAGED_TIMES {
             self.damaged = Some((*head, times));
-            // It came in answer to the last request, so that there has to be another.
+            // The batch answered the last request, so that a new request is needed.
             self.asked = None;
             return Arrival::Hole(self.ask(head.stream));
         }
@@ -155,7 +156,7 @@ impl Progress {
             self.accept(head.number, head.chain, head.events_through());
             Arrival::AcceptDamaged
         } else {
-            // The chains in the spool are damaged: when the agent compares them it sees.
+            // The chains in the spool are damaged. The agent finds this when it compares them after its next hello.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }
@@ -172,14 +173,14 @@ impl Progress {
         self.drop_settled();
     }
 
-    /// The mark is on disk. Returns what the connected agent is to be told.
+    /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
     pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
         let before = self.settled();
         self.take(mark);
         (self.settled() > before).then(|| self.acknowledgement(stream, window))
     }
 
-    /// What the database says.
+    /// Applies a mark of the database.
     fn take(&mut self, mark: Mark) {
         if self.mark.is_some() && mark.stored <= self.stored.number {
             return;
@@ -195,7 +196,7 @@ impl Progress {
         self.drop_settled();
     }
 
-    /// Storing failed.
+    /// Records that storing failed. Returns the request to send the batches again.
     pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
         self.confirmed = self.confirmed.min(self.stored.number);
@@ -205,7 +206,7 @@ impl Progress {
         ToAgent::Resend { stream, from: self.next() }
     }
 
-    /// Asks for the next batch, unless that was done.
+    /// Requests the next batch; `None` if that was done before.
     pub(super) fn ask(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
         let is_new = self.asked != Some(from);
@@ -213,22 +214,22 @@ impl Progress {
         is_new.then_some(ToAgent::Resend { stream, from })
     }
 
-    /// What came in answer to the last request could not be taken.
+    /// Forgets the last request, because its answer could not be stored.
     pub(super) const fn forget_asking(&mut self) {
         self.asked = None;
     }
 
-    /// Whether nothing waits to be stored.
+    /// Returns whether no batch waits to be stored.
     pub(super) const fn is_settled(&self) -> bool {
         self.accepted.number == self.stored.number
     }
 
-    /// Whether something waits that another process sent.
+    /// Returns whether a batch from another process waits to be stored.
     pub(super) const fn awaits_other_than(&self, process: u64) -> bool {
         !self.is_settled() && self.process != process
     }
 
-    /// Whether as much waits to be stored or confirmed as may.
+    /// Returns whether the largest number of batches waits to be stored or confirmed.
     pub(super) fn is_full(&self) -> bool {
         self.pending.len() >= MOST_PENDING
     }
@@ -237,7 +238,7 @@ impl Progress {
         self.accepted.number.saturating_add(1)
     }
 
-    /// What is stored and known to be what the agent holds.
+    /// Returns the last batch that is stored and that the agent is known to hold.
     fn settled(&self) -> u64 {
         self.stored.number.min(self.confirmed)
     }

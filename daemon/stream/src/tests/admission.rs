@@ -1,4 +1,4 @@
-//! The aggregator's end alone: who gets in.
+//! Admission of hosts at the aggregator's end.
 
 use super::*;
 
@@ -19,7 +19,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
     }
 }
 
-/// The chain of a batch with this number, in the stream that all of these tests speak of.
+/// Returns the chain of a batch in the stream that all of these tests use.
 pub(super) fn chain(number: u64) -> Chain {
     (0..number).fold(Chain::START, |chain, _| chain.then(1, b"event"))
 }
@@ -28,7 +28,7 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
     Mark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
 
-/// What a database knows of one stream.
+/// Returns the database's state for one stream.
 pub(super) fn known(mark: Option<Mark>) -> Known {
     Known { mark, came: mark.is_some(), ..Known::default() }
 }
@@ -40,7 +40,7 @@ pub(super) fn reason(greeting: Greeting) -> String {
     }
 }
 
-/// Number and chain of the last batch stored, and the window, of a welcome that found nothing unusual.
+/// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
 pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
     match greeting {
         Greeting::Welcome {
@@ -116,7 +116,7 @@ fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
     assert_eq!(end.hello(&again, known(None), at(300).mono), Greeting::Wait);
     assert_eq!(end.hello(&again, known(None), at(550).mono), Greeting::Wait);
     welcomed(&end.hello(&again, known(None), at(1_050).mono));
-    // Long after a crash nothing is waited for.
+    // Long after a crash there is no wait.
     welcomed(&end.hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
 }
 
@@ -149,7 +149,7 @@ fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
     assert_eq!(replaced(end.hello(&second, last(Some(old)), at(2).mono)), Some(old));
     assert_eq!(replaced(end.hello(&second, last(Some(old)), at(3).mono)), None);
     end.goodbye(id);
-    // A stream that goes on from the other, and ones that are known: nothing is missing.
+    // Nothing is missing for a stream that continues the other one, nor for known streams.
     let renewed = Hello { previous: Some(old), ..second.clone() };
     assert_eq!(replaced(end.hello(&renewed, last(Some(old)), at(4).mono)), None);
     end.goodbye(id);
@@ -181,7 +181,7 @@ fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
         assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
         end.goodbye(id);
     }
-    // Batches behind the seventh came from the memory of a dead process, and were stored in another database only.
+    // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
     let expected = Lacking { stream: old, from: 8, through: 8, events: Some(2) };

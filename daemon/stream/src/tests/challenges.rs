@@ -1,4 +1,4 @@
-//! The aggregator's challenges alone: whose hello counts.
+//! Challenges at the aggregator's end, and the hellos that they confirm.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ fn nonce(byte: u8) -> Nonce {
     Nonce::from_bytes([byte; 32])
 }
 
-/// What an agent with a secret answers.
+/// Returns the proof of an agent with a secret.
 fn proof(secret: &HostSecret, hello: &Hello, challenge: &ToAgent) -> Proof {
     let ToAgent::Challenge { aggregator, stream, nonce, enrol, version: None } = challenge else {
         panic!("expected a challenge, got {challenge:?}");
@@ -91,7 +91,8 @@ fn repeated_hello_gets_the_same_challenge() {
 }
 
 proptest! {
-    /// Whatever is sent on whichever connection, a hello counts only where its own proof with the host's secret follows it.
+    /// Checks that a hello is accepted only after its own proof with the host's secret, whatever is sent on other
+    /// connections.
     #[test]
     fn hello_counts_only_after_its_own_proof(
         steps in prop::collection::vec((0_u8..4, 0_u8..3, 0_u8..3, any::<bool>()), 1..60),

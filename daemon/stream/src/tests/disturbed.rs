@@ -1,4 +1,4 @@
-//! Both ends in a world of faults, by the thousand.
+//! Both ends with thousands of generated sequences of faults.
 
 use proptest::prelude::*;
 use proptest::strategy::Union;
@@ -7,8 +7,8 @@ use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state
 use super::world::World;
 use super::*;
 
-/// Small limits, so that a few events reach all of them: batches of three events, three of them under way, room for
-/// some forty events.
+/// Returns a configuration with small limits, so that a few events reach all of them: three events per batch, three
+/// batches in flight, and space for about forty events.
 pub(super) fn config() -> SendingConfig {
     SendingConfig {
         batch_nodes: 3,
@@ -21,17 +21,17 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Works that the aggregator's queue holds.
+/// Number of works in the aggregator's queue.
 const CAPACITY: usize = 5;
 
-/// Machines with the same host id, at most.
+/// Largest number of machines with the same host id.
 const MOST_SITES: u8 = 3;
 
 #[derive(Clone, Debug)]
 enum Step {
     Offer(u8),
     Pass(u16),
-    /// The n-th frame under way arrives; or a copy of it does.
+    /// The n-th frame in flight arrives; with `keep` a copy of it does.
     Up {
         nth: u8,
         keep: bool,
@@ -46,16 +46,16 @@ enum Step {
         keep: bool,
     },
     LoseDown(u8),
-    /// The spool's disk completes a job.
+    /// The spool's disk completes an action.
     Work,
     /// The spool's disk begins to fail, or works again.
     Breaks(bool),
     Commit(u8),
     FailToCommit,
-    /// The commit is on disk, and the process gone before it said so.
+    /// The commit is on disk, and the process is killed before it reports it.
     CommitAndKill,
     KillAggregator,
-    /// The disk has done so many of the jobs the process did not get to know of.
+    /// The disk has performed this many actions whose completion the process did not learn of.
     KillAgent {
         done: u8,
     },
@@ -63,15 +63,15 @@ enum Step {
     BackUp,
     Restore,
     Copy,
-    /// The machine is killed, and the next one started.
+    /// The machine is killed, and the next one is started.
     Move {
         done: u8,
     },
     DeleteSpool,
 }
 
-/// What has happened so far, as far as the next step depends on it. `ALL` are the faults that people make: old
-/// backups, copies, deletions.
+/// State that the choice of the next step depends on. `ALL` adds faults caused by users: old backups, copies,
+/// deletions.
 #[derive(Clone, Debug)]
 struct Plan<const ALL: bool> {
     broken: bool,
@@ -88,7 +88,7 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
     }
 
     fn transitions(state: &Self) -> BoxedStrategy<Step> {
-        // The order is kept more often than not.
+        // Frames are usually delivered in order.
         let nth = || prop_oneof![3 => Just(0_u8), 1 => any::<u8>()];
         let keep = || prop::bool::weighted(0.15);
         let mut steps = vec![

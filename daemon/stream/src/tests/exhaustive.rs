@@ -1,16 +1,16 @@
-//! Every order of everything that can happen: to one batch with two faults, and to two batches without any.
+//! Exhaustive exploration of a small model: one batch with two faults, and two batches without a fault.
 //!
-//! The real machines of both ends, a spool file and a database, from the moment at which the batches are cut. In each
-//! state every move is tried: any message under way arrives (so that messages overtake one another in every way), the
-//! disk completes a job, the writer commits one work. As long as the budget of faults lasts, so is every fault: a
-//! message is lost, or arrives and stays under way; a commit fails; the aggregator is killed, before a commit or
-//! between a commit and its acknowledgement; the agent is killed, before or after the disk did what it was asked; the
-//! connection is opened anew; so much time passes that whatever is due next becomes due. States that were met on
-//! another way are not gone through twice: messages under way count as a set, and hashes of 64 bits stand for states.
+//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which
+//! the batches are cut. In each state every move is tried: a message in flight arrives (so that messages overtake one
+//! another in every order), the disk completes an action, the writer commits one work. While faults are left, every
+//! fault is tried as well: a message is lost, or arrives and stays in flight; a commit fails; the aggregator is killed,
+//! before a commit or between a commit and its acknowledgement; the agent is killed, before or after the disk performed
+//! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
+//! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! What is checked: in each state what [`World::check`] says, at each deletion in the spool that all of it is stored,
-//! at each commit that it continues its stream; and from each state in which nothing moves without a fault, that both
-//! ends come to rest in bounded time with each spooled event in the database exactly once and in order.
+//! Checks: in each state those of [`World::check`]; at each deletion in the spool that all deleted batches are stored;
+//! at each commit that it continues its stream; and from each state without a move but faults, that both ends settle in
+//! bounded time with each spooled event in the database exactly once and in order.
 
 use std::collections::{HashSet, VecDeque};
 use std::fmt::{self, Write as _};
@@ -38,7 +38,7 @@ enum Move {
     Pass,
 }
 
-/// What happens without a fault.
+/// Returns the moves that are no faults.
 fn moves(world: &World) -> Vec<Move> {
     let mut moves: Vec<Move> = (0..world.up.len()).map(Move::Up).collect();
     moves.extend((0..world.down.len()).map(Move::Down));
@@ -88,7 +88,7 @@ fn apply(world: &mut World, step: Move) {
     }
 }
 
-/// Hashes what is written to it.
+/// Hasher of formatted text.
 struct Digest(DefaultHasher);
 
 impl fmt::Write for Digest {
@@ -104,7 +104,7 @@ fn hash_of(value: impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// What stands for a state; messages under way are a set.
+/// Returns the identifier of a state. Messages in flight count as a set.
 fn key(world: &World, faults: u32) -> u64 {
     let mut up: Vec<u64> = world.up.iter().map(hash_of).collect();
     let down = world.down.iter().map(|(connection, message)| hash_of((connection, codec::encode(message))));
@@ -118,8 +118,8 @@ fn key(world: &World, faults: u32) -> u64 {
     digest.0.finish()
 }
 
-/// Goes through every state; returns how many there are, how many transitions between them, and from how many both
-/// ends were brought to rest.
+/// Explores all states. Returns the numbers of states, of transitions between them, and of states from which both ends
+/// were settled.
 fn explore(start: World, most_faults: u32) -> (usize, usize, usize) {
     let mut known = HashSet::from([key(&start, most_faults)]);
     let mut waiting = VecDeque::from([(start, most_faults)]);
@@ -148,11 +148,12 @@ fn explore(start: World, most_faults: u32) -> (usize, usize, usize) {
     (known.len(), transitions, rests)
 }
 
-/// A world in which so many batches of one event are about to be spooled.
+/// Returns a world in which batches of one event each are about to be spooled.
 fn world(batches: usize) -> World {
     let config = SendingConfig { batch_nodes: 1, batch_bytes: 1_024, window: 2, ..SendingConfig::default() };
     let mut world = World::new(config, 2);
-    // A proof comes before all that is looked at here, and every message more multiplies the states.
+    // Proofs are left out: they precede everything that is explored here, and each further message multiplies the
+    // states.
     world.aggregator.asks_for_proofs = false;
     (0..batches).for_each(|_| world.offer());
     world.agent(|sending, now| sending.flush(now.wall));

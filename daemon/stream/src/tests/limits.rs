@@ -1,4 +1,4 @@
-//! What is dropped, how it is counted, where the gap stands: of runs and their iterations.
+//! Dropped events of runs: their counts, and the places of the gaps.
 
 use super::super::EndReason;
 use super::world::World;
@@ -35,7 +35,7 @@ fn started(run: RunId) -> Event {
     })
 }
 
-/// A world in which so many events fit into memory, with a disk that does nothing yet.
+/// Returns a world in which `events` events fit into memory, with a disk that has done nothing yet.
 fn of(events: u64) -> World {
     World::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy() }, 100)
 }
@@ -49,10 +49,10 @@ fn offer(world: &mut World, event: &Event, now: i64) {
     world.agent(|sending, now| sending.offer(event, now));
 }
 
-/// Everything that is stored in the end.
+/// Returns all events that are stored in the end.
 fn drain(world: &mut World) -> Vec<Event> {
     world.settle();
-    // What is reported only when there is room again.
+    // Some losses are reported only when there is space again.
     world.settle();
     let bodies = world.truth.bodies.iter();
     bodies.flat_map(|(count, body)| codec::events(body, *count).expect("our own events")).collect()
@@ -92,7 +92,7 @@ fn a_run_can_still_be_ended_when_iterations_no_longer_fit() {
     offer(&mut world, &Event::RunEnded(ended), 1);
     assert_eq!(world.sending.accounting().dropped, dropped);
     let events = drain(&mut world);
-    // The gap stands where the iterations would have stood: before the end of their run.
+    // The gap is in the place of the iterations: before the end of their run.
     assert!(matches!(events[events.len() - 2..], [Event::Gap(_), Event::RunEnded(_)]));
 }
 

@@ -1,9 +1,9 @@
-//! The aggregator's end alone: what becomes of a batch.
+//! Handling of batches at the aggregator's end.
 
 use super::admission::{chain, hello, known, mark, welcomed};
 use super::*;
 
-/// The window of one agent alone.
+/// Window of a single agent.
 const WINDOW: u32 = 8;
 
 struct End {
@@ -14,7 +14,7 @@ struct End {
 }
 
 impl End {
-    /// A host of which so many batches are stored said hello.
+    /// Returns an end to which a host with `stored` stored batches sent a hello.
     fn with(stored: u64) -> Self {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
@@ -49,7 +49,7 @@ impl End {
         ToAgent::Resend { stream: self.stream, from }
     }
 
-    /// Another process with the same spool, long after the first.
+    /// Sends the hello of another process with the same spool, long after the first.
     fn restarted(&mut self, stored: u64) -> Greeting {
         self.process = 2;
         let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
@@ -145,7 +145,7 @@ fn what_a_dead_process_sent_is_settled_before_the_next_is_let_in() {
     };
     assert_eq!(stored, 3);
 
-    // When storing fails there is nothing that speaks against what the next process has.
+    // After storing failed, nothing contradicts the batches of the next process.
     let mut end = End::with(1);
     assert_eq!(end.batch(2), Arrival::Accept);
     assert!(matches!(end.restarted(1), Greeting::Wait));
@@ -173,7 +173,7 @@ fn a_damaged_batch_is_asked_for_twice_more_and_then_put_aside() {
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
     assert_eq!(end.batch(2), Arrival::Hole(None));
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
-    // Another damage shows that it was the way.
+    // Different damage shows that the batch was damaged in transit.
     let other = BatchHead { events: 2, ..head };
     assert_eq!(end.end.batch(&other, false, at(1).mono), resend);
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
@@ -208,10 +208,10 @@ fn what_found_no_room_is_asked_for_when_there_is_some_those_that_wait_longest_fi
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
     assert_eq!(end.room(0), []);
     assert_eq!(end.room(2), [request(2), request(0)]);
-    // What a hello brings again is not asked for.
+    // Batches that a hello brings again are not requested.
     end.hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
     assert_eq!(end.room(2), []);
-    // Asked, and there was no room once more.
+    // A requested batch found no room once more.
     end.deferred(agents[2].1);
     assert_eq!(end.room(9), [request(2)]);
     end.deferred(agents[0].1);

@@ -1,4 +1,4 @@
-//! When batches are cut, and that they are written before they are sent.
+//! Cutting of batches, and the order of writing and sending.
 
 use super::*;
 

@@ -1,8 +1,8 @@
-//! A backlog in the file: streamed in order, read ahead, never all in memory.
+//! A backlog in the file: it is sent in order and read ahead, and never completely in memory.
 
 use super::*;
 
-/// Long enough that few batches fill the memory.
+/// Length of a body of which few fill the memory.
 const LONG: usize = 1024;
 
 fn backlog(batches: usize) -> Agent {
@@ -15,7 +15,7 @@ fn backlog(batches: usize) -> Agent {
     agent
 }
 
-/// Bytes of bodies in memory.
+/// Returns the bytes of bodies in memory.
 fn in_memory(agent: &Agent) -> u64 {
     agent.sending.spooler.backlog.held().bytes - agent.sending.spooler.backlog.filed().bytes
 }

@@ -1,17 +1,17 @@
-//! Fast links: knowing what is on the way does not slow down what goes there.
+//! Fast links: flow control must not reduce the throughput.
 
 use super::super::Compression;
 use super::link::{Link, Setting};
 use super::*;
 
-/// Events of 16 KiB, more than any store here takes.
+/// Number of events of 16 KiB per second, more than any of the stores accepts.
 const EVENTS_PER_S: i64 = 1_500;
 
 fn long(n: i64) -> String {
     format!("{n:16384}")
 }
 
-/// As agents have it, but for compression.
+/// Returns the agents' usual configuration without compression.
 fn usual() -> SendingConfig {
     SendingConfig {
         window: 32,
@@ -21,7 +21,7 @@ fn usual() -> SendingConfig {
     }
 }
 
-/// Events that are stored within four seconds, of a connection that has existed for two, out of a backlog.
+/// Returns the number of events stored within four seconds on a connection that is two seconds old, with a backlog.
 fn stored(setting: Setting) -> u64 {
     let mut link = Link::new(usual(), setting);
     link.run(4);
@@ -36,8 +36,8 @@ fn stored(setting: Setting) -> u64 {
 
 #[test]
 fn a_fast_link_carries_what_the_store_takes() {
-    // Bytes a second, one-way delay, what a commit takes, and of each second what the aggregator's host is busy with
-    // something else. The last three in milliseconds.
+    // Bytes per second; then in milliseconds the one-way delay, the duration of a commit, and the time per second in
+    // which the aggregator's host is busy with other work.
     for (bytes_per_s, one_way, commit, deaf) in
         [(1_250_000_000, 0, 300, 0), (1_250_000_000, 10, 300, 50), (12_500_000, 1, 10, 50)]
     {
@@ -58,12 +58,12 @@ fn a_fast_link_carries_what_the_store_takes() {
              control"
         );
         println!("{seen}");
-        // A commit more or less is some percent.
+        // One commit more or less makes a difference of some percent.
         assert!(10 * with >= 9 * without, "{seen}");
     }
 }
 
-/// Milliseconds from the connection until two megabytes are stored.
+/// Returns the milliseconds from the connection until two megabytes are stored.
 fn begun(setting: Setting) -> i64 {
     let mut link = Link::new(usual(), setting);
     link.run(1);
@@ -90,7 +90,7 @@ fn a_connection_soon_carries_all_that_it_can() {
         };
         let (with, without) = (begun(setting), begun(Setting { controlled: false, ..setting }));
         println!("{one_way} ms: after {with} ms, {without} ms without control");
-        // It begins with 4 KiB and doubles: a megabyte after eight round trips.
+        // The allowance begins with 4 KiB and doubles: a megabyte after eight round trips.
         assert!(
             with <= without + 10 * (2 * one_way + 1),
             "{one_way} ms: after {with} ms, {without} ms without"

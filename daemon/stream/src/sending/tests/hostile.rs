@@ -1,4 +1,4 @@
-//! An aggregator that lies: nothing panics, and nothing that is not stored disappears.
+//! An aggregator that sends wrong messages: the agent never panics, and no event is lost without being stored.
 
 use proptest::prelude::*;
 
@@ -54,7 +54,7 @@ proptest! {
                 }
             }
         }
-        // An honest one then gets everything that is left.
+        // An aggregator that behaves correctly then receives all remaining batches.
         agent.broken = false;
         agent.sending.disconnected();
         for _ in 0..10 {

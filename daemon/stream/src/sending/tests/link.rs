@@ -1,11 +1,11 @@
-//! An agent, an aggregator and the way between them in simulated time.
+//! An agent, an aggregator and the link between them in simulated time.
 
 use std::collections::VecDeque;
 
 use super::super::super::{Arrival, Greeting, Known, Mark, Receiving, ReceivingConfig};
 use super::*;
 
-/// The length of a live update of one pipeline, compressed by nobody.
+/// Length of a live update of one pipeline without compression.
 const LIVE_BYTES: usize = 1_500;
 const LIVE_EVERY_MS: i64 = 250;
 
@@ -13,9 +13,9 @@ const LIVE_EVERY_MS: i64 = 250;
 pub(super) struct Way<T> {
     pub(super) bytes_per_s: i64,
     delay_ms: i64,
-    /// When the last byte that was handed over will have left, microseconds.
+    /// Time in microseconds at which the last handed-over byte will have left.
     pub(super) busy_us: i64,
-    /// How long it was busy.
+    /// Time in microseconds during which the direction was busy.
     pub(super) used_us: i64,
     under_way: VecDeque<(i64, T)>,
 }
@@ -40,43 +40,43 @@ impl<T> Way<T> {
 
 pub(super) enum Sent {
     Frame(Bytes),
-    /// A live update that was made then.
+    /// A live update, with the time at which it was made.
     Live(i64),
 }
 
-/// What surrounds the two machines; times in milliseconds.
+/// Environment of the two state machines; times in milliseconds.
 #[derive(Clone, Copy)]
 pub(super) struct Setting {
     pub(super) bytes_per_s: i64,
     pub(super) one_way: i64,
-    /// A step of the simulation, and how often the agent looks after its lanes.
+    /// Step of the simulation, and the interval at which the agent sends.
     pub(super) step: i64,
-    /// How long a commit takes; what comes meanwhile is the next.
+    /// Duration of a commit. Batches that arrive meanwhile form the next commit.
     pub(super) commit: i64,
-    /// Of every second, how long the aggregator hears nothing, because others have its processors.
+    /// Time per second in which the aggregator processes nothing, because its host is busy.
     pub(super) deaf: i64,
-    /// Whether the agent knows what is on its way; else all of it counts as arrived.
+    /// `true` if the agent controls the flow; otherwise everything it sends counts as arrived.
     pub(super) controlled: bool,
     pub(super) events_per_s: i64,
-    /// What an event says.
+    /// Text of an event.
     pub(super) text: fn(i64) -> String,
 }
 
-/// An agent, an aggregator, and a link with a speed.
+/// An agent, an aggregator, and a link of limited speed.
 pub(super) struct Link {
     pub(super) agent: Agent,
     pub(super) setting: Setting,
     pub(super) up: Way<Sent>,
     receiving: Receiving,
     down: Way<ToAgent>,
-    /// What waits for the next commit, what is in the one at hand, and when that ends.
+    /// Batches that wait for the next commit; those of the current commit and its end.
     waiting: Vec<BatchHead>,
     committing: (Vec<BatchHead>, i64),
     pub(super) stored: u64,
-    /// When the newest live update that came was made.
+    /// Time at which the newest received live update was made.
     shown: i64,
     due: bool,
-    /// How far the live picture was behind, at most, since this was last cleared.
+    /// Largest delay of the live figures since it was last reset.
     pub(super) behind: i64,
     pub(super) hellos: usize,
     pub(super) repeated: usize,
@@ -139,7 +139,7 @@ impl Link {
         self.behind = self.behind.max(now - self.shown);
     }
 
-    /// Does all that the agent wants.
+    /// Performs all actions of the agent.
     fn send(&mut self) {
         loop {
             let mut asked = None;

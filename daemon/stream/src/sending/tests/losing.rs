@@ -1,4 +1,4 @@
-//! What does not fit is counted, and everything is accounted for.
+//! Events that do not fit are dropped and counted, and the counts add up.
 
 use super::super::super::{EndReason, RunEnded};
 use super::*;

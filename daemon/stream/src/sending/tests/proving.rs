@@ -1,4 +1,4 @@
-//! The proof that this host is who it says it is.
+//! The proof that this host is the one it claims to be.
 
 use super::super::super::{AGENT_STREAM_VERSIONS, Nonce};
 use super::*;

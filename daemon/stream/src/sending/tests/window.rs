@@ -1,4 +1,4 @@
-//! How much is under way, and what happens when no answer comes.
+//! Batches in flight, and the behaviour without answers.
 
 use super::super::super::MOST_UNDER_WAY;
 use super::*;
@@ -36,7 +36,7 @@ fn small_batches_are_under_way_in_greater_number() {
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
     assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
-    // However small they are, there is an end to it.
+    // Their number is limited however small they are.
     let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.cut(1_100);
     assert_eq!(agent.numbers().len(), MOST_UNDER_WAY);

@@ -1,4 +1,4 @@
-//! The aggregator: the desk that routes, the writer's queue, the database that survives.
+//! The simulated aggregator: session, queue of the writer, and database.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,10 +7,10 @@ use bytes::Bytes;
 use super::super::*;
 use super::{SECRET, names, told};
 
-/// What waits for the writer.
+/// Work for the writer.
 #[derive(Clone, Debug)]
 enum Work {
-    /// A host said hello with this stream, and left another: one transaction.
+    /// A host sent a hello with this stream and left another one: one transaction.
     Hello(StreamId, Option<StreamId>, Option<Lacking>),
     Batch {
         head: BatchHead,
@@ -20,14 +20,14 @@ enum Work {
     Missing(Missing),
 }
 
-/// What stands in a stream.
+/// Content of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
-    /// A batch and what is in it.
+    /// A batch and its events.
     Batch { number: u64, names: Vec<u64>, told: u64 },
-    /// One that was put aside.
+    /// A batch that was quarantined.
     Damaged { number: u64, chain: Chain },
-    /// Batches that nobody had any more, and how many events they held.
+    /// Batches that neither end had, and their number of events.
     Gap { from: u64, through: u64, events: Option<u64> },
 }
 
@@ -46,18 +46,18 @@ pub(in super::super) struct Aggregator {
     pub(in super::super) database: Database,
     pub(in super::super) backup: Option<Database>,
     challenges: Challenges<u64>,
-    /// Whether hosts are to prove who they are.
+    /// `true` if hosts must prove their identity.
     pub(in super::super) asks_for_proofs: bool,
-    /// Challenges made, so that each nonce is another.
+    /// Number of challenges, so that each nonce is different.
     challenged: u64,
     queue: Vec<Work>,
     capacity: usize,
-    /// The connection on which the host said hello.
+    /// Connection with the host's session.
     route: Option<u64>,
-    /// Streams that the host came with, with what is in the queue, and the last of them.
+    /// Streams that the host used, including those in the queue, and the last one.
     came: BTreeSet<StreamId>,
     last: Option<StreamId>,
-    /// Greetings that found batches missing.
+    /// Number of welcomes that reported missing batches.
     pub(in super::super) missing: u32,
 }
 
@@ -90,7 +90,7 @@ impl Aggregator {
         self.receiving.live(host, now)
     }
 
-    /// A frame came; returns what is to be sent back on its connection.
+    /// Handles a frame. Returns the answer for its connection.
     pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
         if let Some(part) = codec::part(frame) {
             if self.route != Some(connection) {
@@ -168,14 +168,14 @@ impl Aggregator {
         }
     }
 
-    /// The next `count` works are on disk; returns what they put there.
+    /// Applies the next `count` works to the database. Returns the entries that they stored.
     pub(super) fn commit(&mut self, count: usize) -> Vec<(StreamId, Entry)> {
         let count = count.min(self.queue.len());
         let works: Vec<Work> = self.queue.drain(..count).collect();
         works.into_iter().filter_map(|work| self.database.apply(work)).collect()
     }
 
-    /// They were; returns what is to be sent where the host said hello.
+    /// Reports the commit. Returns the messages for the connection of the host.
     pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
         streams.dedup();
         let marks = &self.database.marks;
@@ -185,7 +185,7 @@ impl Aggregator {
         self.routed(replies)
     }
 
-    /// The next commit fails, and everything that waits with it.
+    /// Lets the next commit fail, together with all waiting works.
     pub(super) fn fail(&mut self) -> Vec<(u64, ToAgent)> {
         let mut replies = Vec::new();
         for work in std::mem::take(&mut self.queue) {
@@ -218,7 +218,7 @@ fn challenges() -> Challenges<u64> {
 }
 
 impl Database {
-    /// Returns what was put into which stream.
+    /// Applies a work. Returns the stored entry and its stream.
     fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
         let (stream, mark, entry) = match work {
             Work::Hello(stream, replaced, lacking) => {

@@ -1,10 +1,10 @@
-//! The agent's spool as its file has it: what survives the process.
+//! The simulated spool file, which survives the process.
 
 use std::collections::BTreeMap;
 
 use super::super::*;
 
-/// A spool's file.
+/// A spool file.
 #[derive(Clone, Debug)]
 pub(in super::super) struct SpoolFile {
     pub(in super::super) stream: StreamId,
@@ -15,10 +15,10 @@ pub(in super::super) struct SpoolFile {
     newest: (u64, Chain),
     totals: Totals,
     reached: Vec<Reached>,
-    /// Losses that no gap reports yet, each with what is told once one does.
+    /// Losses that no gap reports yet, each with the number of reported events after its report.
     unreported: Vec<(u64, Gap)>,
     unresolved: Option<Unresolved>,
-    /// What outlives the process in shared memory.
+    /// Counts in shared memory, which survive the process.
     pub(super) counted: CountedEvents,
     pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
 }
@@ -60,7 +60,7 @@ impl SpoolFile {
         }
     }
 
-    /// A process opens it: what the one before took with it is written down, and counting begins anew.
+    /// Opens the file for a new process: records the losses of the process before, and starts counting again.
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
         state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
@@ -71,14 +71,14 @@ impl SpoolFile {
         state
     }
 
-    /// These losses are to be reported.
+    /// Sets the losses to be reported.
     fn tell(&mut self, unreported: &[Gap]) {
         let mut told = self.totals.told;
         let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
         self.unreported = unreported.iter().map(told_through).collect();
     }
 
-    /// A batch goes out that is not in the file.
+    /// Records a batch that is sent without being in the file.
     pub(super) fn sends(&mut self, sent: SentUnspooled) {
         let all = &mut self.counted.sent;
         all.retain(|other| {
@@ -122,7 +122,7 @@ impl SpoolFile {
         found
     }
 
-    /// Returns what is deleted.
+    /// Deletes batches, and returns them.
     pub(super) fn delete(&mut self, through: u64, chain: Chain) -> Vec<SpooledBatch> {
         let kept = self.batches.split_off(&(through + 1));
         let deleted = std::mem::replace(&mut self.batches, kept);
@@ -131,7 +131,7 @@ impl SpoolFile {
         }
         self.before = chain;
         if through > self.newest.0 {
-            // Batches were stored over there that never came into the file.
+            // The aggregator stored batches that were never written to the file.
             self.newest = (through, chain);
         }
         deleted.into_values().collect()

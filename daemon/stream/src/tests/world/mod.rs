@@ -1,4 +1,4 @@
-//! Both ends, a spool on disk, a database, and between them a transport that loses, repeats, reorders and damages.
+//! Both ends, a spool on disk and a database, with a transport that loses, repeats, reorders and damages frames.
 
 mod aggregator;
 mod file;
@@ -13,13 +13,13 @@ pub(super) use self::file::SpoolFile;
 use self::truth::Truth;
 use super::*;
 
-/// The host's secret, which copies of its state directory share.
+/// Secret of the host, which copies of its state directory share.
 const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
 
-/// Simulated milliseconds in which everything that waits must be stored once the faults end.
+/// Simulated milliseconds in which all waiting events must be stored after the faults end.
 const PATIENCE_MS: i64 = 300_000;
 
-/// How often either end may do something in that time.
+/// Largest number of turns of both ends in that time.
 const MOST_TURNS: usize = 5_000;
 
 #[derive(Clone, Debug)]
@@ -29,13 +29,13 @@ pub(super) struct World {
     host: HostId,
     offered: u64,
     processes: u64,
-    /// Machines with the same host id, each with a spool file of its own; one of them runs.
+    /// Machines with the same host id, each with its own spool file. One of them runs.
     pub(super) sites: Vec<SpoolFile>,
     pub(super) site: usize,
     pub(super) sending: Sending,
-    /// What the spool is to do, in order.
+    /// Actions for the spool, in order.
     pub(super) jobs: VecDeque<Action>,
-    /// The spool's disk fails.
+    /// `true` while the spool's disk fails.
     pub(super) broken: bool,
     connection: u64,
     pub(super) aggregator: Aggregator,
@@ -73,7 +73,7 @@ impl World {
         &self.sites[self.site]
     }
 
-    /// Does something to the sender, and what it then wants.
+    /// Calls the sending end, and performs its actions.
     pub(super) fn agent<T>(&mut self, act: impl FnOnce(&mut Sending, Stamp) -> T) -> T {
         let done = act(&mut self.sending, at(self.now));
         while let Some(action) = self.sending.next(at(self.now).mono) {
@@ -105,14 +105,14 @@ impl World {
         self.live();
     }
 
-    /// So much time passes that whatever the agent does next is due.
+    /// Lets time pass until the agent's next deadline.
     pub(super) fn pass_to_deadline(&mut self) {
         let pause =
             self.sending.deadline().map(|deadline| (deadline - at(self.now).mono).nanos() / 1_000_000);
         self.pass(pause.unwrap_or_default().clamp(1, 20_000));
     }
 
-    /// The live lane: a host that the aggregator forgot learns of it.
+    /// Simulates the live lane, by which a host learns that the aggregator forgot it.
     fn live(&mut self) {
         if self.sending.is_up() {
             let reply = self.aggregator.live(self.connection, self.host, at(self.now).mono);
@@ -120,7 +120,7 @@ impl World {
         }
     }
 
-    /// The spool completes its next job, or fails to.
+    /// Completes the next action of the spool, or lets it fail.
     pub(super) fn work(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
         if self.broken {
@@ -144,7 +144,7 @@ impl World {
         });
     }
 
-    /// What a job does to the file.
+    /// Applies an action to the file.
     fn apply(&mut self, job: &Action) -> Vec<SpooledBatch> {
         let file = &mut self.sites[self.site];
         match job {
@@ -165,8 +165,8 @@ impl World {
         Vec::new()
     }
 
-    /// The next frame, or one behind it, reaches the aggregator. One that was damaged is not repeated: nothing damages
-    /// several in the same way.
+    /// Delivers a frame to the aggregator. With `keep` a copy stays in flight, except of a damaged frame: nothing
+    /// damages several frames in the same way.
     pub(super) fn deliver_up(&mut self, index: usize, keep: bool) {
         if self.up.is_empty() {
             return;
@@ -180,7 +180,7 @@ impl World {
         self.down.extend(reply.map(|reply| (connection, reply)));
     }
 
-    /// The same towards the agent; what was sent to an earlier connection is lost.
+    /// Delivers a message to the agent in the same way. Messages to an earlier connection are lost.
     pub(super) fn deliver_down(&mut self, index: usize, keep: bool) {
         if self.down.is_empty() {
             return;
@@ -206,7 +206,8 @@ impl World {
         }
     }
 
-    /// Turns a bit of a batch under way. What says hello is not protected by a hash, nor repeated: it is left alone.
+    /// Flips a bit of a batch in flight. Hellos are excluded, because they are not protected by a hash and not
+    /// repeated.
     pub(super) fn damage(&mut self, index: usize, bit: usize) {
         let batches = self.up.iter_mut().filter(|(_, frame)| codec::batch_head(frame).is_some());
         let mut batches: Vec<_> = batches.collect();
@@ -221,7 +222,7 @@ impl World {
         *frame = Bytes::from(damaged);
     }
 
-    /// The writer commits so many works; when not `told`, the aggregator dies between commit and acknowledgement.
+    /// Commits `count` works. Unless `told`, the aggregator is killed between commit and acknowledgement.
     pub(super) fn commit(&mut self, count: usize, told: bool) {
         let stored = self.aggregator.commit(count);
         stored.iter().for_each(|(stream, entry)| self.truth.committed(*stream, entry));
@@ -246,8 +247,8 @@ impl World {
         });
     }
 
-    /// The agent is killed and started anew at a site. The disk has done `done` of its jobs, which the agent did not
-    /// get to know.
+    /// Kills the agent and starts one at a site. The disk has performed `done` actions whose completion the agent did
+    /// not learn of.
     pub(super) fn start_agent(&mut self, site: usize, done: usize) {
         let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
         jobs.iter().for_each(|job| drop(self.apply(job)));
@@ -260,24 +261,24 @@ impl World {
         self.agent(|sending, now| sending.connected(now.mono));
     }
 
-    /// The spool is copied to another machine.
+    /// Copies the spool to another machine.
     pub(super) fn copy(&mut self) {
-        // Shared memory is not copied with it.
+        // The copy does not contain the shared memory.
         let mut copy = self.file().clone();
         copy.counted = CountedEvents::default();
         self.sites.push(copy);
         self.truth.copied = true;
     }
 
-    /// The agent is killed, and the next machine's started, which has a copy of an older spool.
+    /// Kills the agent and starts that of the next machine, which has a copy of an older spool.
     pub(super) fn go_to_the_next(&mut self, done: usize) {
         self.start_agent((self.site + 1) % self.sites.len(), done);
     }
 
-    /// The agent is stopped and its spool deleted.
+    /// Stops the agent and deletes its spool.
     pub(super) fn delete_spool(&mut self) {
         self.jobs.clear();
-        // Those of a dead process that come long after it would have its stream counted as one more that was left.
+        // Late hellos of a dead process would count its stream as another one that was left.
         self.up.retain(|(_, frame)| codec::batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
@@ -297,7 +298,7 @@ impl World {
         }
     }
 
-    /// No faults any more, until everything that any site holds is stored.
+    /// Ends all faults, and runs until everything in the spool of every site is stored.
     pub(super) fn settle(&mut self) {
         self.broken = false;
         self.settle_site();
@@ -325,7 +326,7 @@ impl World {
             }
             let rests = self.sending.is_idle() && self.sending.has_reported_all();
             if self.sending.is_up() && rests && self.file().batches.is_empty() {
-                // Its welcome may be that of an aggregator which is no more: the live lane shows it.
+                // The welcome may have come from an aggregator that was killed since. The live lane finds this out.
                 self.live();
                 if self.down.is_empty() {
                     return;
@@ -338,7 +339,7 @@ impl World {
         panic!("it did too much without coming to rest: {self:#?}");
     }
 
-    /// What holds at any time.
+    /// Checks the invariants of every state.
     pub(super) fn check(&self) {
         let Accounting { produced, stored, waiting, dropped, .. } = self.sending.accounting();
         assert_eq!(produced, stored + waiting + dropped, "produced = stored + waiting + dropped");
@@ -347,7 +348,7 @@ impl World {
         }
     }
 
-    /// What holds at rest.
+    /// Checks the invariants of a settled state.
     pub(super) fn check_settled(&self) {
         self.check();
         self.truth.check(&self.aggregator);
@@ -356,7 +357,7 @@ impl World {
     }
 }
 
-/// The events that the gaps in a body say are missing.
+/// Returns the number of missing events that the gaps in a body report.
 fn told(events: u32, body: &[u8]) -> u64 {
     let events = codec::events(body, events).expect("our own events");
     let count = |event| match event {
@@ -366,7 +367,7 @@ fn told(events: u32, body: &[u8]) -> u64 {
     events.into_iter().map(count).sum()
 }
 
-/// The numbers of the events in a body, in order; gaps are left out.
+/// Returns the numbers of the events in a body in order, without gaps.
 fn names(events: u32, body: &[u8]) -> Vec<u64> {
     let events = codec::events(body, events).expect("our own events");
     let name = |event| match event {

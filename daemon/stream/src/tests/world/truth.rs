@@ -1,4 +1,4 @@
-//! What must be in the database, as somebody knows who sees everything.
+//! Expected content of the database, from an observer of everything that happens.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -12,21 +12,21 @@ use super::{SpoolFile, names, told};
 pub(in super::super) struct Truth {
     /// Events that were in a spool and not deleted with it.
     spooled: BTreeSet<u64>,
-    /// Where each event ever stood in the database.
+    /// All places of each event in the database so far.
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
-    /// What is in the batches that were sent, by their chains: events, and how many the gaps among them tell of.
+    /// Content of the sent batches by their chains: events, and the number of events that their gaps report.
     contents: HashMap<Chain, (Vec<u64>, u64)>,
-    /// How many events the batches hold that were sent in each stream.
+    /// Number of events of each batch sent in each stream.
     sizes: BTreeMap<(StreamId, u64), u64>,
-    /// What was sent of a batch in parts.
+    /// Sent parts of a batch.
     parts: Vec<u8>,
-    /// Their events in wire form, each batch once.
+    /// Wire form of their events, each batch once.
     pub(in super::super) bodies: Vec<(u32, Bytes)>,
     /// Streams whose spool was deleted.
     deleted: BTreeSet<StreamId>,
-    /// A spool was copied: what the copy had in common with the original may be in two streams.
+    /// `true` if a spool was copied: events that both copies hold may be in two streams.
     pub(super) copied: bool,
-    /// The database was replaced by an older copy.
+    /// `true` if the database was replaced by an older copy.
     pub(super) restored: bool,
 }
 
@@ -57,14 +57,14 @@ impl Truth {
         self.spooled.extend(names(batch.events, &batch.body));
     }
 
-    /// Nothing is deleted that was not stored.
+    /// Checks that the deleted batches are stored.
     pub(super) fn deleted(&self, batches: &[SpooledBatch]) {
         for name in batches.iter().flat_map(|batch| names(batch.events, &batch.body)) {
             assert!(self.places.contains_key(&name), "event {name} was deleted before it was stored");
         }
     }
 
-    /// A spool was deleted, and what it held with it.
+    /// Records that a spool was deleted with its content.
     pub(super) fn lost(&mut self, file: &SpoolFile) {
         self.deleted.insert(file.stream);
         for name in file.batches.values().flat_map(|batch| names(batch.events, &batch.body)) {
@@ -78,7 +78,7 @@ impl Truth {
         }
     }
 
-    /// The events that an entry stands for, and the batch of each. One that was put aside is there as well.
+    /// Returns the events of an entry with their batch numbers. A quarantined batch counts, too.
     fn events(&self, entry: &Entry) -> Vec<(u64, u64)> {
         let (number, names) = match entry {
             Entry::Batch { number, names, .. } => (*number, names.clone()),
@@ -90,7 +90,7 @@ impl Truth {
         names.into_iter().map(|name| (number, name)).collect()
     }
 
-    /// What holds when nothing waits any more.
+    /// Checks the database when no event waits.
     pub(super) fn check(&self, aggregator: &Aggregator) {
         let database = &aggregator.database;
         let mut stored: BTreeMap<u64, u32> = BTreeMap::new();
@@ -113,7 +113,7 @@ impl Truth {
         self.check_gaps(database);
     }
 
-    /// Whoever was killed whenever: what was handed in is stored or stands in a gap, to the last event.
+    /// Checks that every event that was handed in is stored or reported in a gap, whenever processes were killed.
     pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
         if self.restored || self.copied || !self.deleted.is_empty() {
             return;
@@ -131,7 +131,8 @@ impl Truth {
         assert_eq!(stored + missing, offered, "{stored} stored and {missing} in gaps");
     }
 
-    /// A gap says how many events its batches held. Of two copies nobody knows which batches the database lacks.
+    /// Checks that a gap states the number of events of its batches. With two copies it is unknown which batches the
+    /// database lacks.
     fn check_gaps(&self, database: &Database) {
         for (stream, entry) in
             database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
@@ -139,15 +140,15 @@ impl Truth {
             let Entry::Gap { from, through, events } = entry else { continue };
             let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
             if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
-                // A restored database may also lack batches behind the last that a spool held.
+                // A restored database may also lack batches after the last one in a spool.
                 let is_right = *events == Some(held) || self.restored && *events > Some(held);
                 assert!(is_right, "{events:?} events of batches {from} to {through}, which held {held}");
             }
         }
     }
 
-    /// An event that a restored database no longer has stands under a gap, unless its spool was deleted. Of two copies
-    /// the database may lack different batches under the same numbers.
+    /// Returns whether an event that a restored database lacks is covered by a gap, or its spool was deleted. With two
+    /// copies the database may lack different batches with the same numbers.
     fn is_accounted(&self, name: u64, database: &Database) -> bool {
         self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
