@@ -1,4 +1,4 @@
-//! Starting and stopping: checks, the tasks, and the handle that readers hold.
+//! Start and stop of the aggregator: checks, the tasks, and the handle for readers.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -21,14 +21,14 @@ use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
-/// News that wait for the live picture's task; it waits for nothing, so few are enough.
+/// Capacity of the channel of events to the live picture's task. That task never waits, so a short channel is enough.
 const NEWS: usize = 1_024;
-/// Commits whose acknowledgements wait to be sent.
+/// Capacity of the channel of store events to the ingest task.
 const COMMITS: usize = 16;
-/// Errands that wait for the writer.
+/// Capacity of the channel of requests to the writer's task.
 const ERRANDS: usize = 16;
 
-/// The handle of a running aggregator: cheap to clone.
+/// Handle of a running aggregator; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Aggregator {
     live: watch::Receiver<Arc<Picture>>,
@@ -40,28 +40,29 @@ pub struct Aggregator {
     rejections: Arc<RejectionCounts>,
 }
 
-/// A running aggregator.
+/// A running aggregator, to be joined.
 #[derive(Debug)]
 pub struct Running {
-    /// For readers.
+    /// Handle for readers.
     pub handle: Aggregator,
     tasks: JoinSet<Result<(), Failure>>,
+    /// Names of the tasks, for [`Failure`].
     names: HashMap<Id, &'static str>,
     stop: CancellationToken,
-    /// The database, if it is open, when the writer's task has ended.
+    /// Receives the database, if it is open, when the writer's task ends.
     written: oneshot::Receiver<Option<OpenDatabase>>,
 }
 
 impl Aggregator {
-    /// Everything about a configuration that can be checked without starting.
+    /// Returns the problems of a configuration that are found without starting.
     pub fn check(config: &AggregatorConfig) -> Vec<Problem> {
         config.problems()
     }
 
-    /// Opens the database, listens, and starts the tasks; they end when `stop` is cancelled.
+    /// Opens the database, listens, and starts the tasks. They end when `stop` is cancelled.
     ///
     /// # Errors
-    /// When the configuration cannot work, the database cannot be opened or written, or the address is taken.
+    /// If the configuration is invalid, the database cannot be opened or written, or the address is in use.
     pub async fn start(
         config: AggregatorConfig,
         clock: SharedClock,
@@ -92,7 +93,7 @@ impl Aggregator {
         }
         let (queue, waiting) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
-        // While one group is stored, the next is prepared.
+        // While one group is committed, the next is prepared.
         let (prepared, work) = preparing::ready(2 * grouping.most);
         let (errands_in, errands) = mpsc::channel(ERRANDS);
         let (news_in, news) = mpsc::channel(NEWS);
@@ -100,7 +101,8 @@ impl Aggregator {
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
         let (written_in, written) = oneshot::channel();
         let (ready_in, ready) = watch::channel(Readiness::Ready);
-        // What finds no room is asked for again, which costs more than waiting would.
+        // A batch without room in the queue has to be sent again, which costs more than waiting; so the window never
+        // exceeds the queue's room.
         let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
         let challenges = Challenges::new(name.clone());
         let hosts = Hosts::new(config.max_hosts, known);
@@ -156,7 +158,7 @@ impl Aggregator {
         let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
             let database = Box::pin(committing::run(database, wires, grouping, reopening)).await;
-            // Whoever does not join lets the connection drop.
+            // Without a caller of `join` the connection is dropped.
             let _unjoined = written_in.send(database);
             Ok(())
         });
@@ -165,20 +167,21 @@ impl Aggregator {
         Ok(running)
     }
 
-    /// Snapshots of the live picture: a new one when something changed, at most five per second.
+    /// Follows the snapshots of the live picture: a new one after each change, at most five per second.
     pub fn live(&self) -> watch::Receiver<Arc<Picture>> {
         self.live.clone()
     }
 
-    /// What is stored.
+    /// Returns the store, for queries.
     pub fn store(&self) -> &Store {
         &self.store
     }
 
-    /// Keeps a run whatever its age, or no longer. Returns whether there is a run of that number.
+    /// Protects a run from the retention limits, or ends that protection. Returns whether there is a run of that
+    /// number.
     ///
     /// # Errors
-    /// When the database cannot be written now.
+    /// If the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
         match self.errands.send(Errand::Pin(run, pinned, answer)).await {
@@ -187,12 +190,13 @@ impl Aggregator {
         }
     }
 
-    /// How long what is stored is kept.
+    /// Returns the retention limits of the configuration.
     pub const fn retention(&self) -> &RetentionConfig {
         &self.retention
     }
 
-    /// Bytes of the database's files, with what is not yet in the main one; `None` while there is none.
+    /// Returns the size of the database's file and of its -wal file together, bytes; `None` if there is no database
+    /// file.
     pub fn database_bytes(&self) -> Option<u64> {
         let mut log = self.database.as_os_str().to_owned();
         log.push("-wal");
@@ -200,23 +204,24 @@ impl Aggregator {
         Some(main + std::fs::metadata(log).map_or(0, |log| log.len()))
     }
 
-    /// Connections of the agents' port that were turned away or closed, by reason.
+    /// Returns the numbers of connections of the agents' port that were rejected or closed, by reason.
     pub fn rejections(&self) -> &RejectionCounts {
         &self.rejections
     }
 
-    /// Whether events are being stored, to be followed.
+    /// Follows whether events are being stored.
     pub fn readiness(&self) -> watch::Receiver<Readiness> {
         self.ready.clone()
     }
 
-    /// Whether events are being stored, and if not, why.
+    /// Returns whether events are being stored, and the reason if not.
     pub fn ready(&self) -> Readiness {
         self.ready.borrow().clone()
     }
 }
 
 impl Running {
+    /// Spawns a task that ends with the aggregator.
     fn spawn(
         &mut self,
         name: &'static str,
@@ -226,7 +231,7 @@ impl Running {
         self.names.insert(id, name);
     }
 
-    /// A task that computes and never waits for long.
+    /// Spawns a task that computes on a thread and never blocks for long.
     fn spawn_thread(&mut self, name: &'static str, task: impl FnOnce() + Send + 'static) {
         let work = move || {
             task();
@@ -236,18 +241,19 @@ impl Running {
         self.names.insert(id, name);
     }
 
-    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. What was received
-    /// by then is stored and acknowledged, unless the database refuses.
+    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. The events received
+    /// before that are stored and acknowledged, unless the database refuses them.
     ///
     /// # Errors
-    /// When a task died or ended without being asked to; the others are ended then.
+    /// If a task died or ended although `stop` was not cancelled; the other tasks are stopped then.
     pub async fn join(mut self) -> Result<(), Failure> {
         let mut first = Ok(());
         while let Some(ended) = self.tasks.join_next_with_id().await {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
-                    // Cancelled before the tasks notice, which the token that it follows is not.
+                    // `self.stop` is a child token: when it is cancelled, the tasks may not have noticed yet, but their
+                    // end is expected.
                     let unasked = !self.stop.is_cancelled() && first.is_ok();
                     unasked.then(|| Failure::TaskEnded(self.name(id)))
                 }
@@ -262,23 +268,24 @@ impl Running {
         first
     }
 
-    /// Closes the database, the writing connection last: only that can carry SQLite's log over into the file, so that
-    /// the file alone is whole.
+    /// Closes the database. The writing connection is closed last: only the last connection checkpoints the -wal file,
+    /// after which the database file is complete without it.
     async fn close(&mut self) {
         self.handle.store.close().await;
-        // The task that had it may have died, or its file is away.
+        // There is no database if the writer's task died or the file is missing.
         let Ok(Some(database)) = (&mut self.written).await else { return };
         if let (_, Err(error)) = database.close().await {
             tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
         }
     }
 
+    /// Returns the name of a task.
     fn name(&self, id: Id) -> &'static str {
         self.names.get(&id).copied().unwrap_or("unnamed")
     }
 }
 
-/// What a task said when it panicked.
+/// Returns the message of a task's panic.
 fn words(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);

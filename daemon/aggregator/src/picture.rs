@@ -1,7 +1,7 @@
-//! The live picture: what readers see of all agents, now.
+//! The live picture: the current state of all agents for readers.
 //!
-//! Plain data, made by the one task that owns the live state (`live/`) and shared by reference
-//! count: hosts and pipelines that did not change since the last picture are not copied.
+//! Plain data, made by the task that owns the live state (`live/`) and shared by reference count: hosts and pipelines
+//! that did not change since the previous snapshot are not copied.
 
 use std::sync::Arc;
 
@@ -14,259 +14,262 @@ use serde::Serialize;
 
 use peernet_store::{Bound, ClockPoint, Figures, Stored, Transfers};
 
-/// All agents, now.
+/// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]
 pub struct Picture {
-    /// When it was made, on the aggregator's wall clock.
+    /// Time of the snapshot on the aggregator's wall clock.
     pub at: WallTime,
     /// Name of the aggregator.
     pub aggregator: Slug,
-    /// Address at which agents connect, with the port really taken.
+    /// Address that agents connect to, with the actual port.
     pub listening: String,
-    /// Every host heard of, by name.
+    /// All hosts that have sent a message, sorted by name.
     pub hosts: Vec<Arc<HostPicture>>,
-    /// Every pipeline heard of, by host name and name.
+    /// All pipelines, sorted by host name and name.
     pub pipelines: Vec<Arc<PipelinePicture>>,
-    /// Every link heard of, by the edge's and the cloud's name and the network.
+    /// All links, sorted by the edge's name, the cloud's name and the network.
     pub links: Vec<Arc<LinkPicture>>,
-    /// Hosts that were turned away in the last ten minutes, newest first, at most 32.
+    /// Hosts that were refused in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
-    /// Hosts of which something is stored and nothing was heard lately, or since the aggregator started.
+    /// Number of hosts with stored events that are not in `hosts`, because they were silent for long or since the
+    /// aggregator's start.
     pub absent: usize,
-    /// Of all hosts together, those included that are not in the picture.
+    /// Totals of all hosts, including those that are not in `hosts`.
     pub totals: Totals,
 }
 
-/// What is stored and what became of batches, all hosts together: only ever grows while the aggregator runs.
+/// Totals of all hosts. They never decrease while the aggregator runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Totals {
-    /// What the database holds.
+    /// Counts of the database.
     pub stored: Stored,
-    /// Batches that came and were not taken.
+    /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
-    /// What came and could not be told whose it is.
+    /// Frames that belong to no known host.
     pub refused: RefusedFrames,
 }
 
-/// What came and could not be told whose it is; since the aggregator started.
+/// Numbers of frames that belong to no known host, since the aggregator's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RefusedFrames {
-    /// Frames that are no message.
+    /// Frames that cannot be decoded.
     pub unreadable: u64,
-    /// Messages and batches of hosts that did not say hello on that connection; they are asked to.
+    /// Messages and batches of hosts without a session on their connection; the aggregator asks for their hello.
     pub strangers: u64,
 }
 
-/// Batches that came and were not taken, to be sent again; since the aggregator started.
+/// Numbers of batches that arrived and were not stored, since the aggregator's start; they are sent again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Arrivals {
-    /// There was no room for them.
+    /// Batches for which the queue had no room.
     pub deferred: u64,
-    /// Their bytes did not match their hash.
+    /// Batches that did not match their hash.
     pub damaged: u64,
 }
 
-/// How fast storing catches up with measuring.
+/// Estimate of how fast storing catches up with measuring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CatchingUp {
-    /// Seconds by which the lag falls in a second, over the last 10 s or so.
+    /// Seconds per second by which the storage lag falls, over about the last 10 s.
     pub rate: f64,
-    /// Events stored in a second, over the same time.
+    /// Events stored per second, over the same time.
     pub events_per_second: f64,
-    /// Time until there is no lag, if it goes on like this.
+    /// Time until the lag is zero at this rate.
     pub left: Span,
 }
 
-/// One link, now: an edge and a cloud over one network.
+/// Snapshot of one link: an edge and a cloud over one network.
 #[derive(Clone, Debug, Serialize)]
 pub struct LinkPicture {
-    /// The edge.
+    /// Host id of the edge.
     pub edge: HostId,
-    /// Its name.
+    /// Name of the edge.
     pub edge_name: Slug,
-    /// Whether the edge is connected: its report is fresh.
+    /// `true` if the edge is connected and its latest update contains the link.
     pub connected: bool,
-    /// When the edge last reported, on the aggregator's wall clock.
+    /// Time of the latest report on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// As the edge reported it last.
+    /// The latest report of the edge.
     pub live: LinkLive,
-    /// The last ten minutes, a point per second of the edge's wall clock, oldest first; seconds without a report are
-    /// absent.
+    /// One point per second of the edge's wall clock over the last ten minutes, oldest first; seconds without a report
+    /// are absent.
     pub history: Vec<Arc<ClockPoint>>,
 }
 
-/// A host that was turned away.
+/// A host that was refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RefusedHost {
-    /// The name it gave.
+    /// Name that the host stated.
     pub name: Slug,
-    /// Where it connected from, where the transport tells.
+    /// Address that the host connected from, if the transport states it.
     pub address: Option<String>,
-    /// What was wrong and what to do about it.
+    /// Reason of the refusal, and the remedy.
     pub reason: String,
-    /// When it last tried, on the aggregator's wall clock.
+    /// Time of its latest attempt on the aggregator's wall clock.
     pub at: WallTime,
 }
 
-/// One host, now.
+/// Snapshot of one host.
 #[derive(Clone, Debug, Serialize)]
 pub struct HostPicture {
-    /// Decides.
+    /// Host id, the identity of the host; names may change.
     pub id: HostId,
-    /// As the host introduced itself.
+    /// Description that the host sent in its hello.
     pub description: HostDescription,
-    /// Whether it said hello and has been heard of in the last seconds; after a restart, from its first update on:
-    /// until then, what it told is of the process before.
+    /// `true` if the host sent a message in the last three seconds. After a restart of the agent it is `false` until
+    /// the first update, because the other values are those of the previous process.
     pub connected: bool,
-    /// Whether it took its leave and had handed over everything: then it is in order that it is not connected.
+    /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
     pub left: bool,
-    /// When it was last heard of, on the aggregator's wall clock.
+    /// Time of the host's last message on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// Its wall clock minus the aggregator's, by the last update: includes that update's way, so it is a hint
-    /// that a clock is wrong and nothing more.
+    /// The host's wall clock minus the aggregator's at the latest update. It includes the update's network delay, so it
+    /// indicates only that a clock is wrong.
     pub clock_ahead: Span,
-    /// How far storing is behind measuring: the age of the oldest event that waits, by the host's own clock at its last
-    /// update; `None` when nothing waits.
+    /// Storage lag: age of the oldest event in the spool, on the host's clock at its latest update; `None` if nothing
+    /// waits.
     pub behind: Option<Span>,
-    /// How fast that falls; `None` while it does not, or is below five seconds.
+    /// Estimate of how fast the lag falls; `None` if it does not fall or is below five seconds.
     pub catching_up: Option<CatchingUp>,
-    /// Its wall clock, by its own account.
+    /// State of the host's wall clock, as reported by the host.
     pub clock: HostClock,
-    /// How it fares.
+    /// Latest load metrics.
     pub metrics: HostMetrics,
-    /// The last ten minutes of `metrics`, one point per five seconds, oldest first.
+    /// The metrics of the last ten minutes, one point per five seconds, oldest first.
     pub history: Vec<Arc<MetricsPoint>>,
-    /// What became of its events, by its own account.
+    /// Counts of its events, as reported by the host.
     pub accounting: Accounting,
-    /// What became of its events, by the aggregator's account.
+    /// Counts of its events in the database.
     pub stored: Stored,
-    /// Batches of it that came and were not taken.
+    /// Batches that arrived and were not stored.
     pub arrivals: Arrivals,
-    /// The newest moment that is stored of it, on its clock, as far as it was stored since the aggregator started.
+    /// Time of its newest stored event on its clock; `None` if nothing was stored since the aggregator's start.
     pub newest_stored: Option<WallTime>,
-    /// Pipelines, names and seconds of live updates that were beyond the limits and left out of the picture.
+    /// Number of pipelines, links, names and seconds of live updates that exceeded the limits and were discarded.
     pub live_left_out: u64,
 }
 
-/// How a host fared at one moment.
+/// Load metrics of a host at one time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MetricsPoint {
-    /// When, on the aggregator's wall clock.
+    /// Time on the aggregator's wall clock.
     pub at: WallTime,
-    /// How it fared.
+    /// The metrics.
     pub metrics: HostMetrics,
 }
 
-/// One pipeline, now.
+/// Snapshot of one pipeline.
 #[derive(Clone, Debug, Serialize)]
 pub struct PipelinePicture {
-    /// The host it senses on.
+    /// Host id of the edge that the pipeline runs on.
     pub host: HostId,
-    /// That host's name.
+    /// Name of that host.
     pub host_name: Slug,
-    /// Its name on that host.
+    /// Name of the pipeline on that host.
     pub pipeline: Slug,
-    /// What it does.
+    /// State of the pipeline.
     pub state: PipelineState,
-    /// The current or last run.
+    /// Id of the current or last run.
     pub run: Option<RunId>,
-    /// The number under which the store knows that run; `None` until the run has reached the store.
+    /// Number of that run in the store; `None` until the run is stored.
     pub run_number: Option<i64>,
-    /// Where it computes.
+    /// Placement of the computation.
     pub placement: Placement,
-    /// The intended load in words: `closed`, `5 Hz`.
+    /// Configured load as text: `closed`, `5 Hz`.
     pub load: String,
-    /// When it was last heard of, on the aggregator's wall clock.
+    /// Time of the latest update on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// The last 1, 10 and 60 seconds.
+    /// Figures of the last 1, 10 and 60 seconds.
     pub windows: [Window; 3],
     /// The last 600 seconds, oldest first; seconds without a report are absent.
     pub series: Vec<Arc<LiveSecond>>,
-    /// The 95th percentile of `total` over the same seconds.
+    /// 95th percentile of the total latency over the same seconds.
     pub total_p95: PercentileSeries,
 }
 
-/// The 95th percentile of `total` over time. Each is that of all iterations of its bucket: their sketches are merged.
+/// The 95th percentile of the total latency over time. Each value is that of all iterations of its bucket, whose
+/// sketches are merged.
 ///
-/// The bucket is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s that holds enough iterations at the pipeline's
-/// rate.
+/// The bucket's length is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s with enough iterations at the
+/// pipeline's rate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PercentileSeries {
-    /// Length of each bucket, seconds; `None` while even the longest would hold too few iterations.
+    /// Length of each bucket, seconds; `None` if even the longest would have too few iterations.
     pub bucket_s: Option<u32>,
-    /// Buckets that hold enough iterations, oldest first; the newest one may be under way.
+    /// Buckets with enough iterations, oldest first; the newest one may be incomplete.
     pub points: Vec<PercentilePoint>,
 }
 
 /// The 95th percentile of one bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PercentilePoint {
-    /// First second of the bucket, since the Unix epoch, on the edge's wall clock; a multiple of the bucket's length.
+    /// First second of the bucket on the edge's wall clock, in Unix seconds; a multiple of the bucket's length.
     pub at: i64,
-    /// Successful iterations in the bucket.
+    /// Number of successful iterations in the bucket.
     pub count: u64,
-    /// 95th percentile of their `total`, seconds.
+    /// 95th percentile of their total latency, seconds.
     pub p95: f64,
 }
 
-/// What happened within the last seconds of the edge's wall clock.
+/// Figures of the last seconds of the edge's wall clock.
 ///
-/// Holds the given number of complete seconds and the one that is under way, so that a figure is neither
-/// late nor made of a few milliseconds; rates are over the time really covered: that since the pipeline's first second
-/// where this is within the window.
+/// Covers the given number of complete seconds and the incomplete one, so that a figure is neither late nor computed
+/// from a few milliseconds. Rates refer to the time really covered: since the pipeline's first second if that is within
+/// the window.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Window {
-    /// Complete seconds: 1, 10 or 60.
+    /// Number of complete seconds: 1, 10 or 60.
     pub seconds: u32,
-    /// Seconds really covered, with the one under way.
+    /// Time really covered including the incomplete second, seconds.
     pub covered_s: f64,
-    /// Iterations by outcome, warm-up left out.
+    /// Number of iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
     /// Iterations of any outcome per second.
     pub rate_hz: f64,
-    /// Share of iterations without an answer (failed, lost, timeout), 0 to 1; `None` when there were none.
+    /// Fraction of iterations without an answer (failed, lost, timeout), 0 to 1; `None` if there were no iterations.
     pub lost_fraction: Option<f64>,
-    /// Share of iterations that took longer than their deadline or have no answer, 0 to 1; `None` without a deadline, and
-    /// when there were none.
+    /// Fraction of iterations that missed their deadline or have no answer, 0 to 1; `None` without a deadline or
+    /// without iterations.
     pub miss_rate: Option<f64>,
-    /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then the user's own.
+    /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then user-defined names.
     ///
-    /// A throughput's are of the single iterations: its mean is no speed over the window, which [`transfers`] gives.
+    /// Throughputs are statistics over single iterations: their mean is not the data rate of the window, which
+    /// [`transfers`] has.
     ///
     /// [`transfers`]: Window::transfers
     pub values: Vec<(Name, Figures)>,
-    /// What was sent, and how long it was on its way.
+    /// Amounts of data and transfer times of both directions.
     pub transfers: Transfers,
-    /// How well the one-way delays are known: `upload`, `download`.
+    /// Half-widths of the bounds of the one-way delays: `upload`, `download`.
     pub bounds: Vec<Bound>,
 }
 
-/// One second of one pipeline, as the live charts draw it.
+/// One second of one pipeline, a point of the live charts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LiveSecond {
-    /// Seconds since the Unix epoch, on the edge's wall clock.
+    /// The second on the edge's wall clock, in Unix seconds.
     pub at: i64,
-    /// Iterations by outcome, warm-up left out.
+    /// Number of iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
     /// Means by node name in SI units, in the order of [`Window::values`].
     pub means: Vec<(Name, f64)>,
-    /// 95th percentile of `total` within the second, seconds; `None` when fewer than 60 iterations succeeded.
+    /// 95th percentile of the total latency in this second, seconds; `None` if fewer than 60 iterations succeeded.
     pub total_p95: Option<f64>,
-    /// What was sent, and how long it was on its way.
+    /// Amounts of data and transfer times of both directions.
     pub transfers: Transfers,
-    /// How many delays of a direction deserve which verdict.
+    /// Number of one-way delays by direction and verdict.
     pub verdicts: Vec<(Name, Verdict, u64)>,
 }
 
 impl Window {
-    /// The figures of one node name.
+    /// Returns the figures of a node name.
     pub fn value(&self, name: &str) -> Option<&Figures> {
         self.values.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
     }
 }
 
 impl PipelinePicture {
-    /// The window of that many seconds: 1, 10 or 60.
+    /// Returns the window of 1, 10 or 60 seconds.
     pub fn window(&self, seconds: u32) -> Option<&Window> {
         self.windows.iter().find(|window| window.seconds == seconds)
     }

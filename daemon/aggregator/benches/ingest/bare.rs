@@ -1,4 +1,5 @@
-//! The bare loop: the same rows in the order of their arrival, many a statement, no roll-ups, nothing else.
+//! The bare loop, which the aggregator is compared with: it inserts the same rows in the order of their arrival with
+//! many rows per statement, and maintains no roll-ups.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,17 +11,20 @@ use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConn
 use crate::load::Plan;
 use crate::say;
 
-/// Nodes per transaction, as the aggregator's default, and rows per statement.
+/// Nodes per transaction: ten times the aggregator's default, so that the bare loop syncs seldom.
 const COMMIT_NODES: usize = 100_000;
+/// Rows per statement.
 const ROWS: usize = 1_000;
+/// Tables that are copied.
 const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
 
-/// Inserts what one database holds into an empty one of the same schema, and says how many seconds that took.
+/// Copies the rows of the database `from` into the new database `to` with the same schema. Prints how many seconds the
+/// inserts took.
 pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
     let mut source = SqliteConnectOptions::new().filename(from).connect().await.expect("opens");
     let mut tables = Vec::new();
     for table in TABLES {
-        // Batch by batch, one of each run after the other.
+        // In the order of arrival: one batch of each run after the other.
         let number = if table == "iteration" { "number" } else { "iteration" };
         let select =
             format!("SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}", plan.iterations);
@@ -38,7 +42,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
-        // As the aggregator sets them: what is compared is the work, not the settings.
+        // The aggregator's settings, so that the comparison is of the work and not of the settings.
         .pragma("cache_size", "-65536")
         .pragma("wal_autocheckpoint", "16000")
         .foreign_keys(false)
@@ -53,7 +57,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
     for at in 0..transactions {
         sqlx::query("BEGIN").execute(&mut target).await.expect("begins");
         for (full, rest, rows) in &tables {
-            // Whole statements only, so that each is prepared once.
+            // Parts are cut at whole statements so that each of the two statements is prepared once.
             let statements = rows.len().div_ceil(ROWS);
             let share = |at: usize| rows.len().min(statements * at / transactions * ROWS);
             for part in rows[share(at)..share(at + 1)].chunks(ROWS) {
@@ -67,6 +71,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
     target.close().await.expect("closes");
 }
 
+/// Inserts `rows` with one statement.
 async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>]) {
     let mut arguments = SqliteArguments::default();
     arguments.reserve(rows.len() * rows[0].len(), 0);
@@ -82,6 +87,7 @@ async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>
     sqlx::query_with(AssertSqlSafe(Arc::clone(sql)), arguments).execute(target).await.expect("inserts");
 }
 
+/// A value of a column.
 enum Cell {
     Null,
     Integer(i64),
@@ -89,6 +95,7 @@ enum Cell {
     Text(String),
 }
 
+/// Returns the values of a row's columns.
 fn cells(row: &SqliteRow) -> Vec<Cell> {
     (0..row.len())
         .map(|at| {

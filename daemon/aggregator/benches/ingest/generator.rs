@@ -1,4 +1,4 @@
-//! The agents: all in one process, each with a connection of its own.
+//! The agents: one process with one connection per agent.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,11 +13,12 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::load::{BATCH_BYTES, Load, Plan};
 use crate::{generate, say, server};
 
-/// What an agent has under way at most, whatever it is allowed, in units of `BATCH_BYTES`.
+/// Longest window that an agent uses, in units of `BATCH_BYTES`, even if the aggregator allows more.
 const WINDOW: u32 = 32;
 
-/// Prepares and connects all, sends everything, and says how many seconds that took. With a `speed` batches go at that
-/// multiple of the rate at which the plan's iterations are made, and else as fast as they are taken.
+/// Prepares and connects all agents, sends all batches, and prints how many seconds the sending took. With a `speed`,
+/// batches are sent at that multiple of the rate at which the plan's iterations are produced; without, as fast as the
+/// window allows.
 pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
     server::raise_file_limit();
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "agents")));
@@ -50,7 +51,8 @@ pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
     say((clock.mono() - began).seconds());
 }
 
-/// Keeps a window under way until all are acknowledged; goes back where it is asked to.
+/// Keeps a window's worth of batches in flight until all are acknowledged. Continues at an earlier batch where the
+/// aggregator requests one.
 async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
     let began = Instant::now();
     let (mut next, mut stored) = (0, 0);

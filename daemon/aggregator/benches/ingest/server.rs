@@ -1,4 +1,4 @@
-//! The aggregator, alone in its process.
+//! The aggregator, in a process without other parts of the benchmark.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,7 +10,8 @@ use tokio_util::sync::CancellationToken;
 
 use crate::say;
 
-/// Says where it listens, and stops when nobody wants it any more.
+/// Runs an aggregator until the standard input is closed. Prints the address that it listens on. `commit_nodes` 0 means
+/// the default.
 pub(crate) async fn run(database: &Path, commit_nodes: u64) {
     raise_file_limit();
     let mut config = AggregatorConfig {
@@ -31,7 +32,7 @@ pub(crate) async fn run(database: &Path, commit_nodes: u64) {
     running.join().await.expect("ends well");
 }
 
-/// As the system's unit does: a thousand connections need as many files.
+/// Raises the limit of open files as the systemd unit does: a thousand connections need a thousand file descriptors.
 pub(crate) fn raise_file_limit() {
     let maximum = getrlimit(Resource::Nofile).maximum;
     setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).expect("raises the limit");

@@ -1,4 +1,12 @@
-//! The task that owns the writer: collects batches of many agents and commits them together.
+//! The writer's task, the only owner of the writing connection: it commits the batches of several agents together
+//! (group commit).
+//!
+//! A commit costs one sync of the disk whatever its size. A group is what arrived while the previous commit was
+//! syncing, so that groups grow with the load. A batch of few nodes waits up to `commit_interval_ms` for others, so
+//! that a quiet system does not sync at each batch. A group of `commit_nodes` makes the sync a small part of its cost;
+//! it does not wait longer, because its agents may have used up their windows and wait for this commit.
+//!
+//! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -21,30 +29,30 @@ use peernet_store::writing::{
 };
 use peernet_store::{AggregatorIncidentKind, StoreError};
 
-/// The first pause after a failed attempt, and the longest.
+/// The first pause after a failed attempt, and the longest one.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-/// How often the database's files are looked at while there is nothing to store.
+/// Interval of checking the database's files while no work arrives.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// Bytes of the log's file above which it is emptied as soon as nobody reads: twice what it usually has.
+/// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
 const MOST_LOG_BYTES: u64 = 128 << 20;
 
-/// Nodes of a commit at most, unless it is configured to wait for more: beyond that a larger one is no cheaper.
+/// Largest number of nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
 const MOST_NODES: usize = 100_000;
 
-/// Commits after which what is old is deleted even though work waits.
+/// Number of commits after which expired data is deleted even if work is waiting.
 const RETAIN_EVERY: u64 = 8;
 
-/// When a group is large or old enough.
+/// Limits at which a group is committed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grouping {
-    /// Longest time that the first of a group waits for others.
+    /// Longest time that the first batch of a group waits for others.
     pub(crate) interval: Duration,
-    /// Nodes after which a group waits for no more, and takes only what is there.
+    /// Number of nodes at which a group waits for no more batches; those that are ready join it.
     pub(crate) enough: usize,
-    /// Nodes after which a group takes no more.
+    /// Number of nodes at which a group is full.
     pub(crate) most: usize,
 }
 
@@ -55,25 +63,25 @@ impl Grouping {
     }
 }
 
-/// What is asked of the writer beside storing.
+/// A request to the writer's task from other parts of the program.
 #[derive(Debug)]
 pub(crate) enum Errand {
-    /// Keep a run whatever its age, or no longer; answers whether there is such a run.
+    /// Protects a run from the retention limits, or ends that protection. The answer is whether there is such a run.
     Pin(i64, bool, oneshot::Sender<Result<bool, StoreError>>),
 }
 
-/// What the writer tells ingest, in the order in which it happened.
+/// A message from the writer's task to the ingest task. The channel keeps the order in which things happened.
 #[derive(Debug)]
 pub(crate) enum StoreEvent {
     /// A transaction is on disk.
     Committed(Committed),
-    /// The database was closed, to be opened anew.
+    /// The database was closed and will be reopened.
     Closed,
-    /// The database was opened anew, and holds this.
+    /// The database was reopened and contains this state.
     Opened(Box<StoredState>),
 }
 
-/// Pauses between attempts, each twice as long as the one before, until one succeeds.
+/// Exponential backoff: each pause is twice as long as the previous one, up to `LONGEST_PAUSE`.
 #[derive(Debug)]
 pub(super) struct Backoff(Duration);
 
@@ -82,7 +90,7 @@ impl Backoff {
         Self(FIRST_PAUSE)
     }
 
-    /// The next pause.
+    /// Returns the next pause.
     pub(super) fn next(&mut self) -> Duration {
         let pause = self.0;
         self.0 = (pause * 2).min(LONGEST_PAUSE);
@@ -90,55 +98,55 @@ impl Backoff {
     }
 }
 
-/// What the writer's task is wired to.
+/// The channels and shared objects of the writer's task.
 pub(crate) struct Wires {
     pub(crate) queue: mpsc::Receiver<Queued>,
     pub(crate) errands: mpsc::Receiver<Errand>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
-    /// Of the live picture, which tells of connections.
+    /// Snapshots of the live picture, the source of the connections' statistics.
     pub(crate) pictures: watch::Receiver<Arc<Picture>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,
 }
 
-/// Why the writer's task does not go on with a database.
+/// Reason for which the task stopped using a database.
 enum Ended {
-    /// All that came is stored, or the task was told to stop.
+    /// Everything received is stored, or the task was stopped.
     Finished,
-    /// The database has to be opened anew.
+    /// The database has to be reopened.
     Failed(CommitError),
 }
 
-/// What outlives a database that is opened anew.
+/// State of the task that survives reopening the database.
 #[derive(Debug)]
 struct Carried {
-    /// How often that was done.
+    /// Number of times that the database was reopened.
     generation: u64,
-    /// Hosts that took their leave, which could not be stored.
+    /// Hosts whose goodbye could not be stored yet.
     departed: Vec<HostId>,
     backoff: Backoff,
-    /// Of the aggregator itself.
+    /// Incidents of the aggregator itself.
     incidents: PendingIncidents,
     connections: ConnectionLog,
-    /// Since when nothing can be stored, and why; `None` while it can.
+    /// Start and reason of the current storage outage; `None` while commits succeed.
     outage: Option<(Stamp, String)>,
 }
 
 impl Carried {
-    /// Whether work goes with the database that is open. What was let in before is compared with the marks of the one
-    /// before; only that a host has left is true of any.
+    /// Returns whether work belongs to the open database. Work admitted before a reopening was checked against the
+    /// stored state of the previous database, so it is dropped. A goodbye is valid for any database.
     fn is_current(&self, queued: &Queued) -> bool {
         queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
     }
 
-    /// Nothing can be stored.
+    /// Records that nothing can be stored.
     fn fails(&mut self, error: &CommitError, now: Stamp) {
         self.outage.get_or_insert_with(|| (now, error.to_string()));
     }
 
-    /// Something was stored. An outage that anybody could notice is an incident.
+    /// Records that a commit succeeded. An outage of at least one second becomes an incident.
     fn works(&mut self, now: Stamp) {
         self.backoff = Backoff::new();
         let Some((since, reason)) = self.outage.take() else { return };
@@ -150,12 +158,12 @@ impl Carried {
     }
 }
 
-/// Commits until no more work will come and all that came is stored.
+/// Commits until the queue is closed and everything received is stored.
 ///
-/// While the database refuses, the same group is tried again and nothing is acknowledged: agents keep what they sent.
-/// When the file fails or is replaced, the database is closed and opened anew, like in a restart of the process: what
-/// was let in before is dropped, and the agents send it again as far as it is not stored. When told to stop, the group
-/// is tried a last time and then left to them. Gives the database back, to be closed, if it is open.
+/// While the database refuses a group, the same group is retried and nothing is acknowledged, so the agents keep their
+/// batches. When the file fails or is replaced, the database is closed and reopened as at a start of the process: work
+/// admitted before is dropped, and the agents send it again if it is not stored. When `stop` is cancelled, the group is
+/// tried once more and then left to the agents. Returns the database, if it is open, for closing.
 pub(crate) async fn run(
     mut database: OpenDatabase,
     mut wires: Wires,
@@ -177,7 +185,7 @@ pub(crate) async fn run(
             Ended::Failed(error) => {
                 carried.fails(&error, wires.clock.stamp());
                 let reopened = reopening.reopen(database, &error, &mut wires, &mut carried.backoff);
-                // Large, and rarely needed.
+                // Boxed because the future is large and rarely needed.
                 database = Box::pin(reopened).await?;
                 carried.generation += 1;
             }
@@ -185,7 +193,7 @@ pub(crate) async fn run(
     }
 }
 
-/// Commits with one database.
+/// Commits with one database until it has to be reopened or the work ends.
 async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carried: &mut Carried) -> Ended {
     let mut looking = tokio::time::interval(LOOK_EVERY);
     looking.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -195,12 +203,14 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         let mut group = Vec::new();
         if carried.departed.is_empty() {
             let first = tokio::select! {
+                // Requests come first: they are rare, and their senders wait for the answer.
                 biased;
                 Some(errand) = wires.errands.recv() => {
                     run_errand(writer, errand, &wires.integrity).await;
                     continue;
                 }
                 first = wires.queue.recv() => first,
+                // Retention runs only while no work waits.
                 () = std::future::ready(()), if more == Step::More => {
                     more = retain(writer, wires).await;
                     continue;
@@ -218,6 +228,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
                 }
             };
             let Some(first) = first else { return Ended::Finished };
+            // Time in the queue counts towards the interval.
             let waited = (wires.clock.mono() - first.since).to_duration();
             group = gather(first, &mut wires.queue, waited, grouping).await;
             group.retain(|queued| carried.is_current(queued));
@@ -243,7 +254,7 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
         if commits.is_multiple_of(RETAIN_EVERY) {
             more = retain(writer, wires).await;
             match look_after(writer, wires, carried).await {
-                // The next commit tells.
+                // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
                 Err(error) => return Ended::Failed(error),
             }
@@ -251,11 +262,11 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
     }
 }
 
-/// Sees that the file is still where it was, also while nothing is stored, that the log is not too long, and that the
-/// clocks and the statistics of connections are stored.
+/// Checks that the file is still at its path, which is needed also while nothing is stored. Stores the clocks and the
+/// connections' statistics, and truncates SQLite's log if it is too long.
 ///
 /// # Errors
-/// When the database has to be opened anew, or is damaged.
+/// If the database has to be reopened, or is damaged.
 async fn look_after(writer: &mut Writer, wires: &Wires, carried: &mut Carried) -> Result<(), CommitError> {
     writer.check_file()?;
     undamaged(&wires.integrity)?;
@@ -268,14 +279,14 @@ async fn look_after(writer: &mut Writer, wires: &Wires, carried: &mut Carried) -
         writer.bound_log(MOST_LOG_BYTES).await
     };
     looked_after.await.or_else(|error: CommitError| {
-        // A full disk shows at the next commit.
+        // A full disk is reported by the next commit.
         if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
     })
 }
 
-/// Deletes a little of what is old. What fails is tried again at the next occasion.
+/// Deletes a small part of the expired data. A failed deletion is retried at the next occasion.
 async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
-    // Freed pages are written to: what can still be salvaged stays as it is.
+    // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
     if wires.integrity.damage().is_some() {
         return Step::Done;
     }
@@ -286,10 +297,11 @@ async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
     })
 }
 
-/// Stores a group, however long that takes; whether it was before the task had to end.
+/// Stores a group and retries while the database refuses it. Returns `false` if the task had to end before the group
+/// was stored.
 ///
 /// # Errors
-/// When the database has to be opened anew for that.
+/// If the database has to be reopened for the group.
 async fn store(
     writer: &mut Writer,
     work: &[Work],
@@ -304,7 +316,7 @@ async fn store(
                 for (head, reason) in &stored.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
                 }
-                // Closed only while everything ends.
+                // The receiver is closed only while the aggregator ends.
                 let _ended = wires.stored.send(StoreEvent::Committed(stored)).await;
                 return Ok(true);
             }
@@ -331,35 +343,37 @@ async fn store(
     }
 }
 
-/// Stores a group once, unless the file is damaged.
+/// Commits a group once, unless the file is damaged.
 async fn commit(writer: &mut Writer, work: &[Work], wires: &Wires) -> Result<Committed, CommitError> {
-    // One that was put in the place of a damaged file is opened.
+    // Checked first so that a file which replaced a damaged one is opened.
     writer.check_file()?;
     undamaged(&wires.integrity)?;
     let committed = writer.commit(work, wires.clock.stamp()).await;
     if let Err(CommitError::Database(error)) = &committed {
         wires.integrity.note(error);
     }
-    // What was committed while damage was found is not acknowledged: its agents keep it.
+    // A group committed while damage was found is not acknowledged, so that the agents keep it.
     undamaged(&wires.integrity)?;
     committed
 }
 
+/// Returns an error if damage of the file is known.
 fn undamaged(integrity: &Integrity) -> Result<(), CommitError> {
     integrity.refusal().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
 }
 
+/// Executes a request to the writer.
 async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) {
     match errand {
         Errand::Pin(run, pinned, answer) => {
             let answered = writer.pin(run, pinned, integrity).await;
-            // Whoever asked may have gone.
+            // The requester may have been dropped.
             let _gone = answer.send(answered);
         }
     }
 }
 
-/// That a group cannot be stored, and why.
+/// Returns the readiness after a group could not be stored.
 fn why_not(error: &CommitError) -> Readiness {
     match error {
         CommitError::Damaged(what) => {
@@ -369,14 +383,14 @@ fn why_not(error: &CommitError) -> Readiness {
     }
 }
 
-/// That nothing is stored, and why.
+/// Returns the readiness while nothing can be stored.
 pub(super) fn not_storing(error: &impl Display) -> Readiness {
     Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, tried again by itself"))
 }
 
-/// The group that begins with `first`: what waits already, and what comes until the first has waited long enough since
-/// it was let in. Under load that was during the commit before, so that nothing more is waited for. Nor is it where the
-/// group is worth a sync already: its agents may have sent all that they are allowed, and wait for this commit.
+/// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited
+/// for `grouping.interval` since its admission. Under load `first` has waited during the previous commit, so that the
+/// group waits for nothing. Neither does a group of `grouping.enough` nodes.
 async fn gather(
     first: Queued,
     queue: &mut mpsc::Receiver<Queued>,
@@ -404,7 +418,7 @@ async fn gather(
     group
 }
 
-/// Logs changes of readiness, once each.
+/// Sets the readiness and logs each change once.
 pub(super) fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
     ready.send_if_modified(|was| {
         if *was == now {
@@ -428,7 +442,7 @@ mod tests {
 
     const EVER: Duration = Duration::from_secs(3600);
 
-    /// Weighs one node.
+    /// Work that weighs one node.
     fn piece() -> Queued {
         let room = Arc::new(Semaphore::new(2));
         let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");

@@ -1,9 +1,9 @@
-//! The hosts that are known: those of which something is stored, with their secrets, and newcomers.
+//! The known hosts: the stored ones with their secrets, and newcomers.
 //!
-//! A newcomer is a host that was let in and of which nothing is stored yet. It is kept in memory while it is connected and
-//! nowhere else; its first batch makes it a host that is stored. So whoever invents hosts fills neither the database nor
-//! the pages: there are as many newcomers as hosts may be stored, and beyond that the one that came first makes way. An agent
-//! stores its first event within a second.
+//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
+//! while it is connected; its first batch makes it a stored host. So invented hosts fill neither the database nor the
+//! pages: the number of newcomers is limited to `max_hosts`, and beyond that the oldest newcomer is dropped. A genuine
+//! agent stores its first event within a second.
 
 use std::collections::HashMap;
 
@@ -13,47 +13,53 @@ use peernet_stream::{HostSecret, Missing};
 
 use peernet_store::writing::Introduction;
 
-/// How often the secret of one host is read from the database again because a proof was wrong.
+/// Shortest interval between two reads of a host's secret from the database. A wrong proof causes such a read, because
+/// an operator may have cleared the secret; the interval limits the reads that somebody who guesses secrets can cause.
 const CHECK_EVERY: Span = Span::from_seconds(1);
 
-/// The hosts that are known.
+/// The known hosts.
 #[derive(Debug)]
 pub(crate) struct Hosts {
+    /// Largest number of stored hosts, and of newcomers.
     most: usize,
     stored: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
-    /// Newcomers that came so far.
+    /// Number of newcomers so far.
     came: u64,
 }
 
+/// A host that is in the database.
 #[derive(Debug)]
 struct StoredHost {
-    /// Smaller for a host that has been stored for longer.
+    /// Rank by age in the database: smaller for a host that has been stored longer.
     seniority: u64,
-    /// `None` for a host of an earlier version, or after an operator cleared it.
+    /// The host's secret; `None` for a host of an earlier version or after an operator cleared it.
     secret: Option<HostSecret>,
+    /// Time of the last read of the secret after a wrong proof.
     checked: Option<MonoTime>,
 }
 
-/// A host that was let in and of which nothing is stored.
+/// A host whose hello was accepted and of which nothing is stored.
 #[derive(Clone, Debug)]
 pub(super) struct Newcomer {
-    /// How it introduced itself, with the secret that it proved to have.
+    /// The host's introduction, with the secret that it proved to have.
     pub(super) introduction: Introduction,
-    /// Batches that it no longer holds and that are not here.
+    /// Batches that the agent no longer holds and that are not in the database.
     pub(super) missing: Option<Missing>,
+    /// Number in the order of arrival.
     came: u64,
 }
 
 impl Hosts {
-    /// The hosts that are stored, those first that came first; no more than `most` are let in.
+    /// Creates the table of the stored hosts, oldest first. At most `most` hosts are stored.
     pub(crate) fn new(most: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
         let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), came: 0 };
         hosts.restart(stored);
         hosts
     }
 
-    /// The database is another one, which holds these hosts; newcomers are to come again.
+    /// Replaces the stored hosts after the database was reopened. Newcomers are dropped and have to send their hello
+    /// again.
     pub(super) fn restart(&mut self, stored: Vec<(HostId, Option<HostSecret>)>) {
         self.newcomers.clear();
         let stored = (0..).zip(stored);
@@ -62,7 +68,7 @@ impl Hosts {
         self.stored = stored.collect();
     }
 
-    /// Why a host cannot be let in, if it is not known and there are too many.
+    /// Returns the reason for refusing a host that is not stored, if the number of stored hosts has reached its limit.
     pub(super) fn refuses(&self, host: HostId) -> Option<String> {
         let full = !self.is_stored(host) && self.stored.len() >= self.most;
         full.then(|| {
@@ -74,20 +80,22 @@ impl Hosts {
         })
     }
 
+    /// Returns whether a host is in the database.
     pub(super) fn is_stored(&self, host: HostId) -> bool {
         self.stored.contains_key(&host)
     }
 
+    /// Returns whether a host is connected and not stored yet.
     pub(super) fn is_newcomer(&self, host: HostId) -> bool {
         self.newcomers.contains_key(&host)
     }
 
-    /// Smaller for a host that has been stored for longer; `None` for one of which nothing is stored.
+    /// Returns the host's rank by age, smaller for a host that has been stored longer; `None` if it is not stored.
     pub(super) fn seniority(&self, host: HostId) -> Option<u64> {
         self.stored.get(&host).map(|host| host.seniority)
     }
 
-    /// The secret that belongs to a host, if one is known.
+    /// Returns the host's secret, if one is known.
     pub(super) fn secret(&self, host: HostId) -> Option<&HostSecret> {
         match self.stored.get(&host) {
             Some(stored) => stored.secret.as_ref(),
@@ -95,15 +103,16 @@ impl Hosts {
         }
     }
 
-    /// A stored host has proven that it has this secret; what an operator cleared is kept anew.
+    /// Records the secret that a stored host has proven to have, if the host has no secret: an operator cleared it, or
+    /// the host was stored by an earlier version.
     pub(super) fn enrol(&mut self, host: HostId, secret: &HostSecret) {
         if let Some(stored) = self.stored.get_mut(&host) {
             stored.secret.get_or_insert_with(|| secret.clone());
         }
     }
 
-    /// Whether the secret of a host is to be read from the database again: a proof was wrong, and an operator may have
-    /// cleared it.
+    /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
+    /// have cleared it. At most once per `CHECK_EVERY`.
     pub(super) fn is_to_be_checked(&mut self, host: HostId, now: MonoTime) -> bool {
         let Some(stored) = self.stored.get_mut(&host) else { return false };
         let due = stored.checked.is_none_or(|at| now - at >= CHECK_EVERY);
@@ -113,15 +122,15 @@ impl Hosts {
         due
     }
 
-    /// The secret of a host as it stands in the database.
+    /// Replaces the host's secret by the one in the database.
     pub(super) fn checked(&mut self, host: HostId, secret: Option<HostSecret>) {
         if let Some(stored) = self.stored.get_mut(&host) {
             stored.secret = secret;
         }
     }
 
-    /// A host was let in of which nothing is stored. What was found of the same stream before stays. Returns the newcomer
-    /// that makes way.
+    /// Adds a host of which nothing is stored. Findings of an earlier hello of the same stream are kept. Returns the
+    /// newcomer that was dropped for it.
     pub(super) fn welcome(
         &mut self,
         introduction: Introduction,
@@ -151,7 +160,7 @@ impl Hosts {
         gone
     }
 
-    /// The first batch of a newcomer is about to be stored, and the host with it.
+    /// Turns a newcomer into a stored host, because its first batch is about to be stored.
     pub(super) fn store(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
         let seniority = self.stored.values().map(|host| host.seniority + 1).max().unwrap_or(0);
@@ -160,12 +169,12 @@ impl Hosts {
         Some(newcomer)
     }
 
-    /// A newcomer has gone.
+    /// Removes a newcomer that disconnected.
     pub(super) fn forget(&mut self, host: HostId) -> Option<Newcomer> {
         self.newcomers.remove(&host)
     }
 
-    /// Newcomers for which `gone` holds.
+    /// Returns the newcomers for which `gone` is true.
     pub(super) fn newcomers_that(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
         self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
     }

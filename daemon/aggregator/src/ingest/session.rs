@@ -1,4 +1,4 @@
-//! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
+//! The decisions about each frame and each host. Free of I/O: frames go in, replies and live events come out.
 
 mod greeting;
 mod output;
@@ -20,14 +20,14 @@ use super::routes::{Admission, Routes};
 use crate::live::News;
 use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
-/// A host that was silent for so long is asked to say hello again.
+/// Time without messages after which a host loses its session and has to send its hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
-/// A host of which nothing is stored leaves after this silence: agents speak four times a second.
+/// Time without messages after which a newcomer is dropped. Agents send four messages a second.
 const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
-/// Bytes of a batch as agents cut them, as a rule: by them it is reckoned how many there is room for.
+/// Usual size of a batch as agents cut them, bytes. The number of batches that have room is computed with it.
 const USUAL_BATCH: usize = 128 * 1024;
 
-/// Decides about every frame.
+/// The state of ingest, which decides about each frame.
 #[derive(Debug)]
 pub(crate) struct IngestSession {
     receiving: Receiving,
@@ -41,8 +41,8 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// A session that knows nobody; `hosts` and `streams` are what is stored, `unknown` the runs of which the store knows iterations
-    /// only.
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unknown` are runs of which
+    /// the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
         challenges: Challenges<ConnectionId>,
@@ -63,7 +63,7 @@ impl IngestSession {
         }
     }
 
-    /// A frame came from a connection.
+    /// Processes a frame of a connection.
     pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         if let Some(part) = codec::part(frame) {
             if self.knows(from, part.host)
@@ -96,7 +96,7 @@ impl IngestSession {
                 if self.knows(from, host) && !self.forget_newcomer(host) {
                     self.receiving.goodbye(host);
                     self.routes.leave(host);
-                    // Without room the next hello of the host ends its runs.
+                    // Without room, the next hello of the host ends its runs.
                     if let Some(place) = self.queue.place(0) {
                         place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
                     }
@@ -109,7 +109,8 @@ impl IngestSession {
         }
     }
 
-    /// The live lane names runs whose beginning the store never got: it was acknowledged into another database.
+    /// Stores the names of runs whose start is not in this database because it was acknowledged into another one. The
+    /// live lane states them.
     fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
         if !self.store.has_unnamed() {
             return;
@@ -118,7 +119,7 @@ impl IngestSession {
             let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
                 continue;
             };
-            // Without room, a later update does.
+            // Without room, a later update is used.
             let Some(place) = self.queue.place(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
@@ -127,7 +128,7 @@ impl IngestSession {
         }
     }
 
-    /// Whether the host said hello on that connection; one that did not is asked to.
+    /// Returns whether the host has a session on the connection. If not, the agent is asked for its hello.
     fn knows(&mut self, from: &Peer, host: HostId) -> bool {
         let known = self.routes.of(host) == Some(from.connection);
         if !known {
@@ -136,7 +137,8 @@ impl IngestSession {
         known
     }
 
-    /// A connection has ended. Its hosts say hello again on their next one; of newcomers nothing is kept.
+    /// Handles the end of a connection. Its stored hosts send their hello on the next connection; its newcomers are
+    /// dropped.
     pub(super) fn gone(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
@@ -145,11 +147,12 @@ impl IngestSession {
         }
     }
 
+    /// Admits a batch to the queue, or requests it again if there is no room.
     fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
         if !self.knows(from, head.host) {
             return;
         }
-        // The first batch of a host brings the host.
+        // The first batch of a newcomer stores the host, too, which needs two more slots.
         let before = if self.hosts.is_newcomer(head.host) {
             let Some(places) = self.queue.place(0).zip(self.queue.place(0)) else { return self.defer(head) };
             Some(places)
@@ -162,7 +165,7 @@ impl IngestSession {
         };
         let body = codec::batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
-        // Compressed events take more room than their frame.
+        // Decompressed events need more room than their frame.
         let Some(place) = place.grown_to(size) else {
             drop(before);
             return self.defer(head);
@@ -188,6 +191,7 @@ impl IngestSession {
                 place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
+                // The reply acknowledges the batch, which needs an open database.
                 if self.store.is_open() {
                     self.output.reply(from.connection, reply);
                 }
@@ -200,18 +204,18 @@ impl IngestSession {
         }
     }
 
-    /// Forgets a host of which nothing is stored; whether there was one.
+    /// Drops a newcomer. Returns whether the host was one.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
         let Some(newcomer) = self.hosts.forget(host) else { return false };
         self.left(newcomer);
         true
     }
 
-    /// A newcomer is no longer kept, with this stream.
+    /// Ends the session of a dropped newcomer, unless the host is a newcomer with another stream now.
     fn left(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
         let host = introduction.host.id;
         if missing.is_some() {
-            // It waits for nothing that will be stored.
+            // The missing range will not be stored, so nothing has to wait for it.
             self.receiving.failed(introduction.stream);
         }
         if !self.hosts.is_newcomer(host) {
@@ -221,13 +225,13 @@ impl IngestSession {
         }
     }
 
-    /// There is no room for a batch: it counts as never come.
+    /// Treats a batch without room as if it had not arrived.
     fn defer(&mut self, head: BatchHead) {
         self.receiving.deferred(head.stream);
         self.output.defer_batch(head.host);
     }
 
-    /// Asks for what found no room, as far as there is some now.
+    /// Requests deferred batches as far as there is room now.
     fn ask_for_deferred(&mut self) {
         for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
             if let Some(route) = self.routes.of(host) {
@@ -236,7 +240,7 @@ impl IngestSession {
         }
     }
 
-    /// The writer tells what became of the database.
+    /// Handles a message of the writer's task.
     pub(super) fn store_event(&mut self, event: StoreEvent) {
         match event {
             StoreEvent::Committed(committed) => self.committed(committed),
@@ -245,7 +249,7 @@ impl IngestSession {
         }
     }
 
-    /// A transaction is on disk.
+    /// Acknowledges the batches of a transaction that is on disk.
     fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
@@ -269,13 +273,13 @@ impl IngestSession {
         }
     }
 
-    /// The database was closed: its file is away or cannot be used. Agents that are known go on sending.
+    /// Handles the closing of the database, whose file is missing or unusable. Agents with a session continue to send.
     fn database_closed(&mut self) {
         self.store.close();
     }
 
-    /// The database was opened anew, and may be another one: every agent has to say hello again, so that its spool is
-    /// compared with what is stored now. What was let in before is dropped by the writer.
+    /// Handles the reopening of the database, which may be another one. Every agent has to send its hello again, so
+    /// that its spool is compared with the stored state. The writer drops work admitted before.
     fn database_opened(&mut self, state: StoredState) {
         let StoredState { streams, runs, unknown, hosts, known } = state;
         self.receiving.forget_sessions();
@@ -288,7 +292,7 @@ impl IngestSession {
         self.output.announce(News::Reopened { runs, hosts });
     }
 
-    /// Time has passed.
+    /// Drops silent hosts and logs repeated refusals.
     pub(super) fn age(&mut self, now: Stamp) {
         self.challenges.age(now.mono);
         let receiving = &self.receiving;
@@ -307,27 +311,27 @@ impl IngestSession {
         }
     }
 
-    /// What is to be sent, and to whom.
+    /// Returns and clears the messages to be sent.
     pub(super) fn take_replies(&mut self) -> Vec<(ConnectionId, ToAgent)> {
         self.output.take_replies()
     }
 
-    /// Which connections have a host from now on, and which have none any more.
+    /// Returns and clears the changes of what connections may send.
     pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
         self.routes.take_admissions()
     }
 
-    /// What the live picture should know.
+    /// Returns and clears the events for the live picture.
     pub(super) fn take_news(&mut self) -> Vec<News> {
         self.output.take_news()
     }
 
-    /// What could not be taken, since the start.
+    /// Returns the numbers of rejected messages since the start.
     pub(super) const fn rejected(&self) -> RejectedCounts {
         self.output.rejected()
     }
 
-    /// Lets nothing more in: the writer ends when it has stored what waits.
+    /// Closes the queue. The writer ends when it has stored what waits.
     pub(super) fn close(&mut self) {
         self.queue.close();
     }

@@ -1,4 +1,5 @@
-//! The task that owns the socket.
+//! The ingest task, the only owner of the socket. It never waits for the database, because live updates have to arrive
+//! while a commit syncs or the database is closed.
 
 use std::time::Duration;
 
@@ -18,19 +19,20 @@ use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::News;
 
-/// Replies that wait for an agent at most: one that finds no room is repeated when the agent asks again.
+/// Longest queue of replies to one agent. A reply without room is sent again when the agent asks again.
 const MAX_QUEUED_REPLIES: usize = 16;
-/// How often silent hosts are looked for and losses are reported.
+/// Interval of dropping silent hosts and of reporting rejected messages.
 const AGE_EVERY: Duration = Duration::from_secs(5);
-/// A connection without any sign of life for so long is closed.
+/// Interval of ZeroMQ's heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(2);
+/// Time without any frame after which a connection is closed.
 const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long the last acknowledgements may take on their way out.
+/// Longest time for sending the last acknowledgements at the end.
 const LINGER: Duration = Duration::from_millis(500);
-/// Room in a message for what the library counts beside the payload.
+/// Part of the message limit for the ZMTP framing beside the payload.
 const FRAMING: usize = 4_096;
 
-/// Listens; returns the socket and the address with the port that was really taken.
+/// Listens. Returns the socket and its address with the actual port.
 pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, String), StartError> {
     let listen = &config.listen;
     let address: Address =
@@ -52,7 +54,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
     Ok((listener, Address::of_ip(bound.ip(), bound.port()).to_string()))
 }
 
-/// What the socket's task is wired to.
+/// The channels and shared objects of the ingest task.
 pub(crate) struct Wires {
     pub(crate) stored: mpsc::Receiver<StoreEvent>,
     pub(crate) news: mpsc::Sender<News>,
@@ -60,7 +62,7 @@ pub(crate) struct Wires {
     pub(crate) stop: CancellationToken,
 }
 
-/// Receives until told to stop, then waits until what was let in is stored and acknowledged.
+/// Receives until `stop` is cancelled, then waits until the admitted work is stored and acknowledged.
 pub(crate) async fn run(
     mut listener: ZmtpListener,
     address: String,
@@ -79,7 +81,7 @@ pub(crate) async fn run(
                     session.frame(&from, frame, wires.clock.stamp());
                 },
                 Some(Arrival::Gone(connection, _)) => session.gone(connection),
-                // The port's connections lose nothing, do not move, and are as good as they could be.
+                // TCP connections do not report these arrivals.
                 Some(
                     Arrival::Garbage(..)
                     | Arrival::Incomplete(..)
@@ -92,7 +94,7 @@ pub(crate) async fn run(
             },
             event = wires.stored.recv() => match event {
                 Some(event) => session.store_event(event),
-                // A writer that cannot store ends as soon as it is told to stop, perhaps before this task looks.
+                // A writer that cannot store ends as soon as `stop` is cancelled, perhaps before this task notices.
                 None if wires.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
@@ -112,10 +114,10 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Sends replies and passes on news. Neither waits for the other side: a reply that finds no room is repeated when
-/// the agent asks again, and the live picture's task waits for nothing.
+/// Sends the replies and passes on the live events without waiting for the other side: a reply without room is sent
+/// again when the agent asks again, and the live picture's task never waits.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::Sender<News>) {
-    // Before the replies: an agent that is welcome sends at once.
+    // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {
         match admission {
             Admission::Admit(connection) => sender.admit(connection),
@@ -128,11 +130,12 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::
         }
     }
     for item in session.take_news() {
-        // Closed only while everything ends.
+        // The receiver is closed only while the aggregator ends.
         let _ended = news.send(item).await;
     }
 }
 
+/// Logs the messages rejected since the last report.
 fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
     if rejected != *reported {
         tracing::warn!(

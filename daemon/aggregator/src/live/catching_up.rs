@@ -1,24 +1,26 @@
-//! How fast storing catches up with measuring, from how far it is behind at each update.
+//! Estimates how fast storing catches up with measuring, from the storage lag in each live update.
 
 use peernet_clock::{MonoTime, Span};
 
 use crate::picture::CatchingUp;
 
-/// Time within which older observations lose most of their weight, seconds.
+/// Time constant of the exponential weights, seconds.
 const MEMORY_S: f64 = 10.0;
-/// Less observed time, seconds, supports no rate.
+/// Shortest observed time that supports a rate, seconds.
 const LEAST_S: f64 = 2.0;
-/// Updates come four times a second: what was before such a silence says nothing of now.
+/// Gap between updates after which the estimate starts again. Updates arrive four times a second, so a longer gap says
+/// nothing about the present rate.
 const SILENCE: Span = Span::from_seconds(5);
-/// Less than this is the time that a batch takes, no backlog.
+/// Smaller lags are not a backlog: that is the time that a batch needs.
 const NEAR: Span = Span::from_seconds(5);
-/// A lag that falls by less, in seconds per second, leads nowhere.
+/// Smallest rate at which the lag falls, in seconds per second, for an estimate.
 const LEAST_RATE: f64 = 0.02;
 
-/// Exponentially weighted sums: constant memory, and unbiased from the first second on because numerators and the
-/// observed time fade alike.
+/// Exponentially weighted sums. They need constant memory and are unbiased from the first second on, because the sums
+/// and the observed time decay alike.
 #[derive(Debug, Default)]
 pub(super) struct Lag {
+    /// The previous update: its time, the lag, and the number of stored events.
     last: Option<(MonoTime, Span, u64)>,
     observed_s: f64,
     fallen_s: f64,
@@ -26,7 +28,7 @@ pub(super) struct Lag {
 }
 
 impl Lag {
-    /// Takes in how far storing is behind, and how many events were stored by then.
+    /// Adds an observation: the lag of storing, and the number of events stored until then.
     pub(super) fn observe(&mut self, behind: Option<Span>, stored: u64, now: MonoTime) {
         let Some(behind) = behind else {
             *self = Self::default();
@@ -34,10 +36,11 @@ impl Lag {
         };
         if let Some((then, before, count)) = self.last {
             let elapsed = (now - then).seconds();
-            // A spool that was replaced begins to count anew.
+            // The count of a replaced spool starts at 0.
             if now - then > SILENCE || stored < count {
                 *self = Self::default();
             } else {
+                // Weight of the earlier sums.
                 let kept = (-elapsed / MEMORY_S).exp();
                 self.observed_s = self.observed_s * kept + elapsed;
                 self.fallen_s = self.fallen_s * kept + (before - behind).seconds();
@@ -47,7 +50,7 @@ impl Lag {
         self.last = Some((now, behind, stored));
     }
 
-    /// How fast it catches up; `None` while it does not, or is not far behind.
+    /// Returns the estimate; `None` if the lag does not fall or is small.
     pub(super) fn catching_up(&self) -> Option<CatchingUp> {
         let (_, behind, _) = self.last?;
         if self.observed_s < LEAST_S || behind < NEAR {
@@ -70,7 +73,7 @@ mod tests {
         MonoTime::from_nanos(7) + Span::from_seconds_f64(seconds)
     }
 
-    /// Four updates a second from `from` to `to`, `behind` as a function of the time.
+    /// Observes four updates a second from `from` to `to` seconds. `behind` gives the lag at a time.
     fn observe(lag: &mut Lag, from: i32, to: i32, behind: impl Fn(f64) -> f64) {
         for quarter in from * 4..to * 4 {
             let time = f64::from(quarter) / 4.0;
@@ -108,7 +111,7 @@ mod tests {
         observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
         let found = lag.catching_up().expect("it falls");
         assert!((found.rate - 20.0).abs() < 0.3, "{found:?}");
-        // Batches of four seconds each: the oldest that waits moves on in steps.
+        // Batches of four seconds each: the age of the oldest waiting event falls in steps.
         let mut lag = Lag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
         let found = lag.catching_up().expect("it falls");

@@ -1,4 +1,4 @@
-//! One second of one pipeline, and how seconds add up to windows.
+//! The figures of one second of one pipeline, and their merge into windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_clock::Verdict;
@@ -10,18 +10,20 @@ use super::MOST_NAMES;
 use crate::picture::{LiveSecond, Window};
 use peernet_store::{Bound, Figures, Transfers, rank};
 
-/// What happened within some seconds. Names are few: a list is faster than a map.
+/// Figures of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cell {
     counts: OutcomeCounts,
     values: Vec<(Name, Summary)>,
+    /// Half-widths of the clock bounds by stage.
     bounds: Vec<(Name, Summary)>,
+    /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,
 }
 
 impl Cell {
-    /// Takes over what an agent reports of a second, within the limits; the number of names left out is added
-    /// to `left_out`.
+    /// Creates the figures from an agent's report of a second, cut to `MOST_NAMES`. The number of removed names is
+    /// added to `left_out`.
     pub(super) fn of(second: Second, left_out: &mut u64) -> Self {
         let Second { counts, mut values, mut bounds, verdicts, .. } = second;
         let mut limit = |names: &mut Vec<(Name, Summary)>| {
@@ -37,12 +39,12 @@ impl Cell {
         Self { counts, values, bounds, verdicts }
     }
 
-    /// The total of its iterations; `None` when none succeeded.
+    /// Returns the summary of the total latency; `None` if no iteration succeeded.
     pub(super) fn total(&self) -> Option<&Summary> {
         self.values.iter().find(|(name, _)| *name == stage::TOTAL).map(|(_, summary)| summary)
     }
 
-    /// The second as the live charts draw it.
+    /// Returns the second in the form of the live charts.
     pub(super) fn draw(&self, at: i64) -> LiveSecond {
         let mut means: Vec<(Name, f64)> = self
             .values
@@ -56,6 +58,7 @@ impl Cell {
         LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
     }
 
+    /// Returns the data rates of both directions.
     fn transfers(&self) -> Transfers {
         Transfers::of(|name| {
             let (_, summary) = self.values.iter().find(|(known, _)| known == name)?;
@@ -63,13 +66,13 @@ impl Cell {
         })
     }
 
-    /// The figures of a window of `seconds` complete seconds that covers `covered_s`.
+    /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
         let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
         let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        // A second without any answer has the name without samples.
+        // A second without any answer lists the name without samples.
         let late = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
         let late = late.map(|(_, late)| (late.moments.mean * late.count() as f64).round() as u64);
         let misses = late.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
@@ -86,6 +89,7 @@ impl Cell {
         }
     }
 
+    /// Returns the clock bounds of both directions.
     fn directions(&self) -> Vec<Bound> {
         [stage::UPLOAD, stage::DOWNLOAD]
             .into_iter()
@@ -129,9 +133,10 @@ impl Merge for Cell {
     }
 }
 
+/// Merges summaries by name, up to `MOST_NAMES`.
 fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
     for (position, (name, summary)) in from.iter().enumerate() {
-        // Most seconds list the same names in the same order.
+        // Fast path: most seconds list the same names in the same order.
         let known = match into.get(position) {
             Some((known, _)) if known == name => Some(position),
             _ => into.iter().position(|(known, _)| known == name),

@@ -1,4 +1,4 @@
-//! The task that owns the live state and publishes pictures of it.
+//! The task that owns the live picture's state and publishes its snapshots.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,12 +9,12 @@ use tokio::sync::{mpsc, watch};
 use super::{Live, News};
 use crate::picture::Picture;
 
-/// Between two pictures, at least: five a second.
+/// Shortest interval between two snapshots: at most five a second.
 const BETWEEN: Span = Span::from_millis(200);
-/// How often time passes for what is silent.
+/// Interval of applying the passing of time to silent hosts.
 const AGE_EVERY: Duration = Duration::from_secs(1);
 
-/// Takes in news until there will be no more; publishes a picture when something changed.
+/// Applies events until their channel is closed, and publishes a snapshot after changes.
 pub(crate) async fn run(
     mut live: Live,
     mut news: mpsc::Receiver<News>,

@@ -1,4 +1,4 @@
-//! A running aggregator with a database in a folder of its own.
+//! An aggregator for tests, with its database in a temporary folder.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -13,11 +13,12 @@ use tokio_util::sync::CancellationToken;
 
 use crate::agent::Agent;
 
+/// A running aggregator that can be stopped and restarted.
 pub(crate) struct Bed {
     _folder: TempDir,
     pub(crate) database: PathBuf,
     pub(crate) clock: SharedClock,
-    /// Where it listens; the same after a restart.
+    /// Address that it listens on; a restart keeps it.
     pub(crate) address: String,
     running: Option<(Running, CancellationToken)>,
 }
@@ -51,7 +52,7 @@ impl Bed {
         self.running = Some((running, stop));
     }
 
-    /// Stops it as a signal would, and waits until it has ended well.
+    /// Stops it as a signal would, and waits for its end.
     pub(crate) async fn stop(&mut self) {
         let (running, stop) = self.running.take().expect("runs");
         stop.cancel();
@@ -66,7 +67,7 @@ impl Bed {
         Agent::new(name, &self.address, &self.clock).await
     }
 
-    /// Waits for a picture.
+    /// Waits for a picture for which `is_it` is true.
     pub(crate) async fn picture(&self, what: &str, is_it: impl Fn(&Picture) -> bool) -> Arc<Picture> {
         let mut live = self.aggregator().live();
         let wait = live.wait_for(|picture| is_it(picture));
@@ -74,12 +75,12 @@ impl Bed {
         Arc::clone(&picture.unwrap_or_else(|_| panic!("waited in vain for {what}")).expect("runs"))
     }
 
-    /// A connection of another program to the database.
+    /// Opens a further connection to the database, as another program would.
     pub(crate) async fn connection(&self) -> SqliteConnection {
         SqliteConnectOptions::new().filename(&self.database).connect().await.expect("opens")
     }
 
-    /// One number of the database.
+    /// Returns the only value of a query.
     pub(crate) async fn count(&self, sql: &'static str) -> i64 {
         sqlx::query_scalar(sql).fetch_one(&mut self.connection().await).await.expect("counts")
     }

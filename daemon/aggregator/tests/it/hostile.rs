@@ -1,4 +1,4 @@
-//! Whoever means harm or is broken: silent connections, many names, a database that goes away.
+//! Tests with hostile or defective peers: silent connections, many names, a database that disappears.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use crate::{clocks, generate};
 async fn silent_connections_keep_no_agent_out() {
     let mut bed = Bed::new().await;
     let address = bed.address.strip_prefix("tcp://").expect("TCP").to_owned();
-    // Who is thrown out comes back at once.
+    // A connection that is closed by the aggregator is opened again at once.
     let mut silent = JoinSet::new();
     let inside = Arc::new(Semaphore::new(0));
     for _ in 0..300 {
@@ -47,7 +47,7 @@ async fn one_connection_says_hello_for_few_hosts() {
     let mut bed = Bed::new().await;
     let wire = Wire::to(&bed.address).await;
     for n in 0..65 {
-        // Each as if it had a connection of its own.
+        // Each hello is as if from an agent with a separate connection.
         let hello = Raw::new(&bed).await.hello(&format!("host-{n}"));
         match wire.greet(&hello).await {
             ToAgent::Welcome { .. } => assert!(n < 64),
@@ -57,7 +57,7 @@ async fn one_connection_says_hello_for_few_hosts() {
             other => panic!("{other:?}"),
         }
     }
-    // Others are let in.
+    // Other connections are accepted.
     let mut agent = bed.agent("edge").await;
     agent.until_up().await;
     bed.stop().await;
@@ -88,7 +88,7 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     let mut bed = Bed::new().await;
     let mut agent = bed.agent("edge").await;
     agent.until_up().await;
-    // More than is read, then as much as is read.
+    // More links than an update may have, then as many as it may have.
     let mut links: Vec<_> = (0..1_024)
         .map(|_| {
             let mut now = clocks::sample(HostId::random(), 1, 40);
@@ -106,11 +106,11 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     agent.live_with(vec![], links, clock).await;
     let picture = bed.picture("some links", |picture| !picture.links.is_empty()).await;
     assert_eq!(picture.links.len(), 64);
-    // The links of one update, and half the networks of those that are shown but for one.
+    // 64 links of one update are shown, and of 63 of them half of the networks.
     assert_eq!(picture.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
     assert!(serde_json::to_string(&*picture).expect("serialises").len() < 1_000_000);
 
-    // Every bit of a number set or none, in the lane that must store what it can.
+    // Extreme bit patterns in the durable lane, which must store what it can.
     let wild = |second: i64, nanos: i64| {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
         (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
@@ -130,7 +130,7 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| {
         let mut iteration = generate::iteration(run, n, hosts, &mut numbers);
-        // Two clocks, so that it is judged again.
+        // The two hosts have different clocks, so the delay is computed again.
         let (upload, _) = iteration.tree.find(&["upload"]).expect("measured");
         if let Some(Measure::Transit(transit)) = iteration.tree.measure_mut(upload) {
             transit.delay = Some(OneWayDelay::unsynchronised(Span::from_nanos(i64::MIN)));
@@ -161,7 +161,7 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
     agent.until_stored().await;
     let away = bed.database.with_extension("away");
     std::fs::rename(&bed.database, &away).expect("moves");
-    // Seen although nothing is to be stored.
+    // Detected although nothing is to be stored.
     agent.until("it is seen", |_| bed.aggregator().ready() != Readiness::Ready).await;
     let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
     assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
@@ -187,7 +187,7 @@ async fn a_run_that_began_before_a_fresh_database_gets_its_name_from_the_live_la
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((4..=9).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // Not yet named, and known as such after a restart too.
+    // The run has no name yet, and is known as unnamed after a restart, too.
     assert_eq!(bed.count("SELECT count(*) FROM run WHERE model = 'unknown'").await, 1);
     bed.stop().await;
     bed.start().await;

@@ -1,4 +1,4 @@
-//! Both lanes from agents to readers.
+//! Tests of both lanes from agents to readers.
 
 use peernet_aggregator::Readiness;
 use peernet_logger::{HostId, RunId, stage};
@@ -90,7 +90,7 @@ async fn what_is_told_of_clocks_is_shown_and_stored() {
     let of_samples = |part: &[ClockSample]| -> Vec<Event> {
         part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
     };
-    // Half, a restart, and the other half: each once.
+    // Half of the samples, a restart, and the other half: each is stored once.
     agent.offer(of_samples(&samples[..100]));
     agent.until_stored().await;
     bed.stop().await;
@@ -108,7 +108,7 @@ async fn what_is_told_of_clocks_is_shown_and_stored() {
         assert_eq!((point.at, &point.offset, point.up), (sample.at, &sample.offset, sample.up));
     }
 
-    // The live lane shows now, whatever is stored.
+    // The live lane shows the present, independently of what is stored.
     let mut now = clocks::sample(cloud, 1, 40);
     now.at = bed.clock.wall();
     let clock = HostClock { text: "kernel, synchronised".into(), ..HostClock::default() };
@@ -153,7 +153,7 @@ async fn nothing_is_acknowledged_before_it_is_on_disk_and_the_picture_lives_on()
     let mut agent = bed.agent("edge").await;
     agent.until_up().await;
     bed.picture("the host", |picture| picture.hosts.len() == 1).await;
-    // The greeting is stored before the lock.
+    // The greeting is stored before the database is locked.
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.until_stored().await;

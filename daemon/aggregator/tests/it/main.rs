@@ -1,4 +1,4 @@
-//! The whole aggregator: real sockets, real SQLite files, agents that speak the real protocol.
+//! Tests of the whole aggregator, with TCP sockets, SQLite files and agents that use the event stream's protocol.
 
 mod agent;
 mod bed;

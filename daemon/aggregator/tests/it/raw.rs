@@ -1,4 +1,4 @@
-//! An agent whose every frame a test makes by hand.
+//! A test agent whose frames are built one by one by the test.
 
 use std::time::Duration;
 
@@ -9,21 +9,24 @@ use crate::agent::Wire;
 use crate::bed::Bed;
 use crate::generate;
 
-/// A host with a stream of its own, and how far that has come.
+/// A host with a stream, and the state of that stream.
 pub(crate) struct Raw {
     pub(crate) wire: Wire,
     pub(crate) host: HostId,
     pub(crate) stream: StreamId,
     pub(crate) run: RunId,
+    /// Number of the agent's process.
     pub(crate) process: u64,
+    /// Number of the newest batch.
     pub(crate) number: u64,
+    /// Chain after the newest batch.
     pub(crate) before: Chain,
-    /// Events of the batches so far.
+    /// Number of events of the batches so far.
     pub(crate) events: u64,
 }
 
 impl Raw {
-    /// Connected, without having said hello.
+    /// Connects without sending a hello.
     pub(crate) async fn new(bed: &Bed) -> Self {
         Self {
             wire: Wire::to(&bed.address).await,
@@ -37,7 +40,7 @@ impl Raw {
         }
     }
 
-    /// Connected and welcome.
+    /// Connects and completes the greeting.
     pub(crate) async fn welcome(bed: &Bed, name: &str) -> Self {
         let raw = Self::new(bed).await;
         let answer = raw.wire.greet(&raw.hello(name)).await;
@@ -62,7 +65,7 @@ impl Raw {
         }
     }
 
-    /// The next batch's frame, with one iteration.
+    /// Returns the next batch's frame, with one iteration.
     pub(crate) fn next(&mut self) -> Vec<u8> {
         let mut random = generate::Numbers::new(self.number);
         let hosts = (self.host, HostId::from_bytes([7; 16]));
@@ -70,12 +73,12 @@ impl Raw {
         self.next_of(&[Event::Iteration(iteration)])
     }
 
-    /// The next batch's frame, with these events.
+    /// Returns the next batch's frame, with these events.
     pub(crate) fn next_of(&mut self, events: &[Event]) -> Vec<u8> {
         self.next_with(events.len() as u32, &generate::body(events))
     }
 
-    /// The next batch's frame, with any body: its hash is right.
+    /// Returns the next batch's frame with any body. Its hash matches the body.
     pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
         self.number += 1;
         let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
@@ -107,18 +110,18 @@ impl Raw {
         }
     }
 
-    /// Waits until so much is acknowledged, whatever else is said.
+    /// Waits until `number` is acknowledged, and ignores other messages.
     pub(crate) async fn until_stored_over_requests(&self, number: u64) {
         while !matches!(self.wire.receive().await, ToAgent::Ack { through, .. } if through == number) {}
     }
 
-    /// Whether nothing is said for a moment; a busy machine can only make it true.
+    /// Returns whether no message arrives for 50 ms. On a slow machine it can only be wrongly `true`.
     pub(crate) async fn is_silent(&self) -> bool {
         tokio::time::timeout(Duration::from_millis(50), self.wire.receive()).await.is_err()
     }
 }
 
-/// What the aggregator says.
+/// An expected message of the aggregator.
 #[derive(Debug)]
 pub(crate) enum Reply {
     Ack(u64),

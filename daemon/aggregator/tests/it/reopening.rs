@@ -1,4 +1,4 @@
-//! The database's file goes away or is replaced while the aggregator runs.
+//! Tests in which the database's file is moved or replaced while the aggregator runs.
 
 use std::path::{Path, PathBuf};
 
@@ -12,13 +12,14 @@ use crate::agent::Agent;
 use crate::bed::Bed;
 use crate::generate;
 
+/// Returns the path of the database with `end` appended.
 fn beside(database: &Path, end: &str) -> PathBuf {
     let mut path = database.as_os_str().to_owned();
     path.push(end);
     path.into()
 }
 
-/// Moves the database away with all that is beside it.
+/// Moves the database away with its -wal and -shm files.
 fn move_away(database: &Path) {
     for end in ["", "-wal", "-shm"] {
         let from = beside(database, end);
@@ -28,6 +29,7 @@ fn move_away(database: &Path) {
     }
 }
 
+/// Copies the database.
 async fn backup(bed: &Bed) -> PathBuf {
     let copy = beside(&bed.database, "-copy");
     let into = format!("VACUUM INTO '{}'", copy.display());
@@ -35,18 +37,20 @@ async fn backup(bed: &Bed) -> PathBuf {
     copy
 }
 
-/// Waits until nothing is stored for a reason that contains these words.
+/// Waits until storing fails for a reason that contains `words`.
 async fn not_storing(bed: &Bed, words: &str) {
     let mut ready = bed.aggregator().readiness();
     let says = |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(words));
     ready.wait_for(says).await.expect("runs");
 }
 
+/// Waits until events are stored again.
 async fn ready(bed: &Bed) {
     let mut ready = bed.aggregator().readiness();
     ready.wait_for(|ready| *ready == Readiness::Ready).await.expect("runs");
 }
 
+/// An agent with one pipeline's run.
 struct Line {
     agent: Agent,
     run: RunId,
@@ -69,6 +73,7 @@ impl Line {
             .offer(range.map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut self.numbers))));
     }
 
+    /// Adds iterations and waits until they are stored.
     async fn store(&mut self, count: u64) {
         self.offer(count);
         self.agent.until_stored().await;
@@ -95,7 +100,7 @@ async fn an_older_copy_in_its_place_is_compared_afresh() {
         picture.hosts.first().is_some_and(|host| host.stored.events < 50)
     });
     assert_eq!(picture.await.hosts.len(), 1);
-    // Readers ask the file that stands there, too.
+    // Readers use the file that is at the path now, too.
     let after = bed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(after.summary.counts.ok, 15);
     bed.stop().await;
@@ -119,7 +124,7 @@ async fn a_vanished_database_is_never_made_anew() {
     std::fs::write(&bed.database, "no database at all").expect("writes");
     not_storing(&bed, "not a database").await;
     assert_eq!(std::fs::read(&bed.database).expect("reads"), b"no database at all");
-    // The file that was moved is whole by itself, whatever stays of its log.
+    // The moved file is complete without its log.
     std::fs::rename(beside(&bed.database, "-away"), &bed.database).expect("moves back");
     line.agent.until_stored().await;
     assert_eq!(bed.aggregator().ready(), Readiness::Ready);
@@ -134,7 +139,7 @@ async fn the_log_of_a_replaced_database_is_not_applied() {
     let mut line = Line::new(&bed).await;
     line.store(10).await;
     let copy = backup(&bed).await;
-    // Somebody who reads keeps the log from being carried over.
+    // An open read transaction prevents the checkpoint of the log.
     let mut reader = bed.connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
     line.store(40).await;

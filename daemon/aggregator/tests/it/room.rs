@@ -1,4 +1,4 @@
-//! More than there is room for, and data that comes late.
+//! Tests of a full queue and of data that arrives hours after its time.
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{Event, Incident, IncidentKind};
@@ -7,7 +7,7 @@ use crate::bed::Bed;
 use crate::generate;
 use crate::raw::{Raw, Reply};
 
-/// A batch of nearly the largest size.
+/// Returns a batch of nearly the largest size.
 fn large(raw: &mut Raw) -> Vec<u8> {
     let incident = Incident {
         at: generate::at(1.0),
@@ -32,7 +32,7 @@ async fn what_finds_no_room_is_asked_for_when_there_is_some() {
     }
     let mut holder = bed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
-    // Compressed they are small on their way, and take their room all the same.
+    // Compressed they are small on the network, but their room is that of the decompressed events.
     for raw in &mut agents[..2] {
         for _ in 0..16 {
             let frame = large(raw);
@@ -52,7 +52,7 @@ async fn what_finds_no_room_is_asked_for_when_there_is_some() {
     })
     .await;
     sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
-    // Each is told from where on, and everything gets in.
+    // The aggregator requests the deferred batches, and stores all of them.
     let mut resent = 0;
     loop {
         match agents[2].wire.receive().await {
@@ -84,7 +84,7 @@ async fn late_data_lands_in_the_buckets_of_its_time() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     let mut random = generate::Numbers::new(5);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
-    // Hours apart and not in their order, each part in a commit of its own, with a restart on the way.
+    // Hours apart and unordered, each part in a separate commit, with a restart between them.
     for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {
         let began = f64::from(hour) * 3600.0 + part as f64 * 7.0;
         agent.offer((0..60_u32).map(|n| {

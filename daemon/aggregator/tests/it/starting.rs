@@ -1,4 +1,4 @@
-//! Starting: what cannot work is said with what, where, and what to do.
+//! Tests of the start: an error states the object, the place and the remedy.
 
 use std::sync::Arc;
 
@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::bed::Bed;
 
+/// Returns the error of a start with `config`.
 async fn refusal(bed: &Bed, config: AggregatorConfig) -> StartError {
     let stop = CancellationToken::new();
     Aggregator::start(config, Arc::clone(&bed.clock), stop).await.expect_err("refuses")
@@ -27,7 +28,7 @@ async fn a_port_in_use_is_named() {
 async fn an_unwritable_database_is_named() {
     let mut bed = Bed::new().await;
     let listen = "tcp://127.0.0.1:0".to_owned();
-    // Not a database; and below something that is not a folder.
+    // One file is not a database; the other path is below a file.
     let file = bed.database.with_file_name("notes.txt");
     std::fs::write(&file, "not a database, but long enough to be taken for the header of one by a reader")
         .expect("writes");

@@ -1,4 +1,4 @@
-//! Stopping: what is left behind.
+//! Tests of the stop: the state of the files after it.
 
 use peernet_logger::{HostId, RunId};
 use peernet_store::RunFilter;
@@ -22,7 +22,7 @@ async fn the_file_alone_is_whole_after_a_clean_stop() {
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer((1..=300).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // Readers have connections, too, and whoever holds the handle keeps them.
+    // Readers have connections, too, and a handle keeps them open.
     let handle = bed.aggregator().clone();
     let store = handle.store();
     let (filter, stages) = (RunFilter::default(), ["total".into()]);

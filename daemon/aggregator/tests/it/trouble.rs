@@ -1,4 +1,4 @@
-//! Agents that are refused, crash, repeat themselves or send nonsense.
+//! Tests of agents that are refused, crash, repeat batches or send invalid data.
 
 use peernet_logger::RunId;
 use peernet_stream::{Chain, Hello, Notice, StreamId, ToAgent, ToAggregator};
@@ -71,7 +71,7 @@ async fn repeated_missing_and_early_batches_are_told_apart() {
         picture.hosts.first().is_some_and(|host| host.stored.duplicates == 3)
     })
     .await;
-    // From another connection the host id alone opens nothing.
+    // The host id is not sufficient on another connection.
     let stranger = Raw::new(&bed).await;
     stranger.wire.send_frame(batches[2].clone()).await;
     stranger.expect(Reply::Unknown).await;
@@ -109,7 +109,7 @@ async fn what_is_damaged_is_asked_for_again_and_put_aside_at_the_third_time() {
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2);
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE count = 1").await, 1);
     let picture = bed.picture("the quarantined batch", |picture| {
-        // The third batch may be in a transaction of its own.
+        // The third batch may be in a separate transaction.
         picture.hosts.first().is_some_and(|host| {
             host.stored.quarantined == 1 && host.arrivals.damaged == 4 && host.stored.nodes >= 42
         })
@@ -144,8 +144,8 @@ async fn a_flipped_byte_anywhere_harms_nothing_else() {
     let mut raw = Raw::welcome(&bed, "edge").await;
     let mut other = Raw::welcome(&bed, "other").await;
     let frame = raw.next();
-    // All that the head says, and half of the length: from there on the batch is known by its head, and a third time in
-    // a row it would be put aside.
+    // All bytes of the head, and half of the length. With later bytes the frame is recognised as this batch, which
+    // would be quarantined when it is damaged three times in a row.
     for at in 0..80 {
         let mut flipped = frame.clone();
         flipped[at] ^= 0x10;
@@ -170,7 +170,7 @@ async fn a_batch_that_does_not_follow_is_not_stored() {
     let mut raw = Raw::welcome(&bed, "edge").await;
     raw.send_next().await;
     raw.expect(Reply::Ack(1)).await;
-    // Another history under the same numbers: a copied spool.
+    // Another history with the same numbers, as of a copied spool.
     let mut copy = Raw::new(&bed).await;
     (copy.host, copy.stream) = (raw.host, raw.stream);
     let _other_first = copy.next_with(1, &[0xc0]);
@@ -187,7 +187,7 @@ async fn a_batch_that_does_not_follow_is_not_stored() {
 async fn whoever_ignores_the_window_gains_nothing_and_loses_nothing() {
     let mut bed = Bed::new().await;
     let mut raw = Raw::welcome(&bed, "edge").await;
-    // The greeting is stored before the lock.
+    // The greeting is stored before the database is locked.
     raw.send_next().await;
     raw.expect(Reply::Ack(1)).await;
     let mut holder = bed.connection().await;
@@ -199,7 +199,7 @@ async fn whoever_ignores_the_window_gains_nothing_and_loses_nothing() {
     assert!(raw.is_silent().await, "nothing is stored, so nothing is acknowledged");
     sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
     holder.close().await.expect("closes");
-    // What was not taken is sent again, now as it should be.
+    // Rejected batches are sent again, within the window.
     let mut stored = 1;
     while stored < 201 {
         let from = match raw.wire.receive().await {
@@ -231,7 +231,7 @@ async fn a_spool_that_lost_batches_leaves_a_gap_and_a_copied_one_is_refused() {
     raw.send_next().await;
     raw.until_stored_over_requests(8).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE 'batches 1 to 7 of stream%'").await, 1);
-    // The owner of a stream is known across restarts.
+    // The owner of a stream is known after a restart, too.
     bed.stop().await;
     bed.start().await;
     let mut copy = Raw::new(&bed).await;
@@ -253,7 +253,7 @@ async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
     anew.host = raw.host;
     for _ in 0..2 {
         for _ in 0..2 {
-            // The same process number: no other agent is to be waited for.
+            // With the same process number, so that the aggregator does not wait for another agent's end.
             let again = Raw { stream: anew.stream, host: raw.host, ..Raw::new(&bed).await };
             assert!(matches!(
                 again.wire.greet(&again.hello("edge")).await,
@@ -265,7 +265,7 @@ async fn a_deleted_spool_leaves_one_gap_however_often_its_agent_comes_back() {
     }
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE reason LIKE '%deleted or replaced%'").await, 1);
     assert_eq!(bed.count("SELECT gaps FROM host WHERE name = 'edge'").await, 1);
-    // One that went on from it leaves none.
+    // A stream that continues the replaced one leaves no gap.
     let next = Raw { host: raw.host, ..Raw::new(&bed).await };
     let hello = Hello { previous: Some(anew.stream), ..next.hello("edge") };
     assert!(matches!(next.wire.greet(&hello).await, ToAgent::Welcome { .. }));

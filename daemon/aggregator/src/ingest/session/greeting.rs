@@ -1,4 +1,4 @@
-//! How a host gets in: its hello, the proof that it is who it says, and what is noted when it is welcomed.
+//! The admission of a host: its hello, the proof of its identity, and the records that follow.
 
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
@@ -12,10 +12,10 @@ use crate::picture::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
 impl IngestSession {
-    /// Somebody says that it is a host. Nothing of that host changes before this is proven.
+    /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // It is kept before anybody knows whose it is: no more than is shown.
+        // Cut to the size that is displayed, because it is kept before the host has proven its identity.
         bounds::description(&mut hello.host, &mut 0);
         let reason = Receiving::refuses_version(&hello)
             .or_else(|| self.routes.too_many(from.connection, host))
@@ -24,11 +24,13 @@ impl IngestSession {
             self.refuse(from, &hello, reason, now);
             return;
         }
+        // A host without a known secret states it with the proof: trust on first use.
         let enrol = self.hosts.secret(host).is_none();
         let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
         self.output.reply(from.connection, reply);
     }
 
+    /// Processes a proof of identity.
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
         let known = self.hosts.secret(proof.host).cloned();
         match self.challenges.prove(&from.connection, proof, known.as_ref()) {
@@ -38,7 +40,7 @@ impl IngestSession {
             }
             Proven::No(hello) => {
                 let host = hello.host.id;
-                // An operator may have cleared it since it was read.
+                // An operator may have cleared the secret since it was read, so it is read again.
                 if self.hosts.is_to_be_checked(host, now.mono)
                     && let Some(place) = self.queue.place(0)
                 {
@@ -52,20 +54,21 @@ impl IngestSession {
         }
     }
 
-    /// A host has proven that it is who it says.
+    /// Gives a session to a host that has proven its identity.
     fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
         let host = hello.host.id;
         if let Some(reason) = self.hosts.refuses(host) {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
+        // Without room for the work that follows from it, the hello is treated as lost; the agent repeats it.
         let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
             self.output.defer_greeting();
             return;
         };
         let known = self.store.streams.known(&hello, self.hosts.seniority(host));
-        // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
+        // A welcome acknowledges everything up to the stream's mark. While the database is closed, it is unknown
+        // whether that is still stored, so the agent has to wait.
         if !self.store.is_open() && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
@@ -87,7 +90,7 @@ impl IngestSession {
                     );
                 }
                 if let Some(missing) = missing {
-                    // An agent lets go of what was acknowledged only; nothing was lost on the way here.
+                    // Not a loss: an agent deletes only acknowledged batches, so these were stored in another database.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
                         "batches of this host are not in this database and will not come: they were acknowledged by \
@@ -117,6 +120,7 @@ impl IngestSession {
                     self.store.streams.came(host, stream);
                     None
                 } else {
+                    // A newcomer is stored with its first batch, so nothing is queued now.
                     drop((greeting, hole));
                     self.hosts.welcome(introduction, missing)
                 };
@@ -140,6 +144,7 @@ impl IngestSession {
         }
     }
 
+    /// Refuses a host, and shows the refusal in the log and in the live picture.
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());
@@ -153,7 +158,7 @@ impl IngestSession {
     }
 }
 
-/// What an agent is told that does not have the secret of its host id, and what to do.
+/// Returns the refusal of an agent that lacks the secret of its host id, with the remedy.
 fn wrong_secret(host: HostId) -> String {
     format!(
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \

@@ -1,9 +1,9 @@
-//! What the durable lane tells the picture: counts, and nothing else.
+//! Tests of the durable lane's effect on the picture: it changes counts only.
 
 use super::*;
 use crate::picture::{Arrivals, Totals};
 
-/// Ten updates of a pipeline and, where there is a `backlog`, news of the durable lane between them.
+/// Applies 40 updates of a pipeline within ten seconds; with a `backlog`, also events of the durable lane between them.
 fn figures(bed: &mut Bed, backlog: bool) -> Picture {
     for step in 0..40 {
         let at = 0.25 * f64::from(step);
@@ -76,7 +76,7 @@ fn totals_hold_hosts_that_left_and_never_fall() {
     };
     assert_eq!(picture.totals, expected(150, 1));
     assert_eq!(picture.hosts[0].arrivals.damaged, 1);
-    // It comes back: what was stored of it before is not counted again.
+    // The host returns; the counts stored before are not added again.
     bed.live.take(News::Hello(Box::new(description(gone, "gone")), 1), now(3_602.0));
     bed.live.take(News::Stored(gone, stored(160), None), now(3_602.0));
     let picture = bed.picture(3_602.0);

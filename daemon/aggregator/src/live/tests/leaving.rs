@@ -1,21 +1,23 @@
-//! A host that stops: what is said of it afterwards, in whatever order the news of it come.
+//! Tests of a stopping host: the picture is the same in whatever order the last events arrive.
 
 use super::*;
 
-/// An update in which the pipeline is in this state and so many events wait.
+/// Returns an update with this state of the pipeline and `waiting` events in the spool.
 fn told(bed: &Bed, at: f64, state: PipelineState, waiting: u64) -> News {
     let line = PipelineLive { state, ..pipeline("line", vec![]) };
     let accounting = Accounting { produced: 100, stored: 100 - waiting, waiting, ..Accounting::default() };
     with(update(bed.host, wall(at), vec![line]), accounting)
 }
 
-/// How the host and its only pipeline stand: whether it is connected, whether it left, the state.
+/// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.
 fn standing(bed: &mut Bed, at: f64) -> (bool, bool, PipelineState) {
     let picture = bed.picture(at);
     (picture.hosts[0].connected, picture.hosts[0].left, picture.pipelines[0].state.clone())
 }
 
+/// [`standing`] of a host that stopped in order.
 const GONE_WELL: (bool, bool, PipelineState) = (false, true, PipelineState::Finished);
+/// [`standing`] of a host that became silent.
 const AWAY: (bool, bool, PipelineState) = (false, false, PipelineState::Away);
 
 #[test]
@@ -86,7 +88,7 @@ fn the_next_process_of_a_host_finds_it_as_it_was_left_and_does_not_answer_for_on
     assert_eq!(standing(&mut bed, 2.0), GONE_WELL);
     bed.live.take(told(&bed, 2.1, PipelineState::Running, 0), now(2.1));
     assert_eq!(standing(&mut bed, 2.1), (true, false, PipelineState::Running));
-    // The second crashes; the third runs nothing and goes.
+    // The second process crashes; the third runs no pipeline and says goodbye.
     hello(&mut bed, 3, 3.0);
     assert_eq!(standing(&mut bed, 3.0), AWAY);
     bed.live.take(News::Goodbye(bed.host), now(3.1));

@@ -1,4 +1,4 @@
-//! Links in the picture: bounded, on the edge's own clock, kept while the edge is away.
+//! Tests of links in the picture: bounded, with the edge's clock, kept while the edge is disconnected.
 
 use peernet_clock::{
     DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
@@ -9,7 +9,7 @@ use super::*;
 use crate::live::MOST_LINKS;
 use crate::picture::LinkPicture;
 
-/// A report in the second that ends so many seconds after the start.
+/// Returns a report of the second that ends `ends` seconds after the start.
 fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
     LinkLive {
         peer,
@@ -101,7 +101,7 @@ fn an_edge_whose_clock_is_set_back_keeps_what_was_before_that_time() {
     for second in 0..10 {
         report(&mut bed, f64::from(second) + 0.5, vec![link(cloud, "cloud", f64::from(second) + 1.0, 0)]);
     }
-    // Set back by 5 s.
+    // The clock is set back by 5 s.
     let News::Update(mut news) = update(bed.host, wall(5.5), vec![]) else { panic!("an update") };
     news.links = vec![link(cloud, "cloud", 6.0, 9)];
     bed.live.take(News::Update(news), now(10.5));

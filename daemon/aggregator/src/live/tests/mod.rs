@@ -1,4 +1,5 @@
-//! The picture against exact computation, under clocks that jump and agents that send nonsense.
+//! Tests of the picture: its figures compared with exact values, under clocks that jump and agents that send invalid
+//! data.
 
 mod durable;
 mod leaving;
@@ -20,14 +21,16 @@ use super::{Live, MOST_NAMES, MOST_PIPELINES, MOST_RUNS, News};
 use crate::picture::{Picture, RefusedFrames, RefusedHost};
 use peernet_store::Stored;
 
+/// Wall time of the tests' start, Unix seconds.
 const START: i64 = 1_750_000_000;
 
-/// Our own clocks, so many seconds after the start.
+/// Returns the aggregator's clocks `seconds` after the start.
 fn now(seconds: f64) -> Stamp {
     let start = Stamp { wall: wall(0.0), mono: MonoTime::from_nanos(7), ..Stamp::default() };
     start + Span::from_seconds_f64(seconds)
 }
 
+/// Returns the wall time `seconds` after the start.
 fn wall(seconds: f64) -> WallTime {
     WallTime::from_unix_nanos(START * 1_000_000_000) + Span::from_seconds_f64(seconds)
 }
@@ -78,13 +81,14 @@ fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
     }))
 }
 
+/// Replaces the accounting of an update.
 fn with(news: News, accounting: Accounting) -> News {
     let News::Update(mut update) = news else { panic!("an update") };
     update.accounting = accounting;
     News::Update(update)
 }
 
-/// A second in which iterations of these totals succeeded and so many were lost.
+/// Returns a second in which iterations with these total latencies succeeded and `lost` iterations were lost.
 fn second(at: i64, totals: &[f64], lost: u64) -> Second {
     let mut summary = Summary::default();
     totals.iter().for_each(|total| summary.record(*total));
@@ -99,6 +103,7 @@ fn second(at: i64, totals: &[f64], lost: u64) -> Second {
     }
 }
 
+/// The live state with one connected host.
 struct Bed {
     live: Live,
     host: HostId,
@@ -112,7 +117,7 @@ impl Bed {
         Self { live, host }
     }
 
-    /// An update at `at` on both clocks.
+    /// Applies an update sent at `at` on both clocks.
     fn send(&mut self, at: f64, seconds: Vec<Second>) {
         let news = update(self.host, wall(at), vec![pipeline("line", seconds)]);
         assert!(self.live.take(news, now(at)));
@@ -131,7 +136,7 @@ proptest! {
     ) {
         let mut bed = Bed::new();
         for (at, totals) in totals.iter().enumerate() {
-            // Each second is sent twice, growing: the second report replaces the first.
+            // Each second is reported twice, growing: the second report replaces the first.
             let half = &totals[..totals.len() / 2];
             bed.send(at as f64 + under_way / 2.0, vec![second(at as i64, half, 0)]);
             bed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
@@ -221,7 +226,7 @@ fn a_silent_pipeline_runs_dry_and_its_host_disconnects_but_both_stay() {
 #[test]
 fn an_agents_clock_may_be_wrong_and_may_be_set() {
     let mut bed = Bed::new();
-    // Two days ahead of ours: its windows end at its own now.
+    // The agent's clock is two days ahead of the aggregator's: its windows end at its present.
     let ahead = 172_800;
     let host = bed.host;
     let sent = |at: f64| wall(ahead as f64 + at);
@@ -232,7 +237,7 @@ fn an_agents_clock_may_be_wrong_and_may_be_set() {
     let picture = bed.picture(4.6);
     assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
     assert_eq!(picture.hosts[0].clock_ahead, Span::from_seconds(ahead));
-    // Set back to the right time: what was ahead is forgotten, what comes is shown at once.
+    // The clock is set back to the right time: later seconds are discarded, and new ones are shown at once.
     bed.live.take(update(host, wall(6.5), line(6)), now(6.5));
     let picture = bed.picture(6.5);
     assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
@@ -245,7 +250,7 @@ fn a_clock_that_is_set_back_does_not_count_its_seconds_twice() {
     for at in 0..20 {
         bed.send(at as f64 + 0.5, vec![second(at, &[0.010; 5], 0)]);
     }
-    // Set back by five seconds: five a second all the time.
+    // The clock is set back by five seconds; the rate is five iterations a second throughout.
     for at in 15..17 {
         let host = bed.host;
         let line = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
@@ -315,7 +320,7 @@ fn a_run_gets_its_number_when_the_store_knows_it() {
     assert_eq!(bed.picture(0.1).pipelines[0].run_number, None);
     bed.live.take(News::Run(bed.host, run, 412), now(0.2));
     assert_eq!(bed.picture(0.2).pipelines[0].run_number, Some(412));
-    // Numbers of other runs come and go; the one that is shown stays.
+    // Run numbers beyond the limit are discarded; the number of a shown run is kept.
     for number in 0..MOST_RUNS as i64 {
         bed.live.take(News::Run(bed.host, RunId::random(), number), now(0.3));
     }
@@ -363,7 +368,7 @@ fn a_host_that_began_anew_is_not_connected_until_it_tells_of_itself() {
         let picture = bed.live.picture(now(at));
         (picture.hosts[0].connected, picture.hosts[0].accounting.produced, picture.pipelines[0].state.clone())
     };
-    // The same process on a new connection, then another one.
+    // The same process on a new connection, then another process.
     assert_eq!(hello(1, 1.1), (true, 10, PipelineState::Running));
     assert_eq!(hello(2, 1.2), (false, 10, PipelineState::Away));
     bed.live.take(with(update(bed.host, wall(1.3), vec![]), account(12)), now(1.3));

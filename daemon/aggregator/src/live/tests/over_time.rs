@@ -1,4 +1,4 @@
-//! What charts draw over time, against exact computation.
+//! Tests of the charts over time: figures compared with exact values.
 
 use peernet_logger::stage;
 use peernet_statistics::Summary;
@@ -6,7 +6,7 @@ use peernet_statistics::Summary;
 use super::{Bed, START, second};
 use crate::picture::PercentileSeries;
 
-/// What a pipeline shows after these seconds, each sent when it is over.
+/// Returns the percentiles after these seconds, each reported at its end.
 fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
     let mut bed = Bed::new();
     for (at, totals) in seconds.iter().enumerate() {
@@ -15,6 +15,7 @@ fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
     bed.picture(seconds.len() as f64).pipelines[0].total_p95.clone()
 }
 
+/// Returns the exact 95th percentile.
 fn exact_p95(mut totals: Vec<f64>) -> f64 {
     totals.sort_by(f64::total_cmp);
     let rank = 0.95 * (totals.len() - 1) as f64;
@@ -24,7 +25,7 @@ fn exact_p95(mut totals: Vec<f64>) -> f64 {
 
 #[test]
 fn percentile_is_that_of_all_iterations_of_its_bucket() {
-    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in the 25th second.
+    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in second 25.
     let mut seconds: Vec<Vec<f64>> =
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
     seconds[25][3] = 1.4;
@@ -70,7 +71,7 @@ fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
     }
     let point = newest(&mut bed, 28.0).expect("the newest bucket holds 64");
     assert_eq!((point.at, point.count), (START + 20, 64));
-    // A second that is reported again is replaced, also in a bucket that was drawn.
+    // A repeated report of a second replaces it, also in a bucket that was drawn already.
     bed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
     let points = bed.picture(28.2).pipelines[0].total_p95.points.clone();
     assert_eq!(points[1].count, 80);
