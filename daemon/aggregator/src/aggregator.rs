@@ -14,19 +14,19 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
-use crate::ingest::{self, Errand, Hosts, IngestSession, Reopening, committing, preparing, socket};
-use crate::live::{self, Live, News};
+use crate::ingest::{self, Hosts, IngestSession, Reopening, WriterRequest, committing, preparing, socket};
+use crate::live::{self, LiveEvent, LiveTracker};
 use crate::picture::Picture;
 use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
 /// Capacity of the channel of events to the live picture's task. That task never waits, so a short channel is enough.
-const NEWS: usize = 1_024;
+const LIVE_EVENTS: usize = 1_024;
 /// Capacity of the channel of store events to the ingest task.
 const COMMITS: usize = 16;
 /// Capacity of the channel of requests to the writer's task.
-const ERRANDS: usize = 16;
+const WRITER_REQUESTS: usize = 16;
 
 /// Handle of a running aggregator; cheap to clone.
 #[derive(Clone, Debug)]
@@ -34,7 +34,7 @@ pub struct Aggregator {
     live: watch::Receiver<Arc<Picture>>,
     ready: watch::Receiver<Readiness>,
     store: Store,
-    errands: mpsc::Sender<Errand>,
+    requests: mpsc::Sender<WriterRequest>,
     database: Arc<Path>,
     retention: RetentionConfig,
     rejections: Arc<RejectionCounts>,
@@ -84,19 +84,19 @@ impl Aggregator {
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
-        let mut picture = Live::new(name.clone(), address.clone(), forget);
+        let mut picture = LiveTracker::new(name.clone(), address.clone(), forget);
         for (host, run, number) in runs {
-            picture.take(News::Run(host, run, number), clock.stamp());
+            picture.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
         for (host, stored) in hosts {
-            picture.take(News::Stored(host, stored, None), clock.stamp());
+            picture.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
         }
         let (queue, waiting) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
         // While one group is committed, the next is prepared.
-        let (prepared, work) = preparing::ready(2 * grouping.most);
-        let (errands_in, errands) = mpsc::channel(ERRANDS);
-        let (news_in, news) = mpsc::channel(NEWS);
+        let (prepared, work) = preparing::channel(2 * grouping.most);
+        let (requests_in, requests) = mpsc::channel(WRITER_REQUESTS);
+        let (live_events_in, live_events) = mpsc::channel(LIVE_EVENTS);
         let (stored_in, stored) = mpsc::channel(COMMITS);
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
         let (written_in, written) = oneshot::channel();
@@ -123,7 +123,7 @@ impl Aggregator {
                 live,
                 ready,
                 store,
-                errands: errands_in,
+                requests: requests_in,
                 database: config.database.as_path().into(),
                 retention: config.retention,
                 rejections: socket.rejections(),
@@ -136,7 +136,7 @@ impl Aggregator {
         running.spawn("live picture", {
             let clock = Arc::clone(&clock);
             async move {
-                live::task::run(picture, news, pictures, clock).await;
+                live::task::run(picture, live_events, pictures, clock).await;
                 Ok(())
             }
         });
@@ -144,9 +144,9 @@ impl Aggregator {
             let runtime = Handle::current();
             move || preparing::run(&runtime, waiting, &prepared)
         });
-        let wires = committing::Wires {
+        let context = committing::TaskContext {
             queue: work,
-            errands,
+            requests,
             stored: stored_in,
             ready: ready_in,
             pictures: running.handle.live(),
@@ -157,13 +157,13 @@ impl Aggregator {
         let store = running.handle.store.clone();
         let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
-            let database = Box::pin(committing::run(database, wires, grouping, reopening)).await;
+            let database = Box::pin(committing::run(database, context, grouping, reopening)).await;
             // Without a caller of `join` the connection is dropped.
             let _unjoined = written_in.send(database);
             Ok(())
         });
-        let wires = socket::Wires { stored, news: news_in, clock, stop };
-        running.spawn("ingest", socket::run(socket, address, session, wires));
+        let context = socket::TaskContext { stored, live_events: live_events_in, clock, stop };
+        running.spawn("ingest", socket::run(socket, address, session, context));
         Ok(running)
     }
 
@@ -184,7 +184,7 @@ impl Aggregator {
     /// If the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
-        match self.errands.send(Errand::Pin(run, pinned, answer)).await {
+        match self.requests.send(WriterRequest::Pin(run, pinned, answer)).await {
             Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::no_writer())),
             Err(_) => Err(StoreError::no_writer()),
         }
@@ -257,7 +257,9 @@ impl Running {
                     let unasked = !self.stop.is_cancelled() && first.is_ok();
                     unasked.then(|| Failure::TaskEnded(self.name(id)))
                 }
-                Err(error) => Some(Failure::TaskDied { task: self.name(error.id()), reason: words(error) }),
+                Err(error) => {
+                    Some(Failure::TaskDied { task: self.name(error.id()), reason: panic_message(error) })
+                }
             };
             if let (Some(failure), Ok(())) = (failure, &first) {
                 first = Err(failure);
@@ -286,7 +288,7 @@ impl Running {
 }
 
 /// Returns the message of a task's panic.
-fn words(error: JoinError) -> String {
+fn panic_message(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_work_is_named_by_its_key() {
+    fn invalid_value_is_reported_with_its_key() {
         assert!(problems(|_| {}).is_empty());
         assert!(problems(|config| config.database = "not/yet/there/peernet.sqlite".into()).is_empty());
         for address in ["127.0.0.1:5550", "udp://127.0.0.1:5550", "tcp://127.0.0.1", "inproc://x", ""] {

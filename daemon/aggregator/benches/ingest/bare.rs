@@ -8,8 +8,8 @@ use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use sqlx::sqlite::{SqliteArguments, SqliteConnectOptions, SqliteJournalMode, SqliteRow, SqliteSynchronous};
 use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection, TypeInfo, ValueRef};
 
-use crate::load::Plan;
-use crate::say;
+use crate::load::LoadPlan;
+use crate::report;
 
 /// Nodes per transaction: ten times the aggregator's default, so that the bare loop syncs seldom.
 const COMMIT_NODES: usize = 100_000;
@@ -20,7 +20,7 @@ const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
 
 /// Copies the rows of the database `from` into the new database `to` with the same schema. Prints how many seconds the
 /// inserts took.
-pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
+pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     let mut source = SqliteConnectOptions::new().filename(from).connect().await.expect("opens");
     let mut tables = Vec::new();
     for table in TABLES {
@@ -29,7 +29,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         let select =
             format!("SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}", plan.iterations);
         let mut rows = sqlx::query(AssertSqlSafe(select)).fetch_all(&mut source).await.expect("reads");
-        let rows: Vec<_> = rows.drain(..).map(|row| cells(&row)).collect();
+        let rows: Vec<_> = rows.drain(..).map(|row| row_values(&row)).collect();
         let statement = |count: usize| -> Arc<str> {
             let row = format!("({})", vec!["?"; rows[0].len()].join(","));
             format!("INSERT INTO {table} VALUES {}", vec![row.as_str(); count].join(",")).into()
@@ -67,20 +67,20 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         }
         sqlx::query("COMMIT").execute(&mut target).await.expect("commits");
     }
-    say((clock.mono() - began).seconds());
+    report((clock.mono() - began).seconds());
     target.close().await.expect("closes");
 }
 
 /// Inserts `rows` with one statement.
-async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>]) {
+async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<SqlValue>]) {
     let mut arguments = SqliteArguments::default();
     arguments.reserve(rows.len() * rows[0].len(), 0);
     for cell in rows.iter().flatten() {
         match cell {
-            Cell::Null => arguments.add(None::<i64>),
-            Cell::Integer(value) => arguments.add(*value),
-            Cell::Real(value) => arguments.add(*value),
-            Cell::Text(value) => arguments.add(value.as_str()),
+            SqlValue::Null => arguments.add(None::<i64>),
+            SqlValue::Integer(value) => arguments.add(*value),
+            SqlValue::Real(value) => arguments.add(*value),
+            SqlValue::Text(value) => arguments.add(value.as_str()),
         }
         .expect("encodes");
     }
@@ -88,7 +88,7 @@ async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>
 }
 
 /// A value of a column.
-enum Cell {
+enum SqlValue {
     Null,
     Integer(i64),
     Real(f64),
@@ -96,15 +96,15 @@ enum Cell {
 }
 
 /// Returns the values of a row's columns.
-fn cells(row: &SqliteRow) -> Vec<Cell> {
+fn row_values(row: &SqliteRow) -> Vec<SqlValue> {
     (0..row.len())
         .map(|at| {
             let raw = row.try_get_raw(at).expect("a column");
             match raw.type_info().name() {
-                _ if raw.is_null() => Cell::Null,
-                "INTEGER" => Cell::Integer(row.get(at)),
-                "REAL" => Cell::Real(row.get(at)),
-                _ => Cell::Text(row.get(at)),
+                _ if raw.is_null() => SqlValue::Null,
+                "INTEGER" => SqlValue::Integer(row.get(at)),
+                "REAL" => SqlValue::Real(row.get(at)),
+                _ => SqlValue::Text(row.get(at)),
             }
         })
         .collect()

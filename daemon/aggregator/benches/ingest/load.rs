@@ -24,7 +24,7 @@ const BATCH_AGE_S: f64 = 0.2;
 const ITERATION_BYTES: u64 = 540;
 
 /// The number of agents and the load that each sends.
-pub(crate) struct Plan {
+pub(crate) struct LoadPlan {
     pub(crate) agents: u64,
     /// Number of batches of each agent.
     pub(crate) batches: u64,
@@ -55,7 +55,7 @@ impl Load {
     }
 }
 
-impl Plan {
+impl LoadPlan {
     /// Plans about `nodes` nodes of all agents together. The target rate is 500,000 nodes/s, and 350,000 with 1,000
     /// agents or more.
     pub(crate) fn new(agents: u64, nodes: u64) -> Self {
@@ -122,7 +122,7 @@ impl Plan {
     }
 }
 
-impl fmt::Display for Plan {
+impl fmt::Display for LoadPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { agents, batches, iterations, every_s } = self;
         write!(

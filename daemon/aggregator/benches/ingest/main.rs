@@ -21,7 +21,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Row};
 
-use crate::load::Plan;
+use crate::load::LoadPlan;
 
 #[tokio::main]
 async fn main() {
@@ -30,14 +30,14 @@ async fn main() {
     match words.as_slice() {
         ["server", database, commit_nodes] => server::run(Path::new(database), number(commit_nodes)).await,
         ["generator", address, agents, nodes] => {
-            generator::run(address, &Plan::new(number(agents), number(nodes)), None).await;
+            generator::run(address, &LoadPlan::new(number(agents), number(nodes)), None).await;
         }
         ["generator", address, agents, nodes, speed] => {
             let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is no speed"));
-            generator::run(address, &Plan::new(number(agents), number(nodes)), Some(speed)).await;
+            generator::run(address, &LoadPlan::new(number(agents), number(nodes)), Some(speed)).await;
         }
         ["bare", from, to, agents, nodes] => {
-            let plan = Plan::new(number(agents), number(nodes));
+            let plan = LoadPlan::new(number(agents), number(nodes));
             bare::run(Path::new(from), Path::new(to), &plan).await;
         }
         words => {
@@ -57,7 +57,7 @@ fn number(word: &str) -> u64 {
 async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
     let commit_nodes = std::env::var("COMMIT_NODES").unwrap_or_else(|_| "0".to_owned());
     for agents in agents {
-        let plan = Plan::new(*agents, nodes);
+        let plan = LoadPlan::new(*agents, nodes);
         println!("{plan}");
         println!(
             "{:>5}  {:>18}  {:>17}  {:>5}  {:>10}  {:>9}  {:>4}",
@@ -145,7 +145,7 @@ impl Role {
 }
 
 /// Reports a line to the parent process.
-fn say(line: impl std::fmt::Display) {
+fn report(line: impl std::fmt::Display) {
     println!("{line}");
     std::io::stdout().flush().expect("the one who started this reads");
 }

@@ -8,7 +8,7 @@ use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio_util::sync::CancellationToken;
 
-use crate::say;
+use crate::report;
 
 /// Runs an aggregator until the standard input is closed. Prints the address that it listens on. `commit_nodes` 0 means
 /// the default.
@@ -25,9 +25,9 @@ pub(crate) async fn run(database: &Path, commit_nodes: u64) {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "aggregator")));
     let stop = CancellationToken::new();
     let running = Aggregator::start(config, clock, stop.clone()).await.expect("starts");
-    say(running.handle.live().borrow().listening.clone());
-    let until_unwanted = || std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
-    tokio::task::spawn_blocking(until_unwanted).await.expect("waits").expect("reads");
+    report(running.handle.live().borrow().listening.clone());
+    let until_input_is_closed = || std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+    tokio::task::spawn_blocking(until_input_is_closed).await.expect("waits").expect("reads");
     stop.cancel();
     running.join().await.expect("ends well");
 }

@@ -22,7 +22,7 @@ use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use tokio_util::sync::CancellationToken;
 
-use crate::questions::{Times, measure};
+use crate::questions::{ResponseTimes, measure};
 
 /// Nodes of the small run; half of the large one if that is smaller.
 const SMALL: u64 = 1_000_000;
@@ -53,7 +53,7 @@ async fn main() {
 }
 
 /// Measures all queries on a database of `nodes` nodes. Fills the database if it does not exist.
-async fn answers(folder: &Path, nodes: u64) -> Vec<Times> {
+async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
     let database = folder.join(format!("{nodes}.sqlite"));
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "pages")));
     if !database.exists() {

@@ -28,14 +28,14 @@ const PAIRS: u32 = 750;
 
 /// Response times of one query.
 #[derive(Debug)]
-pub(crate) struct Times {
+pub(crate) struct ResponseTimes {
     pub(crate) question: &'static str,
     pub(crate) median_ms: f64,
     pub(crate) max_ms: f64,
 }
 
 /// Measures all queries.
-pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
+pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseTimes> {
     let newest = store.runs(&RunFilter { limit: 1, ..RunFilter::default() }).await.expect("answers");
     let run = newest.first().expect("there is a run");
     let (number, host) = (run.number, run.host);
@@ -167,7 +167,7 @@ async fn time<T, F: Future<Output = Result<T, StoreError>>>(
     question: &'static str,
     clock: &SharedClock,
     ask: impl Fn() -> F,
-) -> Times {
+) -> ResponseTimes {
     let mut took = Vec::with_capacity(TIMES);
     for _ in 0..TIMES {
         let began = clock.mono();
@@ -175,5 +175,5 @@ async fn time<T, F: Future<Output = Result<T, StoreError>>>(
         took.push((clock.mono() - began).seconds() * 1e3);
     }
     took.sort_by(f64::total_cmp);
-    Times { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
+    ResponseTimes { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
 }

@@ -19,7 +19,7 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use super::connection_log::ConnectionLog;
-use super::preparing::Queued;
+use super::preparing::PreparedWork;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
 use crate::picture::Picture;
@@ -34,7 +34,7 @@ const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
 /// Interval of checking the database's files while no work arrives.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
 const MOST_LOG_BYTES: u64 = 128 << 20;
@@ -65,7 +65,7 @@ impl Grouping {
 
 /// A request to the writer's task from other parts of the program.
 #[derive(Debug)]
-pub(crate) enum Errand {
+pub(crate) enum WriterRequest {
     /// Protects a run from the retention limits, or ends that protection. The answer is whether there is such a run.
     Pin(i64, bool, oneshot::Sender<Result<bool, StoreError>>),
 }
@@ -99,9 +99,9 @@ impl Backoff {
 }
 
 /// The channels and shared objects of the writer's task.
-pub(crate) struct Wires {
-    pub(crate) queue: mpsc::Receiver<Queued>,
-    pub(crate) errands: mpsc::Receiver<Errand>,
+pub(crate) struct TaskContext {
+    pub(crate) queue: mpsc::Receiver<PreparedWork>,
+    pub(crate) requests: mpsc::Receiver<WriterRequest>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
     /// Snapshots of the live picture, the source of the connections' statistics.
@@ -112,7 +112,7 @@ pub(crate) struct Wires {
 }
 
 /// Reason for which the task stopped using a database.
-enum Ended {
+enum ServeEnd {
     /// Everything received is stored, or the task was stopped.
     Finished,
     /// The database has to be reopened.
@@ -121,7 +121,7 @@ enum Ended {
 
 /// State of the task that survives reopening the database.
 #[derive(Debug)]
-struct Carried {
+struct WriterState {
     /// Number of times that the database was reopened.
     generation: u64,
     /// Hosts whose goodbye could not be stored yet.
@@ -134,20 +134,20 @@ struct Carried {
     outage: Option<(Stamp, String)>,
 }
 
-impl Carried {
+impl WriterState {
     /// Returns whether work belongs to the open database. Work admitted before a reopening was checked against the
     /// stored state of the previous database, so it is dropped. A goodbye is valid for any database.
-    fn is_current(&self, queued: &Queued) -> bool {
+    fn is_current(&self, queued: &PreparedWork) -> bool {
         queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
     }
 
     /// Records that nothing can be stored.
-    fn fails(&mut self, error: &CommitError, now: Stamp) {
+    fn record_failure(&mut self, error: &CommitError, now: Stamp) {
         self.outage.get_or_insert_with(|| (now, error.to_string()));
     }
 
     /// Records that a commit succeeded. An outage of at least one second becomes an incident.
-    fn works(&mut self, now: Stamp) {
+    fn record_success(&mut self, now: Stamp) {
         self.backoff = Backoff::new();
         let Some((since, reason)) = self.outage.take() else { return };
         let seconds = (now.mono - since.mono).seconds();
@@ -166,12 +166,12 @@ impl Carried {
 /// tried once more and then left to the agents. Returns the database, if it is open, for closing.
 pub(crate) async fn run(
     mut database: OpenDatabase,
-    mut wires: Wires,
+    mut context: TaskContext,
     grouping: Grouping,
     reopening: Reopening,
 ) -> Option<OpenDatabase> {
-    let incidents = PendingIncidents::new(wires.clock.stamp());
-    let mut carried = Carried {
+    let incidents = PendingIncidents::new(context.clock.stamp());
+    let mut state = WriterState {
         generation: 0,
         departed: Vec::new(),
         backoff: Backoff::new(),
@@ -180,83 +180,88 @@ pub(crate) async fn run(
         outage: None,
     };
     loop {
-        match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
-            Ended::Finished => return Some(database),
-            Ended::Failed(error) => {
-                carried.fails(&error, wires.clock.stamp());
-                let reopened = reopening.reopen(database, &error, &mut wires, &mut carried.backoff);
+        match serve(&mut database.writer, &mut context, grouping, &mut state).await {
+            ServeEnd::Finished => return Some(database),
+            ServeEnd::Failed(error) => {
+                state.record_failure(&error, context.clock.stamp());
+                let reopened = reopening.reopen(database, &error, &mut context, &mut state.backoff);
                 // Boxed because the future is large and rarely needed.
                 database = Box::pin(reopened).await?;
-                carried.generation += 1;
+                state.generation += 1;
             }
         }
     }
 }
 
 /// Commits with one database until it has to be reopened or the work ends.
-async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carried: &mut Carried) -> Ended {
-    let mut looking = tokio::time::interval(LOOK_EVERY);
-    looking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+async fn serve(
+    writer: &mut Writer,
+    context: &mut TaskContext,
+    grouping: Grouping,
+    state: &mut WriterState,
+) -> ServeEnd {
+    let mut check_interval = tokio::time::interval(CHECK_EVERY);
+    check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (mut commits, mut more) = (0_u64, Step::More);
     let mut damaged = false;
     loop {
         let mut group = Vec::new();
-        if carried.departed.is_empty() {
+        if state.departed.is_empty() {
             let first = tokio::select! {
                 // Requests come first: they are rare, and their senders wait for the answer.
                 biased;
-                Some(errand) = wires.errands.recv() => {
-                    run_errand(writer, errand, &wires.integrity).await;
+                Some(request) = context.requests.recv() => {
+                    execute_request(writer, request, &context.integrity).await;
                     continue;
                 }
-                first = wires.queue.recv() => first,
+                first = context.queue.recv() => first,
                 // Retention runs only while no work waits.
                 () = std::future::ready(()), if more == Step::More => {
-                    more = retain(writer, wires).await;
+                    more = retain(writer, context).await;
                     continue;
                 }
-                _ = looking.tick() => {
-                    match look_after(writer, wires, carried).await {
-                        Ok(()) if damaged => set(&wires.ready, Readiness::Ready),
+                _ = check_interval.tick() => {
+                    match maintain(writer, context, state).await {
+                        Ok(()) if damaged => set_readiness(&context.ready, Readiness::Ready),
                         Ok(()) => {}
-                        Err(error @ CommitError::Damaged(_)) => set(&wires.ready, why_not(&error)),
-                        Err(error) => return Ended::Failed(error),
+                        Err(error @ CommitError::Damaged(_)) => set_readiness(&context.ready, readiness_after(&error)),
+                        Err(error) => return ServeEnd::Failed(error),
                     }
-                    damaged = wires.integrity.damage().is_some();
+                    damaged = context.integrity.damage().is_some();
                     more = Step::More;
                     continue;
                 }
             };
-            let Some(first) = first else { return Ended::Finished };
+            let Some(first) = first else { return ServeEnd::Finished };
             // Time in the queue counts towards the interval.
-            let waited = (wires.clock.mono() - first.since).to_duration();
-            group = gather(first, &mut wires.queue, waited, grouping).await;
-            group.retain(|queued| carried.is_current(queued));
+            let waited = (context.clock.mono() - first.since).to_duration();
+            group = collect_group(first, &mut context.queue, waited, grouping).await;
+            group.retain(|queued| state.is_current(queued));
         }
-        let mut work: Vec<Work> = carried.departed.drain(..).map(Work::Goodbye).collect();
+        let mut work: Vec<Work> = state.departed.drain(..).map(Work::Goodbye).collect();
         let (of_group, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
         work.extend(of_group);
         if work.is_empty() {
             continue;
         }
-        match store(writer, &work, wires, carried).await {
+        match store(writer, &work, context, state).await {
             Ok(true) => {}
-            Ok(false) => return Ended::Finished,
+            Ok(false) => return ServeEnd::Finished,
             Err(error) => {
                 let left = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
-                carried.departed = work.into_iter().filter_map(left).collect();
-                return Ended::Failed(error);
+                state.departed = work.into_iter().filter_map(left).collect();
+                return ServeEnd::Failed(error);
             }
         }
         drop((work, room));
         commits += 1;
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
-            more = retain(writer, wires).await;
-            match look_after(writer, wires, carried).await {
+            more = retain(writer, context).await;
+            match maintain(writer, context, state).await {
                 // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
-                Err(error) => return Ended::Failed(error),
+                Err(error) => return ServeEnd::Failed(error),
             }
         }
     }
@@ -267,31 +272,35 @@ async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carri
 ///
 /// # Errors
 /// If the database has to be reopened, or is damaged.
-async fn look_after(writer: &mut Writer, wires: &Wires, carried: &mut Carried) -> Result<(), CommitError> {
+async fn maintain(
+    writer: &mut Writer,
+    context: &TaskContext,
+    state: &mut WriterState,
+) -> Result<(), CommitError> {
     writer.check_file()?;
-    undamaged(&wires.integrity)?;
-    let looked_after = async {
-        writer.keep_clocks(wires.clock.stamp(), &mut carried.incidents).await?;
-        let connections = carried.connections.observe(&wires.pictures.borrow(), wires.clock.mono());
+    ensure_undamaged(&context.integrity)?;
+    let maintained = async {
+        writer.keep_clocks(context.clock.stamp(), &mut state.incidents).await?;
+        let connections = state.connections.observe(&context.pictures.borrow(), context.clock.mono());
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
         }
         writer.bound_log(MOST_LOG_BYTES).await
     };
-    looked_after.await.or_else(|error: CommitError| {
+    maintained.await.or_else(|error: CommitError| {
         // A full disk is reported by the next commit.
         if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
     })
 }
 
 /// Deletes a small part of the expired data. A failed deletion is retried at the next occasion.
-async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
+async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
     // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
-    if wires.integrity.damage().is_some() {
+    if context.integrity.damage().is_some() {
         return Step::Done;
     }
-    writer.retain(wires.clock.stamp()).await.unwrap_or_else(|error| {
-        wires.integrity.note(&error);
+    writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
+        context.integrity.note(&error);
         tracing::warn!(%error, "cannot delete what is old, tried again by itself");
         Step::Done
     })
@@ -305,67 +314,67 @@ async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
 async fn store(
     writer: &mut Writer,
     work: &[Work],
-    wires: &mut Wires,
-    carried: &mut Carried,
+    context: &mut TaskContext,
+    state: &mut WriterState,
 ) -> Result<bool, CommitError> {
     loop {
-        let error = match commit(writer, work, wires).await {
+        let error = match commit(writer, work, context).await {
             Ok(stored) => {
-                carried.works(wires.clock.stamp());
-                set(&wires.ready, Readiness::Ready);
+                state.record_success(context.clock.stamp());
+                set_readiness(&context.ready, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
                 }
                 // The receiver is closed only while the aggregator ends.
-                let _ended = wires.stored.send(StoreEvent::Committed(stored)).await;
+                let _ended = context.stored.send(StoreEvent::Committed(stored)).await;
                 return Ok(true);
             }
             Err(error) => error,
         };
-        if wires.stop.is_cancelled() {
+        if context.stop.is_cancelled() {
             tracing::error!(batches = work.len(), %error, "gave up storing: told to stop");
             return Ok(false);
         }
         if !error.leaves_connection_usable() {
             return Err(error);
         }
-        carried.fails(&error, wires.clock.stamp());
-        set(&wires.ready, why_not(&error));
-        let again = tokio::time::sleep(carried.backoff.next());
+        state.record_failure(&error, context.clock.stamp());
+        set_readiness(&context.ready, readiness_after(&error));
+        let again = tokio::time::sleep(state.backoff.next());
         tokio::pin!(again);
         loop {
             tokio::select! {
                 () = &mut again => break,
-                () = wires.stop.cancelled() => break,
-                Some(errand) = wires.errands.recv() => run_errand(writer, errand, &wires.integrity).await,
+                () = context.stop.cancelled() => break,
+                Some(request) = context.requests.recv() => execute_request(writer, request, &context.integrity).await,
             }
         }
     }
 }
 
 /// Commits a group once, unless the file is damaged.
-async fn commit(writer: &mut Writer, work: &[Work], wires: &Wires) -> Result<Committed, CommitError> {
+async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Result<Committed, CommitError> {
     // Checked first so that a file which replaced a damaged one is opened.
     writer.check_file()?;
-    undamaged(&wires.integrity)?;
-    let committed = writer.commit(work, wires.clock.stamp()).await;
+    ensure_undamaged(&context.integrity)?;
+    let committed = writer.commit(work, context.clock.stamp()).await;
     if let Err(CommitError::Database(error)) = &committed {
-        wires.integrity.note(error);
+        context.integrity.note(error);
     }
     // A group committed while damage was found is not acknowledged, so that the agents keep it.
-    undamaged(&wires.integrity)?;
+    ensure_undamaged(&context.integrity)?;
     committed
 }
 
 /// Returns an error if damage of the file is known.
-fn undamaged(integrity: &Integrity) -> Result<(), CommitError> {
+fn ensure_undamaged(integrity: &Integrity) -> Result<(), CommitError> {
     integrity.refusal().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
 }
 
 /// Executes a request to the writer.
-async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) {
-    match errand {
-        Errand::Pin(run, pinned, answer) => {
+async fn execute_request(writer: &mut Writer, request: WriterRequest, integrity: &Integrity) {
+    match request {
+        WriterRequest::Pin(run, pinned, answer) => {
             let answered = writer.pin(run, pinned, integrity).await;
             // The requester may have been dropped.
             let _gone = answer.send(answered);
@@ -374,7 +383,7 @@ async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) 
 }
 
 /// Returns the readiness after a group could not be stored.
-fn why_not(error: &CommitError) -> Readiness {
+fn readiness_after(error: &CommitError) -> Readiness {
     match error {
         CommitError::Damaged(what) => {
             Readiness::NotStoring(format!("cannot store events: {what}; agents keep them"))
@@ -391,12 +400,12 @@ pub(super) fn not_storing(error: &impl Display) -> Readiness {
 /// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited
 /// for `grouping.interval` since its admission. Under load `first` has waited during the previous commit, so that the
 /// group waits for nothing. Neither does a group of `grouping.enough` nodes.
-async fn gather(
-    first: Queued,
-    queue: &mut mpsc::Receiver<Queued>,
+async fn collect_group(
+    first: PreparedWork,
+    queue: &mut mpsc::Receiver<PreparedWork>,
     waited: Duration,
     grouping: Grouping,
-) -> Vec<Queued> {
+) -> Vec<PreparedWork> {
     let mut nodes = first.work.weight();
     let mut group = vec![first];
     let patience = tokio::time::sleep(grouping.interval.saturating_sub(waited));
@@ -419,7 +428,7 @@ async fn gather(
 }
 
 /// Sets the readiness and logs each change once.
-pub(super) fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
+pub(super) fn set_readiness(ready: &watch::Sender<Readiness>, now: Readiness) {
     ready.send_if_modified(|was| {
         if *was == now {
             return false;
@@ -443,10 +452,10 @@ mod tests {
     const EVER: Duration = Duration::from_secs(3600);
 
     /// Work that weighs one node.
-    fn piece() -> Queued {
+    fn piece() -> PreparedWork {
         let room = Arc::new(Semaphore::new(2));
         let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");
-        Queued {
+        PreparedWork {
             work: Work::Goodbye(HostId::random()),
             generation: 0,
             since: MonoTime::from_nanos(0),
@@ -454,7 +463,7 @@ mod tests {
         }
     }
 
-    async fn waiting(pieces: usize) -> (mpsc::Sender<Queued>, mpsc::Receiver<Queued>) {
+    async fn waiting(pieces: usize) -> (mpsc::Sender<PreparedWork>, mpsc::Receiver<PreparedWork>) {
         let (sender, receiver) = mpsc::channel(16);
         for _ in 0..pieces {
             sender.send(piece()).await.expect("there is room");
@@ -463,17 +472,18 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_enough_takes_what_is_there_and_waits_for_nothing() {
+    async fn large_group_takes_ready_work_without_waiting() {
         let (_more_may_come, mut queue) = waiting(4).await;
         let grouping = Grouping { interval: EVER, enough: 2, most: 100 };
-        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
+        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
     }
 
     #[tokio::test]
-    async fn too_little_waits_until_it_is_enough() {
+    async fn small_group_waits_until_large_enough() {
         let (sender, mut queue) = waiting(1).await;
         let grouping = Grouping { interval: EVER, enough: 4, most: 100 };
-        let group = tokio::spawn(async move { gather(piece(), &mut queue, Duration::ZERO, grouping).await });
+        let group =
+            tokio::spawn(async move { collect_group(piece(), &mut queue, Duration::ZERO, grouping).await });
         tokio::task::yield_now().await;
         assert!(!group.is_finished());
         for _ in 0..2 {
@@ -483,16 +493,16 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_waited_its_time_goes_however_little_it_is() {
+    async fn group_is_committed_after_interval_however_small() {
         let (_more_may_come, mut queue) = waiting(1).await;
         let grouping = Grouping { interval: EVER, enough: 100, most: 100 };
-        assert_eq!(gather(piece(), &mut queue, EVER, grouping).await.len(), 2);
+        assert_eq!(collect_group(piece(), &mut queue, EVER, grouping).await.len(), 2);
     }
 
     #[tokio::test]
-    async fn no_group_takes_more_than_the_most() {
+    async fn group_is_limited_to_most_nodes() {
         let (_more_may_come, mut queue) = waiting(10).await;
         let grouping = Grouping { interval: EVER, enough: 2, most: 6 };
-        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
+        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
     }
 }

@@ -25,7 +25,7 @@ pub(crate) struct Hosts {
     stored: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
     /// Number of newcomers so far.
-    came: u64,
+    arrival_number: u64,
 }
 
 /// A host that is in the database.
@@ -47,13 +47,13 @@ pub(super) struct Newcomer {
     /// Batches that the agent no longer holds and that are not in the database.
     pub(super) missing: Option<Missing>,
     /// Number in the order of arrival.
-    came: u64,
+    arrival_number: u64,
 }
 
 impl Hosts {
     /// Creates the table of the stored hosts, oldest first. At most `most` hosts are stored.
     pub(crate) fn new(most: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
-        let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), came: 0 };
+        let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
         hosts.restart(stored);
         hosts
     }
@@ -113,7 +113,7 @@ impl Hosts {
 
     /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
     /// have cleared it. At most once per `CHECK_EVERY`.
-    pub(super) fn is_to_be_checked(&mut self, host: HostId, now: MonoTime) -> bool {
+    pub(super) fn needs_secret_check(&mut self, host: HostId, now: MonoTime) -> bool {
         let Some(stored) = self.stored.get_mut(&host) else { return false };
         let due = stored.checked.is_none_or(|at| now - at >= CHECK_EVERY);
         if due {
@@ -123,7 +123,7 @@ impl Hosts {
     }
 
     /// Replaces the host's secret by the one in the database.
-    pub(super) fn checked(&mut self, host: HostId, secret: Option<HostSecret>) {
+    pub(super) fn set_secret(&mut self, host: HostId, secret: Option<HostSecret>) {
         if let Some(stored) = self.stored.get_mut(&host) {
             stored.secret = secret;
         }
@@ -137,8 +137,8 @@ impl Hosts {
         missing: Option<Missing>,
     ) -> Option<Newcomer> {
         let host = introduction.host.id;
-        self.came += 1;
-        let mut newcomer = Newcomer { introduction, missing, came: self.came };
+        self.arrival_number += 1;
+        let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
         let before = self.newcomers.remove(&host);
         let mut gone = None;
         match before {
@@ -150,7 +150,7 @@ impl Hosts {
             }
             Some(before) => gone = Some(before),
             None if self.newcomers.len() >= self.most => {
-                let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.came);
+                let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
                 let first = first.map(|(host, _)| *host);
                 gone = first.and_then(|first| self.newcomers.remove(&first));
             }
@@ -175,7 +175,7 @@ impl Hosts {
     }
 
     /// Returns the newcomers for which `gone` is true.
-    pub(super) fn newcomers_that(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
+    pub(super) fn newcomers_where(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
         self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
     }
 }
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_invents_hosts_takes_no_memory() {
+    fn invented_hosts_take_no_memory() {
         let mut hosts = Hosts::new(1_000, Vec::new());
         let gone = (0..20_000).filter(|_| hosts.welcome(introduction(HostId::random()), None).is_some());
         assert_eq!(gone.count(), 19_000);
@@ -225,19 +225,19 @@ mod tests {
         assert_eq!(hosts.refuses(second), None);
         hosts.welcome(introduction(second), None);
         assert!(hosts.store(second).is_some() && hosts.seniority(known) < hosts.seniority(second));
-        let words = hosts.refuses(HostId::random()).expect("it is full");
-        assert!(words.contains("max_hosts"), "{words}");
+        let refusal = hosts.refuses(HostId::random()).expect("it is full");
+        assert!(refusal.contains("max_hosts"), "{refusal}");
         assert_eq!((hosts.refuses(known), hosts.refuses(second)), (None, None));
     }
 
     #[test]
-    fn cleared_secret_is_forgotten_once_it_was_read_again() {
+    fn cleared_secret_is_replaced_after_reread() {
         let (host, at) = (HostId::random(), |seconds| MonoTime::from_nanos(0) + Span::from_seconds(seconds));
         let mut hosts = Hosts::new(1, vec![(host, Some(HostSecret::random()))]);
-        assert!(hosts.is_to_be_checked(host, at(0)));
-        assert!(!hosts.is_to_be_checked(host, at(0)), "whoever guesses causes one question a second");
-        assert!(hosts.is_to_be_checked(host, at(1)));
-        hosts.checked(host, None);
+        assert!(hosts.needs_secret_check(host, at(0)));
+        assert!(!hosts.needs_secret_check(host, at(0)), "whoever guesses causes one question a second");
+        assert!(hosts.needs_secret_check(host, at(1)));
+        hosts.set_secret(host, None);
         assert_eq!(hosts.secret(host), None);
         let secret = HostSecret::random();
         hosts.enrol(host, &secret);

@@ -12,7 +12,7 @@ mod routes;
 mod session;
 pub(crate) mod socket;
 
-pub(crate) use self::committing::Errand;
+pub(crate) use self::committing::WriterRequest;
 pub(crate) use self::hosts::Hosts;
 pub(crate) use self::queue::{MOST_WINDOW, ROOM_BYTES, queue};
 pub(crate) use self::reopening::Reopening;

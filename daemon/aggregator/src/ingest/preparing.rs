@@ -10,7 +10,7 @@ use peernet_clock::MonoTime;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
-use super::queue::{Incoming, Waiting};
+use super::queue::{Incoming, QueueItem};
 use peernet_store::writing::Work;
 
 /// Largest number of prepared pieces of work. Their nodes are limited, too.
@@ -18,7 +18,7 @@ const PIECES: usize = 4_096;
 
 /// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Queued {
+pub(crate) struct PreparedWork {
     pub(crate) work: Work,
     /// Generation of the database when the work was admitted.
     pub(crate) generation: u64,
@@ -29,32 +29,36 @@ pub(crate) struct Queued {
 
 /// The sending end of the prepared work.
 #[derive(Debug)]
-pub(crate) struct Ready {
-    sender: mpsc::Sender<Queued>,
+pub(crate) struct PreparedSender {
+    sender: mpsc::Sender<PreparedWork>,
     nodes: Arc<Semaphore>,
     most_nodes: u32,
 }
 
 /// Creates the channel of prepared work with room for `most_nodes` nodes. A single larger piece of work has room, too.
-pub(crate) fn ready(most_nodes: usize) -> (Ready, mpsc::Receiver<Queued>) {
+pub(crate) fn channel(most_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(PIECES);
     let most_nodes = u32::try_from(most_nodes).unwrap_or(u32::MAX);
-    (Ready { sender, nodes: Arc::new(Semaphore::new(most_nodes as usize)), most_nodes }, receiver)
+    (PreparedSender { sender, nodes: Arc::new(Semaphore::new(most_nodes as usize)), most_nodes }, receiver)
 }
 
 /// Prepares work until the queue is closed or the writer has ended. Blocks its thread.
-pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<Waiting>, ready: &Ready) {
-    while let Some(Waiting { incoming, generation, since, room }) = waiting.blocking_recv() {
+pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prepared: &PreparedSender) {
+    while let Some(QueueItem { incoming, generation, since, room }) = waiting.blocking_recv() {
         let work = match incoming {
             Incoming::Work(work) => work,
             Incoming::Batch(head, body) => Work::of_batch(head, body),
         };
         // At most all permits, so that work larger than the whole room passes, too.
-        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(ready.most_nodes);
-        let nodes = runtime.block_on(Arc::clone(&ready.nodes).acquire_many_owned(weight));
+        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.most_nodes);
+        let nodes = runtime.block_on(Arc::clone(&prepared.nodes).acquire_many_owned(weight));
         // The semaphore is closed only after the writer ended.
         let Ok(nodes) = nodes else { return };
-        if ready.sender.blocking_send(Queued { work, generation, since, room: [room, nodes] }).is_err() {
+        if prepared
+            .sender
+            .blocking_send(PreparedWork { work, generation, since, room: [room, nodes] })
+            .is_err()
+        {
             return;
         }
     }

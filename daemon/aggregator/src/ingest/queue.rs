@@ -34,7 +34,7 @@ pub(crate) enum Incoming {
 
 /// Admitted work with its time of admission. It occupies its room until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Waiting {
+pub(crate) struct QueueItem {
     pub(crate) incoming: Incoming,
     pub(crate) generation: u64,
     pub(crate) since: MonoTime,
@@ -46,7 +46,7 @@ pub(crate) struct Waiting {
 pub(crate) struct Queue {
     room: Arc<Semaphore>,
     /// `None` after [`Queue::close`].
-    sender: Option<mpsc::Sender<Waiting>>,
+    sender: Option<mpsc::Sender<QueueItem>>,
     /// Number of times that the database was reopened. Work admitted before was checked against the stored state of the
     /// previous database.
     generation: u64,
@@ -54,15 +54,15 @@ pub(crate) struct Queue {
 
 /// A reserved slot of the queue with room for a number of bytes.
 #[derive(Debug)]
-pub(super) struct Place<'a> {
+pub(super) struct QueueSlot<'a> {
     queue: &'a Queue,
-    slot: mpsc::Permit<'a, Waiting>,
+    permit: mpsc::Permit<'a, QueueItem>,
     room: OwnedSemaphorePermit,
     bytes: usize,
 }
 
 /// Creates an empty queue.
-pub(crate) fn queue() -> (Queue, mpsc::Receiver<Waiting>) {
+pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
     let (sender, receiver) = mpsc::channel(ROOM_ITEMS);
     (
         Queue {
@@ -76,9 +76,9 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<Waiting>) {
 
 impl Queue {
     /// Reserves a slot with room for `bytes`, if there is room now.
-    pub(super) fn place(&self, bytes: usize) -> Option<Place<'_>> {
+    pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
         let room = self.take(bytes / PER_PERMIT + 1)?;
-        Some(Place { queue: self, slot: self.sender.as_ref()?.try_reserve().ok()?, room, bytes })
+        Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, room, bytes })
     }
 
     /// Returns how many pieces of work of `bytes` each there is room for.
@@ -103,7 +103,7 @@ impl Queue {
     }
 }
 
-impl Place<'_> {
+impl QueueSlot<'_> {
     /// Enlarges the reserved room to `bytes`, if there is room now.
     pub(super) fn grown_to(mut self, bytes: usize) -> Option<Self> {
         // A slot holds `bytes / PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
@@ -115,7 +115,7 @@ impl Place<'_> {
     /// Fills the slot.
     pub(super) fn put(self, incoming: Incoming, since: MonoTime) {
         let generation = self.queue.generation;
-        self.slot.send(Waiting { incoming, generation, since, room: self.room });
+        self.permit.send(QueueItem { incoming, generation, since, room: self.room });
     }
 }
 
@@ -124,26 +124,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_is_taken_by_bytes_and_given_back() {
+    fn room_is_reserved_by_bytes_and_released() {
         let (queue, mut waiting) = queue();
         let fits = queue.room_for(1 << 20);
         assert_eq!(fits, ROOM_BYTES / PER_PERMIT / 1_025);
         let frame = || Incoming::Work(Work::Goodbye(peernet_logger::HostId::random()));
         for _ in 0..fits {
-            queue.place(1 << 20).expect("there is room").put(frame(), MonoTime::from_nanos(0));
+            queue.reserve(1 << 20).expect("there is room").put(frame(), MonoTime::from_nanos(0));
         }
-        assert!(queue.place(1 << 20).is_none(), "full");
-        let small = queue.place(1_000).expect("there is a little");
+        assert!(queue.reserve(1 << 20).is_none(), "full");
+        let small = queue.reserve(1_000).expect("there is a little");
         assert!(small.grown_to(1 << 20).is_none(), "it cannot grow");
         drop(waiting.try_recv().expect("the first"));
-        let grown = queue.place(1_000).and_then(|place| place.grown_to((1 << 20) - 1));
+        let grown = queue.reserve(1_000).and_then(|slot| slot.grown_to((1 << 20) - 1));
         grown.expect("there is room again").put(frame(), MonoTime::from_nanos(0));
     }
 
     #[test]
-    fn nothing_comes_in_after_it_is_closed() {
+    fn closed_queue_admits_nothing() {
         let (mut queue, waiting) = queue();
         queue.close();
-        assert!(queue.place(0).is_none() && queue.room_for(0) == 0 && waiting.is_closed());
+        assert!(queue.reserve(0).is_none() && queue.room_for(0) == 0 && waiting.is_closed());
     }
 }

@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::committing::{Backoff, Errand, StoreEvent, Wires, not_storing, set};
+use super::committing::{Backoff, StoreEvent, TaskContext, WriterRequest, not_storing, set_readiness};
 use crate::readiness::Readiness;
 use peernet_store::writing::{CommitError, Integrity, OpenDatabase};
 use peernet_store::{RetentionConfig, Store, StoreError};
@@ -32,13 +32,13 @@ impl Reopening {
         &self,
         database: OpenDatabase,
         error: &CommitError,
-        wires: &mut Wires,
+        context: &mut TaskContext,
         backoff: &mut Backoff,
     ) -> Option<OpenDatabase> {
         // Set before the files are closed, which may take long.
-        set(&wires.ready, not_storing(error));
+        set_readiness(&context.ready, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
-        let _ended = wires.stored.send(StoreEvent::Closed).await;
+        let _ended = context.stored.send(StoreEvent::Closed).await;
         // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
         self.store.close().await;
         let (former, closed) = database.close().await;
@@ -46,37 +46,37 @@ impl Reopening {
             tracing::debug!(%error, database = %self.path.display(), "the database was not closed well");
         }
         loop {
-            pause(backoff.next(), wires).await?;
+            pause(backoff.next(), context).await?;
             match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former).await {
                 Ok((database, state)) => {
                     self.store.reopen();
-                    let _ended = wires.stored.send(StoreEvent::Opened(Box::new(state))).await;
-                    set(&wires.ready, Readiness::Ready);
+                    let _ended = context.stored.send(StoreEvent::Opened(Box::new(state))).await;
+                    set_readiness(&context.ready, Readiness::Ready);
                     return Some(database);
                 }
-                Err(error) => set(&wires.ready, not_storing(&error)),
+                Err(error) => set_readiness(&context.ready, not_storing(&error)),
             }
         }
     }
 }
 
 /// Waits for `pause` and refuses requests meanwhile. Returns `None` if the aggregator is stopped before the end.
-async fn pause(pause: Duration, wires: &mut Wires) -> Option<()> {
+async fn pause(pause: Duration, context: &mut TaskContext) -> Option<()> {
     let end = tokio::time::sleep(pause);
     tokio::pin!(end);
     loop {
         tokio::select! {
             () = &mut end => return Some(()),
-            () = wires.stop.cancelled() => return None,
-            Some(errand) = wires.errands.recv() => refuse(errand),
+            () = context.stop.cancelled() => return None,
+            Some(request) = context.requests.recv() => refuse(request),
         }
     }
 }
 
 /// Refuses a request because no database is open.
-fn refuse(errand: Errand) {
-    match errand {
-        Errand::Pin(_, _, answer) => {
+fn refuse(request: WriterRequest) {
+    match request {
+        WriterRequest::Pin(_, _, answer) => {
             // The requester may have been dropped.
             let _gone = answer.send(Err(StoreError::no_database()));
         }

@@ -17,7 +17,7 @@ use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
-use crate::live::News;
+use crate::live::LiveEvent;
 use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
@@ -66,7 +66,7 @@ impl IngestSession {
     /// Processes a frame of a connection.
     pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         if let Some(part) = codec::part(frame) {
-            if self.knows(from, part.host)
+            if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.part(&part, now.mono)
                 && let Some(head) = codec::batch_head(&frame)
             {
@@ -82,25 +82,26 @@ impl IngestSession {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
             Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
-                if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
+                if self.has_session(from, update.host) && self.receiving.live(update.host, now.mono).is_none()
+                {
                     self.name_runs(&update, now.mono);
-                    self.output.announce(News::Update(Box::new(update)));
+                    self.output.announce(LiveEvent::Update(Box::new(update)));
                 }
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
-                if self.knows(from, host) {
+                if self.has_session(from, host) {
                     self.output.reply(from.connection, self.receiving.echo(host, bytes, now.mono));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
-                if self.knows(from, host) && !self.forget_newcomer(host) {
+                if self.has_session(from, host) && !self.forget_newcomer(host) {
                     self.receiving.goodbye(host);
                     self.routes.leave(host);
                     // Without room, the next hello of the host ends its runs.
-                    if let Some(place) = self.queue.place(0) {
-                        place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
+                    if let Some(slot) = self.queue.reserve(0) {
+                        slot.put(Incoming::Work(Work::Goodbye(host)), now.mono);
                     }
-                    self.output.announce(News::Goodbye(host));
+                    self.output.announce(LiveEvent::Goodbye(host));
                 }
             }
             Err(_) => {
@@ -120,16 +121,16 @@ impl IngestSession {
                 continue;
             };
             // Without room, a later update is used.
-            let Some(place) = self.queue.place(0) else { return };
+            let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
-            place.put(Incoming::Work(Work::Name(Box::new(name))), now);
+            slot.put(Incoming::Work(Work::Name(Box::new(name))), now);
             self.store.named(update.host, run);
         }
     }
 
     /// Returns whether the host has a session on the connection. If not, the agent is asked for its hello.
-    fn knows(&mut self, from: &Peer, host: HostId) -> bool {
+    fn has_session(&mut self, from: &Peer, host: HostId) -> bool {
         let known = self.routes.of(host) == Some(from.connection);
         if !known {
             self.output.reject_stranger(from.connection);
@@ -139,34 +140,36 @@ impl IngestSession {
 
     /// Handles the end of a connection. Its stored hosts send their hello on the next connection; its newcomers are
     /// dropped.
-    pub(super) fn gone(&mut self, connection: ConnectionId) {
+    pub(super) fn connection_closed(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_that(|host| routes.of(host) == Some(connection)) {
+        for host in self.hosts.newcomers_where(|host| routes.of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
     }
 
     /// Admits a batch to the queue, or requests it again if there is no room.
     fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
-        if !self.knows(from, head.host) {
+        if !self.has_session(from, head.host) {
             return;
         }
         // The first batch of a newcomer stores the host, too, which needs two more slots.
         let before = if self.hosts.is_newcomer(head.host) {
-            let Some(places) = self.queue.place(0).zip(self.queue.place(0)) else { return self.defer(head) };
-            Some(places)
+            let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {
+                return self.defer(head);
+            };
+            Some(slots)
         } else {
             None
         };
-        let Some(place) = self.queue.place(frame.len()) else {
+        let Some(slot) = self.queue.reserve(frame.len()) else {
             drop(before);
             return self.defer(head);
         };
         let body = codec::batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
         // Decompressed events need more room than their frame.
-        let Some(place) = place.grown_to(size) else {
+        let Some(slot) = slot.grown_to(size) else {
             drop(before);
             return self.defer(head);
         };
@@ -185,17 +188,17 @@ impl IngestSession {
             }
         }
         match (arrival, body) {
-            (Arrival::Accept, Ok(body)) => place.put(Incoming::Batch(head, body), now.mono),
+            (Arrival::Accept, Ok(body)) => slot.put(Incoming::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
                 let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
+                slot.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
                 // The reply acknowledges the batch, which needs an open database.
                 if self.store.is_open() {
                     self.output.reply(from.connection, reply);
                 }
-                self.output.announce(News::Duplicate(head.host));
+                self.output.announce(LiveEvent::Duplicate(head.host));
             }
             (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
                 self.output.reply(from.connection, reply);
@@ -207,12 +210,12 @@ impl IngestSession {
     /// Drops a newcomer. Returns whether the host was one.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
         let Some(newcomer) = self.hosts.forget(host) else { return false };
-        self.left(newcomer);
+        self.end_dropped_newcomer(newcomer);
         true
     }
 
     /// Ends the session of a dropped newcomer, unless the host is a newcomer with another stream now.
-    fn left(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
+    fn end_dropped_newcomer(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
         let host = introduction.host.id;
         if missing.is_some() {
             // The missing range will not be stored, so nothing has to wait for it.
@@ -221,7 +224,7 @@ impl IngestSession {
         if !self.hosts.is_newcomer(host) {
             self.receiving.goodbye(host);
             self.routes.leave(host);
-            self.output.announce(News::Forget(host));
+            self.output.announce(LiveEvent::Forget(host));
         }
     }
 
@@ -262,14 +265,14 @@ impl IngestSession {
         }
         self.ask_for_deferred();
         for (host, (stored, newest)) in committed.hosts {
-            self.output.announce(News::Stored(host, stored, newest));
+            self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
         self.store.add_unnamed(committed.unknown);
         for (host, secret) in committed.secrets {
-            self.hosts.checked(host, secret);
+            self.hosts.set_secret(host, secret);
         }
         for (host, run, number) in committed.runs {
-            self.output.announce(News::Run(host, run, number));
+            self.output.announce(LiveEvent::Run(host, run, number));
         }
     }
 
@@ -289,14 +292,14 @@ impl IngestSession {
         for route in self.routes.clear() {
             self.output.reply(route, ToAgent::Unknown);
         }
-        self.output.announce(News::Reopened { runs, hosts });
+        self.output.announce(LiveEvent::Reopened { runs, hosts });
     }
 
     /// Drops silent hosts and logs repeated refusals.
     pub(super) fn age(&mut self, now: Stamp) {
         self.challenges.age(now.mono);
         let receiving = &self.receiving;
-        let silent = self.hosts.newcomers_that(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
+        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
         for host in silent {
             self.forget_newcomer(host);
         }
@@ -322,8 +325,8 @@ impl IngestSession {
     }
 
     /// Returns and clears the events for the live picture.
-    pub(super) fn take_news(&mut self) -> Vec<News> {
-        self.output.take_news()
+    pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
+        self.output.take_live_events()
     }
 
     /// Returns the numbers of rejected messages since the start.

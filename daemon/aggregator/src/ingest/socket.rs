@@ -17,7 +17,7 @@ use super::routes::Admission;
 use super::session::{IngestSession, RejectedCounts};
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
-use crate::live::News;
+use crate::live::LiveEvent;
 
 /// Longest queue of replies to one agent. A reply without room is sent again when the agent asks again.
 const MAX_QUEUED_REPLIES: usize = 16;
@@ -55,9 +55,9 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
 }
 
 /// The channels and shared objects of the ingest task.
-pub(crate) struct Wires {
+pub(crate) struct TaskContext {
     pub(crate) stored: mpsc::Receiver<StoreEvent>,
-    pub(crate) news: mpsc::Sender<News>,
+    pub(crate) live_events: mpsc::Sender<LiveEvent>,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
 }
@@ -67,7 +67,7 @@ pub(crate) async fn run(
     mut listener: ZmtpListener,
     address: String,
     mut session: IngestSession,
-    mut wires: Wires,
+    mut context: TaskContext,
 ) -> Result<(), Failure> {
     let sender = listener.sender();
     let mut ageing = tokio::time::interval(AGE_EVERY);
@@ -75,12 +75,12 @@ pub(crate) async fn run(
     let mut reported = RejectedCounts::default();
     loop {
         tokio::select! {
-            () = wires.stop.cancelled() => break,
+            () = context.stop.cancelled() => break,
             received = listener.receive() => match received {
                 Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
-                    session.frame(&from, frame, wires.clock.stamp());
+                    session.frame(&from, frame, context.clock.stamp());
                 },
-                Some(Arrival::Gone(connection, _)) => session.gone(connection),
+                Some(Arrival::Gone(connection, _)) => session.connection_closed(connection),
                 // TCP connections do not report these arrivals.
                 Some(
                     Arrival::Garbage(..)
@@ -92,23 +92,23 @@ pub(crate) async fn run(
                 ) => {}
                 None => return Err(Failure::Socket { address }),
             },
-            event = wires.stored.recv() => match event {
+            event = context.stored.recv() => match event {
                 Some(event) => session.store_event(event),
                 // A writer that cannot store ends as soon as `stop` is cancelled, perhaps before this task notices.
-                None if wires.stop.is_cancelled() => break,
+                None if context.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
-                session.age(wires.clock.stamp());
+                session.age(context.clock.stamp());
                 report(session.rejected(), &mut reported);
             }
         }
-        deliver(&sender, &mut session, &wires.news).await;
+        deliver(&sender, &mut session, &context.live_events).await;
     }
     session.close();
-    while let Some(event) = wires.stored.recv().await {
+    while let Some(event) = context.stored.recv().await {
         session.store_event(event);
-        deliver(&sender, &mut session, &wires.news).await;
+        deliver(&sender, &mut session, &context.live_events).await;
     }
     listener.close(LINGER).await;
     Ok(())
@@ -116,7 +116,7 @@ pub(crate) async fn run(
 
 /// Sends the replies and passes on the live events without waiting for the other side: a reply without room is sent
 /// again when the agent asks again, and the live picture's task never waits.
-async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::Sender<News>) {
+async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
     // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {
         match admission {
@@ -129,9 +129,9 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::
             tracing::debug!(%error, "a reply was not sent; its agent will ask again");
         }
     }
-    for item in session.take_news() {
+    for event in session.take_live_events() {
         // The receiver is closed only while the aggregator ends.
-        let _ended = news.send(item).await;
+        let _ended = live_events.send(event).await;
     }
 }
 

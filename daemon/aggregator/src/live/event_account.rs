@@ -5,7 +5,7 @@ use peernet_store::Stored;
 use peernet_stream::Accounting;
 
 use super::bounds;
-use super::catching_up::Lag;
+use super::storage_lag::StorageLag;
 use crate::picture::Arrivals;
 
 /// The events of one host: produced, waiting, arrived and stored.
@@ -13,7 +13,7 @@ use crate::picture::Arrivals;
 pub(super) struct EventAccount {
     /// The host's own counts.
     accounting: Accounting,
-    lag: Lag,
+    lag: StorageLag,
     /// The database's counts.
     stored: Stored,
     arrivals: Arrivals,
@@ -52,7 +52,7 @@ impl EventAccount {
     }
 
     /// Returns the estimate of the storage lag's change.
-    pub(super) const fn lag(&self) -> &Lag {
+    pub(super) const fn lag(&self) -> &StorageLag {
         &self.lag
     }
 

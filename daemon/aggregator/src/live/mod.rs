@@ -1,12 +1,10 @@
 //! The live picture: the current state of all agents, from the live lane alone, so that it stays current however many
-//! batches wait to be stored. Free of I/O; [`task`] owns the [`Live`] and publishes its snapshots.
+//! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
 //! second have limits. Values beyond a limit are discarded and counted.
 
 pub(crate) mod bounds;
-mod catching_up;
-mod cell;
 mod event_account;
 mod host;
 mod link;
@@ -14,6 +12,8 @@ mod metrics_history;
 mod percentiles;
 mod pipeline;
 mod presence;
+mod second_figures;
+mod storage_lag;
 pub(crate) mod task;
 #[cfg(test)]
 mod tests;
@@ -50,7 +50,7 @@ const MOST_RUNS: usize = 10_000;
 
 /// An event that changes the picture.
 #[derive(Debug)]
-pub(crate) enum News {
+pub(crate) enum LiveEvent {
     /// A host's hello was accepted, with the number that its process drew at its start.
     Hello(Box<HostDescription>, u64),
     /// A live update.
@@ -86,7 +86,7 @@ pub(crate) enum News {
 
 /// The state from which snapshots are made.
 #[derive(Debug)]
-pub(crate) struct Live {
+pub(crate) struct LiveTracker {
     aggregator: Slug,
     listening: String,
     /// Silence after which a host is removed from the picture.
@@ -100,7 +100,7 @@ pub(crate) struct Live {
     totals: Totals,
 }
 
-impl Live {
+impl LiveTracker {
     /// Creates an empty picture. A host that is silent for `forget` is removed.
     pub(crate) fn new(aggregator: Slug, listening: String, forget: Span) -> Self {
         Self {
@@ -116,42 +116,42 @@ impl Live {
     }
 
     /// Applies an event. Returns whether anything visible changed.
-    pub(crate) fn take(&mut self, news: News, now: Stamp) -> bool {
-        match news {
-            News::Hello(description, process) => self.introduce(*description, process, now),
-            News::Refused(refused) => self.refuse(refused, now),
-            News::Reopened { runs, hosts } => self.restart(runs, hosts),
-            News::Run(host, run, number) => {
+    pub(crate) fn apply(&mut self, event: LiveEvent, now: Stamp) -> bool {
+        match event {
+            LiveEvent::Hello(description, process) => self.introduce(*description, process, now),
+            LiveEvent::Refused(refused) => self.refuse(refused, now),
+            LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
+            LiveEvent::Run(host, run, number) => {
                 if self.numbers.len() >= MOST_RUNS {
                     self.forget_numbers();
                 }
                 self.numbers.insert((host, run), number);
                 self.with(host, |host| host.number(run));
             }
-            News::Forget(host) => {
+            LiveEvent::Forget(host) => {
                 let forgotten = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
                 if forgotten {
                     self.hosts.remove(&host);
                 }
                 return forgotten;
             }
-            News::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
-            News::Goodbye(host) => return self.with(host, Host::goodbye),
-            News::Duplicate(host) => {
+            LiveEvent::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
+            LiveEvent::Goodbye(host) => return self.with(host, Host::goodbye),
+            LiveEvent::Duplicate(host) => {
                 self.totals.stored.duplicates += 1;
                 return self.with(host, Host::duplicate);
             }
-            News::Deferred(host) => {
+            LiveEvent::Deferred(host) => {
                 self.totals.arrivals.deferred += 1;
                 return self.with(host, |host| host.arrived(|arrivals| arrivals.deferred += 1));
             }
-            News::Damaged(host) => {
+            LiveEvent::Damaged(host) => {
                 self.totals.arrivals.damaged += 1;
                 return self.with(host, |host| host.arrived(|arrivals| arrivals.damaged += 1));
             }
-            News::Unreadable => self.totals.refused.unreadable += 1,
-            News::Stranger => self.totals.refused.strangers += 1,
-            News::Stored(host, stored, newest) => return self.store(host, stored, newest),
+            LiveEvent::Unreadable => self.totals.refused.unreadable += 1,
+            LiveEvent::Stranger => self.totals.refused.strangers += 1,
+            LiveEvent::Stored(host, stored, newest) => return self.store(host, stored, newest),
         }
         true
     }

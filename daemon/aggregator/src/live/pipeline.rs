@@ -9,8 +9,8 @@ use peernet_statistics::{Merge, Windows};
 use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::bounds;
-use super::cell::Cell;
 use super::percentiles::Percentiles;
+use super::second_figures::SecondFigures;
 use crate::picture::{LiveSecond, PipelinePicture, Window};
 
 /// Lengths of the picture's windows, in complete seconds.
@@ -33,7 +33,7 @@ pub(super) struct Pipeline {
     run: Option<RunId>,
     placement: Placement,
     load: String,
-    recent: Windows<Cell>,
+    recent: Windows<SecondFigures>,
     series: BTreeMap<i64, Arc<LiveSecond>>,
     percentiles: Percentiles,
     /// The agent's clock at the latest update.
@@ -86,11 +86,11 @@ impl Pipeline {
                 *left_out += 1;
                 continue;
             }
-            let cell = Cell::of(second, left_out);
-            self.series.insert(at, Arc::new(cell.draw(at)));
-            self.percentiles.replace(at, cell.total());
+            let second_figures = SecondFigures::of(second, left_out);
+            self.series.insert(at, Arc::new(second_figures.draw(at)));
+            self.percentiles.replace(at, second_figures.total());
             if at > newest - SKETCHES_S {
-                self.recent.replace(at, cell);
+                self.recent.replace(at, second_figures);
             }
         }
         let oldest = newest.saturating_sub(SERIES_S) + 1;
@@ -187,13 +187,13 @@ impl Pipeline {
             .series
             .first_key_value()
             .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + under_way).max(1.0));
-        let mut sum = Cell::default();
+        let mut sum = SecondFigures::default();
         let mut merged = 0;
         // Each window contains the shorter ones, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let cells = i64::from(seconds) + 1;
-            for (_, cell) in self.recent.iter(current - merged, (cells - merged) as usize) {
-                sum.merge(cell);
+            for (_, second_figures) in self.recent.iter(current - merged, (cells - merged) as usize) {
+                sum.merge(second_figures);
             }
             merged = cells;
             sum.window(seconds, (f64::from(seconds) + under_way).min(known_for))

@@ -6,7 +6,7 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, Span};
 use tokio::sync::{mpsc, watch};
 
-use super::{Live, News};
+use super::{LiveEvent, LiveTracker};
 use crate::picture::Picture;
 
 /// Shortest interval between two snapshots: at most five a second.
@@ -16,8 +16,8 @@ const AGE_EVERY: Duration = Duration::from_secs(1);
 
 /// Applies events until their channel is closed, and publishes a snapshot after changes.
 pub(crate) async fn run(
-    mut live: Live,
-    mut news: mpsc::Receiver<News>,
+    mut live: LiveTracker,
+    mut events: mpsc::Receiver<LiveEvent>,
     pictures: watch::Sender<Arc<Picture>>,
     clock: SharedClock,
 ) {
@@ -28,8 +28,8 @@ pub(crate) async fn run(
     loop {
         let wait = (BETWEEN - (clock.mono() - published)).to_duration();
         tokio::select! {
-            item = news.recv() => match item {
-                Some(item) => changed |= live.take(item, clock.stamp()),
+            event = events.recv() => match event {
+                Some(event) => changed |= live.apply(event, clock.stamp()),
                 None => return,
             },
             _ = ageing.tick() => changed |= live.age(clock.stamp()),

@@ -24,7 +24,7 @@ pub(crate) struct Agent {
     pub(crate) sending: Sending,
     pub(crate) notices: Vec<Notice>,
     spool: Spool,
-    socket: Wire,
+    socket: AgentSocket,
     clock: SharedClock,
 }
 
@@ -35,9 +35,9 @@ pub(crate) fn secret_of(host: HostId) -> HostSecret {
 }
 
 /// A connection to the aggregator.
-pub(crate) struct Wire(Socket);
+pub(crate) struct AgentSocket(Socket);
 
-impl Wire {
+impl AgentSocket {
     pub(crate) async fn to(address: &str) -> Self {
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
@@ -89,7 +89,7 @@ impl Agent {
         let mut sending =
             Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.connected(clock.mono());
-        let socket = Wire::to(address).await;
+        let socket = AgentSocket::to(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }
     }
 

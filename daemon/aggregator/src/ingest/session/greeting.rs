@@ -7,7 +7,7 @@ use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receivin
 
 use super::IngestSession;
 use crate::ingest::queue::Incoming;
-use crate::live::{News, bounds};
+use crate::live::{LiveEvent, bounds};
 use crate::picture::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
@@ -41,10 +41,10 @@ impl IngestSession {
             Proven::No(hello) => {
                 let host = hello.host.id;
                 // An operator may have cleared the secret since it was read, so it is read again.
-                if self.hosts.is_to_be_checked(host, now.mono)
-                    && let Some(place) = self.queue.place(0)
+                if self.hosts.needs_secret_check(host, now.mono)
+                    && let Some(slot) = self.queue.reserve(0)
                 {
-                    place.put(Incoming::Work(Work::Secret(host)), now.mono);
+                    slot.put(Incoming::Work(Work::Secret(host)), now.mono);
                 }
                 self.refuse(from, &hello, wrong_secret(host), now);
             }
@@ -62,7 +62,7 @@ impl IngestSession {
             return;
         }
         // Without room for the work that follows from it, the hello is treated as lost; the agent repeats it.
-        let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
+        let (Some(greeting), Some(hole)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
             self.output.defer_greeting();
             return;
         };
@@ -125,7 +125,7 @@ impl IngestSession {
                     self.hosts.welcome(introduction, missing)
                 };
                 if let Some(gone) = gone {
-                    self.left(gone);
+                    self.end_dropped_newcomer(gone);
                 }
                 if let Some(displaced) = displaced {
                     tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
@@ -134,7 +134,7 @@ impl IngestSession {
                 }
                 self.routes.enter(host, from.connection);
                 self.output.reply(from.connection, reply);
-                self.output.announce(News::Hello(Box::new(description), process));
+                self.output.announce(LiveEvent::Hello(Box::new(description), process));
             }
             Greeting::Refused { reason, .. } => {
                 drop((greeting, hole));
@@ -154,7 +154,7 @@ impl IngestSession {
         }
         self.output.reply(from.connection, ToAgent::Refused { reason: reason.clone() });
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
-        self.output.announce(News::Refused(refused));
+        self.output.announce(LiveEvent::Refused(refused));
     }
 }
 

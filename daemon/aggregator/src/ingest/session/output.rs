@@ -4,7 +4,7 @@ use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 use peernet_stream::ToAgent;
 
-use crate::live::News;
+use crate::live::LiveEvent;
 
 /// Numbers of rejected messages since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub(crate) struct RejectedCounts {
 #[derive(Debug, Default)]
 pub(super) struct SessionOutput {
     replies: Vec<(ConnectionId, ToAgent)>,
-    news: Vec<News>,
+    live_events: Vec<LiveEvent>,
     rejected: RejectedCounts,
 }
 
@@ -34,8 +34,8 @@ impl SessionOutput {
     }
 
     /// Adds an event for the live picture.
-    pub(super) fn announce(&mut self, news: News) {
-        self.news.push(news);
+    pub(super) fn announce(&mut self, event: LiveEvent) {
+        self.live_events.push(event);
     }
 
     /// Counts a greeting without room.
@@ -46,25 +46,25 @@ impl SessionOutput {
     /// Counts a batch without room.
     pub(super) fn defer_batch(&mut self, host: HostId) {
         self.rejected.deferred += 1;
-        self.announce(News::Deferred(host));
+        self.announce(LiveEvent::Deferred(host));
     }
 
     /// Counts a batch that does not match its hash.
     pub(super) fn reject_damaged(&mut self, host: HostId) {
         self.rejected.damaged += 1;
-        self.announce(News::Damaged(host));
+        self.announce(LiveEvent::Damaged(host));
     }
 
     /// Counts a frame that cannot be decoded.
     pub(super) fn reject_unreadable(&mut self) {
         self.rejected.unreadable += 1;
-        self.announce(News::Unreadable);
+        self.announce(LiveEvent::Unreadable);
     }
 
     /// Counts a message of a host without a session on the connection, and asks its agent for a hello.
     pub(super) fn reject_stranger(&mut self, connection: ConnectionId) {
         self.rejected.strangers += 1;
-        self.announce(News::Stranger);
+        self.announce(LiveEvent::Stranger);
         self.reply(connection, ToAgent::Unknown);
     }
 
@@ -74,8 +74,8 @@ impl SessionOutput {
     }
 
     /// Returns and clears the events for the live picture.
-    pub(super) fn take_news(&mut self) -> Vec<News> {
-        std::mem::take(&mut self.news)
+    pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
+        std::mem::take(&mut self.live_events)
     }
 
     /// Returns the numbers of rejected messages since the start.

@@ -12,7 +12,7 @@ use peernet_store::{Bound, Figures, Transfers, rank};
 
 /// Figures of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Cell {
+pub(super) struct SecondFigures {
     counts: OutcomeCounts,
     values: Vec<(Name, Summary)>,
     /// Half-widths of the clock bounds by stage.
@@ -21,7 +21,7 @@ pub(super) struct Cell {
     verdicts: Vec<(Name, Verdict, u64)>,
 }
 
-impl Cell {
+impl SecondFigures {
     /// Creates the figures from an agent's report of a second, cut to `MOST_NAMES`. The number of removed names is
     /// added to `left_out`.
     pub(super) fn of(second: Second, left_out: &mut u64) -> Self {
@@ -115,7 +115,7 @@ impl Cell {
     }
 }
 
-impl Merge for Cell {
+impl Merge for SecondFigures {
     fn merge(&mut self, other: &Self) {
         self.counts.merge(&other.counts);
         merge_named(&mut self.values, &other.values);

@@ -19,7 +19,7 @@ const LEAST_RATE: f64 = 0.02;
 /// Exponentially weighted sums. They need constant memory and are unbiased from the first second on, because the sums
 /// and the observed time decay alike.
 #[derive(Debug, Default)]
-pub(super) struct Lag {
+pub(super) struct StorageLag {
     /// The previous update: its time, the lag, and the number of stored events.
     last: Option<(MonoTime, Span, u64)>,
     observed_s: f64,
@@ -27,7 +27,7 @@ pub(super) struct Lag {
     stored: f64,
 }
 
-impl Lag {
+impl StorageLag {
     /// Adds an observation: the lag of storing, and the number of events stored until then.
     pub(super) fn observe(&mut self, behind: Option<Span>, stored: u64, now: MonoTime) {
         let Some(behind) = behind else {
@@ -74,7 +74,7 @@ mod tests {
     }
 
     /// Observes four updates a second from `from` to `to` seconds. `behind` gives the lag at a time.
-    fn observe(lag: &mut Lag, from: i32, to: i32, behind: impl Fn(f64) -> f64) {
+    fn observe(lag: &mut StorageLag, from: i32, to: i32, behind: impl Fn(f64) -> f64) {
         for quarter in from * 4..to * 4 {
             let time = f64::from(quarter) / 4.0;
             let stored = (time * 20_000.0) as u64;
@@ -83,8 +83,8 @@ mod tests {
     }
 
     #[test]
-    fn a_falling_lag_says_how_long_it_will_take() {
-        let mut lag = Lag::default();
+    fn falling_lag_yields_time_left() {
+        let mut lag = StorageLag::default();
         observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
         assert_eq!(lag.catching_up(), None, "one second supports no rate");
         observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
@@ -96,31 +96,31 @@ mod tests {
     }
 
     #[test]
-    fn a_lag_that_grows_or_stays_or_is_small_is_no_catching_up() {
+    fn growing_constant_or_small_lag_yields_no_rate() {
         for behind in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
-            let mut lag = Lag::default();
+            let mut lag = StorageLag::default();
             observe(&mut lag, 0, 30, behind);
             assert_eq!(lag.catching_up(), None);
         }
     }
 
     #[test]
-    fn a_change_of_rate_is_followed_and_steps_are_smoothed() {
-        let mut lag = Lag::default();
+    fn estimate_follows_rate_and_smooths_steps() {
+        let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 + time);
         observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
         let found = lag.catching_up().expect("it falls");
         assert!((found.rate - 20.0).abs() < 0.3, "{found:?}");
         // Batches of four seconds each: the age of the oldest waiting event falls in steps.
-        let mut lag = Lag::default();
+        let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
         let found = lag.catching_up().expect("it falls");
         assert!((30.0..50.0).contains(&found.rate), "{found:?}");
     }
 
     #[test]
-    fn after_a_silence_or_with_a_new_spool_it_is_judged_anew() {
-        let mut lag = Lag::default();
+    fn estimate_restarts_after_silence_or_new_spool() {
+        let mut lag = StorageLag::default();
         observe(&mut lag, 0, 30, |time| 10_000.0 - 20.0 * time);
         lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
         assert_eq!(lag.catching_up(), None, "the silence is no catching up");

@@ -5,13 +5,13 @@ use std::time::Duration;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{BatchHead, Chain, Event, Hello, STREAM_VERSIONS, StreamId, ToAgent, codec};
 
-use crate::agent::Wire;
-use crate::bed::Bed;
+use crate::agent::AgentSocket;
 use crate::generate;
+use crate::testbed::Testbed;
 
 /// A host with a stream, and the state of that stream.
-pub(crate) struct Raw {
-    pub(crate) wire: Wire,
+pub(crate) struct ScriptedAgent {
+    pub(crate) socket: AgentSocket,
     pub(crate) host: HostId,
     pub(crate) stream: StreamId,
     pub(crate) run: RunId,
@@ -25,11 +25,11 @@ pub(crate) struct Raw {
     pub(crate) events: u64,
 }
 
-impl Raw {
+impl ScriptedAgent {
     /// Connects without sending a hello.
-    pub(crate) async fn new(bed: &Bed) -> Self {
+    pub(crate) async fn new(testbed: &Testbed) -> Self {
         Self {
-            wire: Wire::to(&bed.address).await,
+            socket: AgentSocket::to(&testbed.address).await,
             host: HostId::random(),
             stream: StreamId::random(),
             run: RunId::random(),
@@ -41,11 +41,11 @@ impl Raw {
     }
 
     /// Connects and completes the greeting.
-    pub(crate) async fn welcome(bed: &Bed, name: &str) -> Self {
-        let raw = Self::new(bed).await;
-        let answer = raw.wire.greet(&raw.hello(name)).await;
+    pub(crate) async fn welcome(testbed: &Testbed, name: &str) -> Self {
+        let scripted_agent = Self::new(testbed).await;
+        let answer = scripted_agent.socket.greet(&scripted_agent.hello(name)).await;
         assert!(matches!(answer, ToAgent::Welcome { stored: 0, chain: None, .. }));
-        raw
+        scripted_agent
     }
 
     pub(crate) fn hello(&self, name: &str) -> Hello {
@@ -93,12 +93,12 @@ impl Raw {
     /// Sends the next batch.
     pub(crate) async fn send_next(&mut self) {
         let frame = self.next();
-        self.wire.send_frame(frame).await;
+        self.socket.send_frame(frame).await;
     }
 
     pub(crate) async fn expect(&self, what: Reply) {
         let stream = self.stream;
-        match (what, self.wire.receive().await) {
+        match (what, self.socket.receive().await) {
             (Reply::Ack(number), ToAgent::Ack { stream: of, through, window }) => {
                 assert_eq!((of, through, window > 0), (stream, number, true));
             }
@@ -112,12 +112,12 @@ impl Raw {
 
     /// Waits until `number` is acknowledged, and ignores other messages.
     pub(crate) async fn until_stored_over_requests(&self, number: u64) {
-        while !matches!(self.wire.receive().await, ToAgent::Ack { through, .. } if through == number) {}
+        while !matches!(self.socket.receive().await, ToAgent::Ack { through, .. } if through == number) {}
     }
 
     /// Returns whether no message arrives for 50 ms. On a slow machine it can only be wrongly `true`.
     pub(crate) async fn is_silent(&self) -> bool {
-        tokio::time::timeout(Duration::from_millis(50), self.wire.receive()).await.is_err()
+        tokio::time::timeout(Duration::from_millis(50), self.socket.receive()).await.is_err()
     }
 }
 

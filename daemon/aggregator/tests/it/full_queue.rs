@@ -3,12 +3,12 @@
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{Event, Incident, IncidentKind};
 
-use crate::bed::Bed;
 use crate::generate;
-use crate::raw::{Raw, Reply};
+use crate::scripted_agent::{Reply, ScriptedAgent};
+use crate::testbed::Testbed;
 
 /// Returns a batch of nearly the largest size.
-fn large(raw: &mut Raw) -> Vec<u8> {
+fn large(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
     let incident = Incident {
         at: generate::at(1.0),
         kind: IncidentKind::Control,
@@ -17,50 +17,51 @@ fn large(raw: &mut Raw) -> Vec<u8> {
         peer: None,
         text: "x".repeat(4_000_000),
     };
-    raw.next_of(&[Event::Incident(incident)])
+    scripted_agent.next_of(&[Event::Incident(incident)])
 }
 
 #[tokio::test]
-async fn what_finds_no_room_is_asked_for_when_there_is_some() {
-    let mut bed = Bed::new().await;
+async fn deferred_batches_are_requested_when_room_is_free() {
+    let mut testbed = Testbed::new().await;
     let mut agents = Vec::new();
     for name in ["one", "two", "late"] {
-        let mut raw = Raw::welcome(&bed, name).await;
-        raw.send_next().await;
-        raw.expect(Reply::Ack(1)).await;
-        agents.push(raw);
+        let mut scripted_agent = ScriptedAgent::welcome(&testbed, name).await;
+        scripted_agent.send_next().await;
+        scripted_agent.expect(Reply::Ack(1)).await;
+        agents.push(scripted_agent);
     }
-    let mut holder = bed.connection().await;
+    let mut holder = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
     // Compressed they are small on the network, but their room is that of the decompressed events.
-    for raw in &mut agents[..2] {
+    for scripted_agent in &mut agents[..2] {
         for _ in 0..16 {
-            let frame = large(raw);
-            raw.wire.send_frame(frame).await;
+            let frame = large(scripted_agent);
+            scripted_agent.socket.send_frame(frame).await;
         }
     }
     let late = agents[2].next();
-    bed.picture("that there is no room", |picture| picture.totals.arrivals.deferred >= 6).await;
+    testbed.picture("that there is no room", |picture| picture.totals.arrivals.deferred >= 6).await;
     let deferred = large(&mut agents[2]);
-    agents[2].wire.send_frame(late.clone()).await;
-    agents[2].wire.send_frame(deferred.clone()).await;
-    bed.picture("that there is none for others either", |picture| {
-        picture
-            .hosts
-            .iter()
-            .any(|host| host.description.name.as_str() == "late" && host.arrivals.deferred > 0)
-    })
-    .await;
+    agents[2].socket.send_frame(late.clone()).await;
+    agents[2].socket.send_frame(deferred.clone()).await;
+    testbed
+        .picture("that there is none for others either", |picture| {
+            picture
+                .hosts
+                .iter()
+                .any(|host| host.description.name.as_str() == "late" && host.arrivals.deferred > 0)
+        })
+        .await;
     sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
     // The aggregator requests the deferred batches, and stores all of them.
     let mut resent = 0;
     loop {
-        match agents[2].wire.receive().await {
+        match agents[2].socket.receive().await {
             peernet_stream::ToAgent::Resend { from, .. } => {
                 resent += 1;
                 let again = [&late, &deferred];
                 for frame in &again[usize::try_from(from).expect("small") - 2..] {
-                    agents[2].wire.send_frame((*frame).clone()).await;
+                    agents[2].socket.send_frame((*frame).clone()).await;
                 }
             }
             peernet_stream::ToAgent::Ack { through: 3, .. } => break,
@@ -70,16 +71,18 @@ async fn what_finds_no_room_is_asked_for_when_there_is_some() {
     }
     assert!(resent > 0);
     assert_eq!(
-        bed.count("SELECT stored FROM stream JOIN host ON host.id = stream.host WHERE name = 'late'").await,
+        testbed
+            .count("SELECT stored FROM stream JOIN host ON host.id = stream.host WHERE name = 'late'")
+            .await,
         3
     );
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn late_data_lands_in_the_buckets_of_its_time() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn late_data_is_counted_in_buckets_of_its_time() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     let run = RunId::random();
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     let mut random = generate::Numbers::new(5);
@@ -94,12 +97,12 @@ async fn late_data_lands_in_the_buckets_of_its_time() {
         }));
         agent.until_stored().await;
         if part == 2 {
-            bed.stop().await;
-            bed.start().await;
+            testbed.stop().await;
+            testbed.start().await;
         }
     }
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 300);
-    let wrong = bed.count(
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 300);
+    let wrong = testbed.count(
         "WITH width (s) AS (VALUES (1), (10), (60), (3600)), \
          truth AS (SELECT s, started_ns / 1000000000 / s * s AS bucket, count(*) AS count FROM width, iteration GROUP BY 1, 2), \
          told AS (SELECT resolution_s, bucket_s, count FROM rollup JOIN name ON name.id = rollup.name \
@@ -108,19 +111,19 @@ async fn late_data_lands_in_the_buckets_of_its_time() {
               + (SELECT count(*) FROM (SELECT * FROM told EXCEPT SELECT * FROM truth))",
     );
     assert_eq!(wrong.await, 0);
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
 async fn a_run_is_pinned_while_others_are_stored() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     agent.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
     agent.until_stored().await;
-    assert!(bed.aggregator().pin(1, true).await.expect("writes"));
-    assert!(!bed.aggregator().pin(2, true).await.expect("writes"), "there is no such run");
-    assert_eq!(bed.count("SELECT pinned FROM run").await, 1);
-    assert!(bed.aggregator().pin(1, false).await.expect("writes"));
-    assert_eq!(bed.count("SELECT pinned FROM run").await, 0);
-    bed.stop().await;
+    assert!(testbed.aggregator().pin(1, true).await.expect("writes"));
+    assert!(!testbed.aggregator().pin(2, true).await.expect("writes"), "there is no such run");
+    assert_eq!(testbed.count("SELECT pinned FROM run").await, 1);
+    assert!(testbed.aggregator().pin(1, false).await.expect("writes"));
+    assert_eq!(testbed.count("SELECT pinned FROM run").await, 0);
+    testbed.stop().await;
 }

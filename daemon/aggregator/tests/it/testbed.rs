@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use crate::agent::Agent;
 
 /// A running aggregator that can be stopped and restarted.
-pub(crate) struct Bed {
+pub(crate) struct Testbed {
     _folder: TempDir,
     pub(crate) database: PathBuf,
     pub(crate) clock: SharedClock,
@@ -23,15 +23,15 @@ pub(crate) struct Bed {
     running: Option<(Running, CancellationToken)>,
 }
 
-impl Bed {
+impl Testbed {
     pub(crate) async fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let database = folder.path().join("data/peernet.sqlite");
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
         let address = "tcp://127.0.0.1:0".to_owned();
-        let mut bed = Self { _folder: folder, database, clock, address, running: None };
-        bed.start().await;
-        bed
+        let mut testbed = Self { _folder: folder, database, clock, address, running: None };
+        testbed.start().await;
+        testbed
     }
 
     pub(crate) fn config(&self) -> AggregatorConfig {
