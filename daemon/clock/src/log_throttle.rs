@@ -15,11 +15,11 @@ const MAX_KINDS: usize = 256;
 /// since.
 #[derive(Debug, Default)]
 pub struct LogThrottle {
-    known: HashMap<(String, Option<IpAddr>), Known>,
+    known: HashMap<(String, Option<IpAddr>), KindCount>,
 }
 
 #[derive(Debug)]
-struct Known {
+struct KindCount {
     logged_at: MonoTime,
     since: u64,
 }
@@ -36,7 +36,7 @@ impl LogThrottle {
             key = (String::new(), None);
         }
         let Some(known) = self.known.get_mut(&key) else {
-            self.known.insert(key, Known { logged_at: now, since: 0 });
+            self.known.insert(key, KindCount { logged_at: now, since: 0 });
             return Some(1);
         };
         known.since += 1;

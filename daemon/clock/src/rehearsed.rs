@@ -13,12 +13,12 @@ pub struct RehearsedClock {
     description: RehearsalDescription,
     /// Time of the true free-running clock at the start.
     raw_since: RawTime,
-    seen: Mutex<Seen>,
+    step_counts: Mutex<StepCounts>,
 }
 
 /// Numbers of steps, as of the last query: those of the inner clock and the injected ones.
 #[derive(Debug, Default)]
-struct Seen {
+struct StepCounts {
     inner: u32,
     rehearsed: u32,
     last_step: Option<Span>,
@@ -27,29 +27,29 @@ struct Seen {
 impl RehearsedClock {
     /// Creates a clock that shows `inner` with the faults of `description`.
     pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
-        let seen = Mutex::new(Seen { inner: inner.wall_epoch(), ..Seen::default() });
+        let step_counts = Mutex::new(StepCounts { inner: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
         let raw_since = now.raw - (now.wall - description.since);
-        Self { inner, identity, description, raw_since, seen }
+        Self { inner, identity, description, raw_since, step_counts }
     }
 
     /// Updates and returns the numbers of steps. Injected steps are known in advance: they count from the moment they
     /// are due.
-    fn look(&self) -> MutexGuard<'_, Seen> {
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+    fn update_step_counts(&self) -> MutexGuard<'_, StepCounts> {
+        let mut step_counts = self.step_counts.lock().unwrap_or_else(PoisonError::into_inner);
         let inner = self.inner.wall_epoch();
         let elapsed = self.inner.wall() - self.description.since;
         let steps = || self.description.steps_within(elapsed, SteppedClock::Wall);
         let due = steps().count() as u32;
-        if inner > seen.inner {
-            seen.inner = inner;
-            seen.last_step = self.inner.last_step();
+        if inner > step_counts.inner {
+            step_counts.inner = inner;
+            step_counts.last_step = self.inner.last_step();
         }
-        if due > seen.rehearsed {
-            seen.rehearsed = due;
-            seen.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
+        if due > step_counts.rehearsed {
+            step_counts.rehearsed = due;
+            step_counts.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
-        seen
+        step_counts
     }
 }
 
@@ -85,8 +85,8 @@ impl Clock for RehearsedClock {
     }
 
     fn wall_epoch(&self) -> u32 {
-        let seen = self.look();
-        seen.inner + seen.rehearsed
+        let step_counts = self.update_step_counts();
+        step_counts.inner + step_counts.rehearsed
     }
 
     fn begin_wall_epoch(&self) {
@@ -94,7 +94,7 @@ impl Clock for RehearsedClock {
     }
 
     fn last_step(&self) -> Option<Span> {
-        self.look().last_step
+        self.update_step_counts().last_step
     }
 
     fn adopt(&self, system: WallTime) -> WallTime {
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shown_is_offset_drift_and_the_steps_so_far_in_any_order() {
+    fn fault_adds_offset_drift_and_due_steps() {
         let description = described(&[step(20, -500), step(10, 3000)]);
         let error = |seconds| description.error_at(description.since + Span::from_seconds(seconds));
         assert_eq!(error(0), Span::from_millis(137));
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn rehearsed_steps_and_those_of_the_clock_behind_are_counted_by_the_first_look() {
+    fn injected_and_real_steps_are_counted_at_first_query() {
         let description = described(&[step(20, -500), step(10, 3000)]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
         let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);

@@ -6,9 +6,9 @@ use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
 /// Pseudo-random numbers; the same for the same seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(SplitMix64);
+pub(crate) struct RandomSource(SplitMix64);
 
-impl Dice {
+impl RandomSource {
     pub(crate) const fn new(seed: u64) -> Self {
         Self(SplitMix64::new(seed))
     }
@@ -37,7 +37,7 @@ impl Dice {
 
 /// A simulated clock: its error against true time, in pieces. Times are nanoseconds of true time since a start.
 #[derive(Clone, Debug)]
-pub(crate) struct Wall {
+pub(crate) struct SimulatedClock {
     /// Pieces in the order of time.
     pieces: Vec<Piece>,
 }
@@ -63,7 +63,7 @@ impl Piece {
     }
 }
 
-impl Wall {
+impl SimulatedClock {
     /// Creates a clock that is ahead by `offset` at the start and fast by `ppm`.
     pub(crate) fn drifting(offset: Span, ppm: f64) -> Self {
         let piece = Piece { begin: 0.0, error: offset.nanos() as f64, drift: ppm * 1e-6, change: 0.0 };
@@ -72,18 +72,25 @@ impl Wall {
 
     /// Creates a clock whose drift stays within ± `ppm` and changes by at most ± `ppm_per_s`, as with temperature, for
     /// `length`.
-    pub(crate) fn warming(offset: Span, ppm: f64, ppm_per_s: f64, length: Span, dice: &mut Dice) -> Self {
-        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+    pub(crate) fn warming(
+        offset: Span,
+        ppm: f64,
+        ppm_per_s: f64,
+        length: Span,
+        random: &mut RandomSource,
+    ) -> Self {
+        let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         let mut wall = Self::drifting(offset, drift);
         while t < length.nanos() as f64 {
-            let change = match dice.bits() % 4 {
+            let change = match random.bits() % 4 {
                 0 => 0.0,
                 1 => ppm_per_s,
                 2 => -ppm_per_s,
-                _ => dice.between(-ppm_per_s, ppm_per_s),
+                _ => random.between(-ppm_per_s, ppm_per_s),
             };
             let limit = (ppm.copysign(change) - drift) / change;
-            let lasts = (dice.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
+            let lasts =
+                (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
             if lasts > 1e-3 {
                 let error = wall.error(t);
                 wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: change * 1e-15 });
@@ -109,14 +116,14 @@ impl Wall {
     }
 
     /// Creates a clock whose drift wanders within ± `ppm` and changes every few seconds, for `length`.
-    pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, dice: &mut Dice) -> Self {
+    pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, random: &mut RandomSource) -> Self {
         let mut wall = Self::drifting(offset, 0.0);
-        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+        let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         while t < length.nanos() as f64 {
             let error = wall.error(t);
             wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: 0.0 });
-            t += dice.exponential(4e9) + 1.0;
-            drift = (drift + dice.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
+            t += random.exponential(4e9) + 1.0;
+            drift = (drift + random.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
         }
         wall
     }
@@ -157,9 +164,9 @@ impl Wall {
 
 /// The clocks of two hosts.
 #[derive(Clone, Debug)]
-pub(crate) struct World {
-    pub(crate) edge: Wall,
-    pub(crate) cloud: Wall,
+pub(crate) struct HostClocks {
+    pub(crate) edge: SimulatedClock,
+    pub(crate) cloud: SimulatedClock,
 }
 
 /// True times and stamps of a message and its answer.
@@ -183,7 +190,7 @@ impl Trip {
     }
 }
 
-impl World {
+impl HostClocks {
     /// Returns a trip that begins at a true time `t`, with its delays and its service time; all in nanoseconds.
     pub(crate) fn trip(&self, t: f64, up: f64, served: f64, down: f64) -> Trip {
         let (there, back) = (t + up, t + up + served);
@@ -225,24 +232,30 @@ impl Path {
     pub(crate) const VETH: Self = Self { up: 30e3, down: 30e3, jitter: 15e3, loss: 0.0, burst: 500e3 };
 
     /// Returns the trips between two true times (seconds) at `hz` per second, in the order in which they end.
-    pub(crate) fn trips(&self, world: &World, seconds: (f64, f64), hz: f64, dice: &mut Dice) -> Vec<Trip> {
+    pub(crate) fn trips(
+        &self,
+        host_clocks: &HostClocks,
+        seconds: (f64, f64),
+        hz: f64,
+        random: &mut RandomSource,
+    ) -> Vec<Trip> {
         let mut trips = Vec::new();
         let (mut t, mut congested) = (seconds.0 * 1e9, false);
         while t < seconds.1 * 1e9 {
-            if dice.chance(if congested { 0.05 } else { 0.005 }) {
+            if random.chance(if congested { 0.05 } else { 0.005 }) {
                 congested = !congested;
             }
             let mut waits = || {
-                let burst = if congested { dice.between(0.0, self.burst) } else { 0.0 };
-                let tail = if dice.chance(0.03) { dice.exponential(20.0 * self.jitter) } else { 0.0 };
-                burst + tail + dice.exponential(self.jitter)
+                let burst = if congested { random.between(0.0, self.burst) } else { 0.0 };
+                let tail = if random.chance(0.03) { random.exponential(20.0 * self.jitter) } else { 0.0 };
+                burst + tail + random.exponential(self.jitter)
             };
             let (up, down) = (self.up + waits(), self.down + waits());
-            let served = dice.exponential(100e3);
-            if !dice.chance(self.loss) {
-                trips.push(world.trip(t, up.floor(), served.floor(), down.floor()));
+            let served = random.exponential(100e3);
+            if !random.chance(self.loss) {
+                trips.push(host_clocks.trip(t, up.floor(), served.floor(), down.floor()));
             }
-            t += (1e9 / hz * dice.between(0.5, 1.5)).floor();
+            t += (1e9 / hz * random.between(0.5, 1.5)).floor();
         }
         trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
         trips

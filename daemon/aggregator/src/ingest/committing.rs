@@ -224,7 +224,9 @@ async fn serve(
                     match maintain(writer, context, state).await {
                         Ok(()) if damaged => set_readiness(&context.ready, Readiness::Ready),
                         Ok(()) => {}
-                        Err(error @ CommitError::Damaged(_)) => set_readiness(&context.ready, readiness_after(&error)),
+                        Err(error @ CommitError::Damaged(_)) => {
+                            set_readiness(&context.ready, readiness_after(&error));
+                        }
                         Err(error) => return ServeEnd::Failed(error),
                     }
                     damaged = context.integrity.damage().is_some();
@@ -346,7 +348,9 @@ async fn store(
             tokio::select! {
                 () = &mut again => break,
                 () = context.stop.cancelled() => break,
-                Some(request) = context.requests.recv() => execute_request(writer, request, &context.integrity).await,
+                Some(request) = context.requests.recv() => {
+                    execute_request(writer, request, &context.integrity).await;
+                }
             }
         }
     }

@@ -81,12 +81,15 @@ mod tests {
     use super::*;
     use crate::Span;
     use crate::band::Bounds;
-    use crate::simulation::{Dice, Path, Wall, World};
+    use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock};
 
     fn proven(ppm: f64, path: Path, seconds: f64) -> ProvenSkew {
-        let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, ppm) };
+        let host_clocks = HostClocks {
+            edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+            cloud: SimulatedClock::drifting(Span::ZERO, ppm),
+        };
         let mut proof = SkewProof::default();
-        for trip in path.trips(&world, (0.0, seconds), 10.0, &mut Dice::new(7)) {
+        for trip in path.trips(&host_clocks, (0.0, seconds), 10.0, &mut RandomSource::new(7)) {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
             proof.insert(upper, lower, 0.0);
         }

@@ -28,8 +28,8 @@ const TOLERANCE_SHARE: i64 = 50;
 
 /// The exchange with the shortest round trip of each half second of the window.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Floor {
-    points: VecDeque<FloorPoint>,
+pub(super) struct ShortestRoundTrips {
+    points: VecDeque<RoundTripPoint>,
     /// Shortest round trip, and the spread of the next ones above it, in nanoseconds. The shortest may exceed the
     /// path's own round trip by the spread.
     shortest: i64,
@@ -41,7 +41,7 @@ pub(super) struct Floor {
 
 /// An exchange with a short round trip.
 #[derive(Clone, Copy, Debug)]
-struct FloorPoint {
+struct RoundTripPoint {
     sent: RawTime,
     returned: RawTime,
     /// Middle of the bounds of the offset, nanoseconds.
@@ -59,7 +59,7 @@ pub(super) struct Suspicion {
     pub(super) last_before: (RawTime, RawTime),
 }
 
-impl From<&Exchange> for FloorPoint {
+impl From<&Exchange> for RoundTripPoint {
     fn from(exchange: &Exchange) -> Self {
         Self {
             sent: exchange.sent,
@@ -71,21 +71,21 @@ impl From<&Exchange> for FloorPoint {
     }
 }
 
-impl Floor {
+impl ShortestRoundTrips {
     /// Returns the jump that an exchange suggests, which must be within the limits of drift and of its change.
     pub(super) fn suspect(&self, exchange: &Exchange, drift: DriftLimit) -> Option<Suspicion> {
-        let point = FloorPoint::from(exchange);
+        let point = RoundTripPoint::from(exchange);
         let longer = point.round_trip.saturating_sub(self.shortest).saturating_abs();
         let newest = self.points.back()?;
         // Cheap check first: usually the middle is where the newest one was.
         let tolerance = self.tolerance();
-        let moved = |known: &FloorPoint| point.middle.saturating_sub(known.middle);
+        let moved = |known: &RoundTripPoint| point.middle.saturating_sub(known.middle);
         if self.points.len() < LEAST_TO_SUSPECT
             || (longer / 2).saturating_add(tolerance) > moved(newest).abs()
         {
             return None;
         }
-        let is_beyond = |known: &&FloorPoint| {
+        let is_beyond = |known: &&RoundTripPoint| {
             let moved = moved(known).abs();
             let waited = longer.saturating_add(known.round_trip - self.shortest) / 2;
             // The middle belongs to the bounds at two times, between which the offset drifts.
@@ -95,7 +95,7 @@ impl Floor {
             longer <= moved / 4 && moved > explained.into_iter().fold(0, i64::saturating_add)
         };
         let moved = moved(self.points.iter().rev().find(is_beyond)?);
-        let would_show = |known: &&FloorPoint| known.round_trip - self.shortest <= moved.abs() / 4;
+        let would_show = |known: &&RoundTripPoint| known.round_trip - self.shortest <= moved.abs() / 4;
         let last = self.points.iter().rev().find(would_show)?;
         Some(Suspicion { moved: Span::from_nanos(moved), last_before: (last.sent, last.returned) })
     }
@@ -106,7 +106,7 @@ impl Floor {
 
     /// Returns whether an exchange seems shorter than the path, and no exchange that was not in flight together with it
     /// did so.
-    fn may_span_jump(&mut self, point: &FloorPoint) -> bool {
+    fn may_span_jump(&mut self, point: &RoundTripPoint) -> bool {
         let shorter = self.shortest.saturating_sub(point.round_trip);
         let explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
         let is_short = self.points.len() >= LEAST_TO_SUSPECT && shorter > explained;
@@ -127,11 +127,11 @@ impl Floor {
 
     /// Inserts an exchange, and removes those more than `window` before it.
     pub(super) fn insert(&mut self, exchange: &Exchange, window: Span) {
-        let point = FloorPoint::from(exchange);
+        let point = RoundTripPoint::from(exchange);
         if self.may_span_jump(&point) {
             return;
         }
-        let stretch = |point: &FloorPoint| point.sent.nanos().div_euclid(STRETCH);
+        let stretch = |point: &RoundTripPoint| point.sent.nanos().div_euclid(STRETCH);
         match self.points.back_mut() {
             Some(last) if stretch(last) == stretch(&point) => {
                 if point.round_trip < last.round_trip {
@@ -144,7 +144,7 @@ impl Floor {
             _ => {
                 self.points.push_back(point);
                 let start = point.sent - window;
-                let is_needless = |points: &VecDeque<FloorPoint>| {
+                let is_needless = |points: &VecDeque<RoundTripPoint>| {
                     points.len() > MOST
                         || (points.len() > LEAST && points.front().is_some_and(|point| point.sent < start))
                 };
@@ -175,6 +175,6 @@ impl Floor {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.points.capacity() * size_of::<FloorPoint>()
+        self.points.capacity() * size_of::<RoundTripPoint>()
     }
 }

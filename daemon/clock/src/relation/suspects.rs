@@ -14,7 +14,7 @@ const DOUBT: Span = Span::from_seconds(60);
 /// Exchanges that contradict the band now, and the steps that earlier ones proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
-    pub(super) suspects: Suspects,
+    pub(super) suspects: SuspectExchanges,
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
@@ -45,13 +45,13 @@ impl UnannouncedSteps {
 
 /// Exchanges that contradict the band, agree with each other, and were not refuted by a later exchange.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Suspects {
+pub(super) struct SuspectExchanges {
     band: Option<Band>,
     /// Each exchange once, so that an answer which arrives twice counts once.
     bounds: Vec<Bounds>,
 }
 
-impl Suspects {
+impl SuspectExchanges {
     /// Adds an exchange that contradicts the band. Returns the band of all suspects once they prove a step.
     pub(super) fn add(&mut self, bounds: &Bounds, empty: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {

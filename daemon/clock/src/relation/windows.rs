@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::RelationSettings;
-use super::jumps::{Floor, Suspicion};
+use super::jumps::{ShortestRoundTrips, Suspicion};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
@@ -23,7 +23,7 @@ pub(super) struct Windows {
     retention: Span,
     current: Band,
     past: VecDeque<PastWindow>,
-    floor: Floor,
+    shortest_round_trips: ShortestRoundTrips,
 }
 
 /// A window that a suspected jump ended.
@@ -52,7 +52,7 @@ impl Windows {
             retention,
             current: Band::new(drift, window, retention),
             past: VecDeque::new(),
-            floor: Floor::default(),
+            shortest_round_trips: ShortestRoundTrips::default(),
         }
     }
 
@@ -83,7 +83,7 @@ impl Windows {
             // The exchange that showed the jump overtook this one, which may be from before the jump.
             return None;
         }
-        let suspicion = self.floor.suspect(exchange, self.drift.limit);
+        let suspicion = self.shortest_round_trips.suspect(exchange, self.drift.limit);
         if let Some(Suspicion { last_before: (sent, returned), .. }) = suspicion {
             let empty = self.empty();
             let mut band = std::mem::replace(&mut self.current, empty);
@@ -96,10 +96,10 @@ impl Windows {
             while self.past.len() > MAX_PAST || self.past.front().is_some_and(|past| past.next_from < start) {
                 self.past.pop_front();
             }
-            self.floor.clear();
+            self.shortest_round_trips.clear();
         }
         self.current.insert(bounds);
-        self.floor.insert(exchange, self.window);
+        self.shortest_round_trips.insert(exchange, self.window);
         suspicion.map(|suspicion| suspicion.moved)
     }
 
@@ -107,7 +107,7 @@ impl Windows {
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
         self.past.clear();
-        self.floor.clear();
+        self.shortest_round_trips.clear();
     }
 
     /// Returns the interval at a time; `None` without an exchange that bounds the offset then.
@@ -144,7 +144,7 @@ impl Windows {
     pub(super) fn memory_bytes(&self) -> usize {
         let past: usize =
             self.past.iter().map(|past| size_of::<PastWindow>() + past.band.memory_bytes()).sum();
-        self.current.memory_bytes() + past + self.floor.memory_bytes()
+        self.current.memory_bytes() + past + self.shortest_round_trips.memory_bytes()
     }
 
     /// Returns the windows that may hold at a time, the latest first.

@@ -37,7 +37,7 @@ fn only_what_reading_cannot_explain_is_a_step() {
 }
 
 #[test]
-fn a_rate_of_its_own_is_no_step() {
+fn constant_drift_is_no_step() {
     let mut steps = StepWatch::default();
     for second in 0..600 {
         let at = Span::from_seconds(second);
@@ -63,7 +63,7 @@ fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Distu
 }
 
 #[test]
-fn a_calm_clock_disturbs_nobody_and_a_step_is_told_once() {
+fn step_is_reported_once_and_calm_clock_never() {
     let tenths = |tenth: i64| Span::from_millis(100 * tenth);
     assert_eq!(watched(50.0, 60, |tenth| readings(tenths(tenth), Span::ZERO)), []);
     for by in [micros(150), micros(-150), Span::from_seconds(3), Span::from_seconds(-3600)] {
@@ -73,7 +73,7 @@ fn a_calm_clock_disturbs_nobody_and_a_step_is_told_once() {
 }
 
 #[test]
-fn a_slew_is_a_change_of_rate_not_a_crystals_own() {
+fn slew_is_distinguished_from_constant_drift() {
     // A constant 60 ppm, for which a time daemon compensates.
     let rate =
         |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
@@ -96,7 +96,7 @@ fn a_slew_is_a_change_of_rate_not_a_crystals_own() {
 }
 
 #[test]
-fn a_sleep_is_told_and_is_no_step_when_the_wall_clock_kept_up() {
+fn suspend_is_reported_and_is_no_step() {
     let slept = Span::from_seconds(7);
     let nap = |late: Span| {
         move |tenth: i64| {

@@ -8,7 +8,7 @@ mod violations;
 mod widths;
 
 use super::*;
-use crate::simulation::{Dice, Path, Trip, Wall, World};
+use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock, Trip};
 use crate::{DelaySource, Interval, OneWayDelay, Verdict};
 
 /// Creates a relation of wall clocks that trusts the claims of time daemons.
@@ -21,14 +21,17 @@ fn relation() -> Relation {
     Relation::new(settings)
 }
 
-fn world(offset: Span) -> World {
-    World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(offset, 10.0) }
+fn host_clocks(offset: Span) -> HostClocks {
+    HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(offset, 10.0),
+    }
 }
 
 /// Creates a relation with ten seconds of probes, ten per second; the last at the tenth second.
-fn acquainted(world: &World) -> Relation {
+fn acquainted(host_clocks: &HostClocks) -> Relation {
     let mut relation = relation();
-    for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
+    for trip in Path::VETH.trips(host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         assert_eq!(relation.learn(&trip.observation()), Learned::Taken);
     }
     relation

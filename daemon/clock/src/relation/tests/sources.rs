@@ -12,11 +12,13 @@ fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
 /// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms
 /// ahead.
 fn asymmetric() -> Relation {
-    let world =
-        World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_millis(5), 0.0) };
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::from_millis(5), 0.0),
+    };
     let path = Path { up: 30e6, down: 20e6, jitter: 1e3, loss: 0.0, burst: 0.0 };
     let mut relation = relation();
-    for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
+    for trip in path.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
     relation
@@ -48,13 +50,13 @@ fn two_claims_alone_relate_two_clocks() {
 
 #[test]
 fn claims_that_are_not_trusted_change_nothing() {
-    let world = world(Span::from_millis(5));
+    let host_clocks = host_clocks(Span::from_millis(5));
     let settings = RelationSettings::default();
     let mut relation = Relation::new(settings);
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
     relation.set_disciplines(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
-    for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
+    for trip in Path::VETH.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
     let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
@@ -64,7 +66,7 @@ fn claims_that_are_not_trusted_change_nothing() {
 }
 
 #[test]
-fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_what_they_are() {
+fn source_of_offset_is_claim_band_or_intersection() {
     let mut relation = asymmetric();
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     let exact = claim(DelaySource::Kernel, 0, 0);
@@ -85,7 +87,7 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
 }
 
 #[test]
-fn a_claim_needs_no_fresh_exchanges_and_ends_with_a_step_of_its_clock() {
+fn claim_holds_without_exchanges_until_step() {
     let mut relation = asymmetric();
     relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
     let late = relation.offset(at(300), WallTime::default()).expect("known");
