@@ -45,7 +45,7 @@ mod tests {
     struct Few(#[serde(deserialize_with = "at_most::<3, _, _>")] Vec<u8>);
 
     #[test]
-    fn a_list_that_is_too_long_is_refused() {
+    fn too_long_list_is_refused() {
         let read = |items: usize| {
             rmp_serde::from_slice::<Few>(&rmp_serde::to_vec(&vec![7_u8; items]).expect("writes"))
         };

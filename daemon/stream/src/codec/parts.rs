@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_is_read_as_it_was_written_and_taken_for_nothing_else() {
+    fn part_is_decoded_as_encoded_and_as_nothing_else() {
         let host = HostId::from_bytes([7; 16]);
         let written = Part { host, offset: 300, total: 303, bytes: Bytes::from_static(b"end") };
         let frame = Bytes::from(part_frame(&written));

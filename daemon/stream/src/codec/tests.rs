@@ -133,7 +133,7 @@ fn a_batch_arrives_as_it_was_sent() {
 }
 
 #[test]
-fn what_compression_makes_longer_is_sent_as_it_is() {
+fn incompressible_body_is_sent_uncompressed() {
     let body: Vec<u8> = (0..=255_u8).collect();
     let head = head_of(1, 1, &body);
     let frame = batch_frame(&head, &body, true);
@@ -153,7 +153,7 @@ fn a_batch_is_no_message_and_a_message_is_no_batch() {
 }
 
 #[test]
-fn a_compressed_message_is_read_like_any_other_and_never_unpacked_without_end() {
+fn compressed_message_is_read_within_size_limit() {
     let refused = ToAgent::Refused { reason: "no ".repeat(1_000) };
     let frame = encode_packed(&refused);
     assert!(frame.len() < 200 && batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
@@ -201,7 +201,7 @@ fn a_body_that_grows_without_end_is_not_unpacked() {
 }
 
 #[test]
-fn what_is_told_of_clocks_arrives_as_it_was_sent() {
+fn clock_samples_arrive_unchanged() {
     let probing = [
         Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
         Probing::Unanswered { address: "udp://h:8620".into(), reason: Some("another key".into()) },

@@ -6,12 +6,12 @@ use super::StreamId;
 
 /// Streams in the order in which they first found no room, each once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Deferred {
+pub(super) struct DeferredStreams {
     order: VecDeque<StreamId>,
     known: BTreeSet<StreamId>,
 }
 
-impl Deferred {
+impl DeferredStreams {
     pub(super) const fn new() -> Self {
         Self { order: VecDeque::new(), known: BTreeSet::new() }
     }

@@ -13,8 +13,8 @@ use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
 pub use self::challenges::{Challenges, Proven};
-use self::deferred::Deferred;
-use self::parts::Parts;
+use self::deferred::DeferredStreams;
+use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;
 use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
@@ -203,8 +203,8 @@ pub struct Receiving {
     config: ReceivingConfig,
     hosts: BTreeMap<HostId, Session>,
     streams: BTreeMap<StreamId, Progress>,
-    deferred: Deferred,
-    parts: Parts,
+    deferred: DeferredStreams,
+    parts: PartAssembler,
 }
 
 impl Receiving {
@@ -213,8 +213,8 @@ impl Receiving {
         Self {
             hosts: BTreeMap::new(),
             streams: BTreeMap::new(),
-            deferred: Deferred::new(),
-            parts: Parts::new(config.budget_bytes),
+            deferred: DeferredStreams::new(),
+            parts: PartAssembler::new(config.budget_bytes),
             config,
         }
     }
@@ -307,7 +307,7 @@ impl Receiving {
     /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
     pub fn part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
         self.hosts.get_mut(&part.host)?.heard = now;
-        self.parts.take(part)
+        self.parts.add(part)
     }
 
     /// Returns the answer to a request for an echo, which is to be sent at once.

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_waits_for_the_link_says_something_of_it() {
+    fn round_trips_count_only_while_link_is_limit() {
         let mut pace = Pace::new(Compression::Auto);
         // Few events are acknowledged at once.
         for n in 0..1_000 {
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_store_that_stands_still_is_no_slow_link() {
+    fn stalled_store_does_not_count_as_slow_link() {
         let mut pace = Pace::new(Compression::Auto);
         let now = wait(&mut pace, 0, 5, 100 << 20);
         // The store's disk is full for a minute, and then everything is acknowledged.

@@ -8,7 +8,7 @@ use super::appends::Appends;
 use super::backlog::Backlog;
 use super::deletions::Deletions;
 use super::earlier_process::EarlierProcess;
-use super::intake::{Intake, Room};
+use super::intake::{EventCapacity, Intake};
 use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
@@ -197,9 +197,9 @@ impl EventSpooler {
     }
 
     /// Returns the capacity for further events.
-    fn room(&self) -> Room {
+    fn room(&self) -> EventCapacity {
         let pending = self.backlog.pending();
-        Room {
+        EventCapacity {
             memory: self.config.memory - pending,
             spool_bytes: self
                 .config

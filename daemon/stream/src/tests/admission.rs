@@ -55,7 +55,7 @@ pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
 }
 
 #[test]
-fn strangers_are_asked_to_say_hello() {
+fn message_without_session_requests_hello() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     assert_eq!(end.live(id, at(0).mono), Some(ToAgent::Unknown));
     welcomed(&end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
@@ -75,7 +75,7 @@ fn numbers_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn two_hosts_cannot_have_one_name_while_both_are_there() {
+fn second_connected_host_of_same_name_is_refused() {
     let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
     end.hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
     let late = hello(second, "edge", 2, StreamId::random(), 1);
@@ -95,7 +95,7 @@ fn a_goodbye_frees_name_and_host_id_at_once() {
 }
 
 #[test]
-fn a_second_process_with_the_same_host_id_is_refused_while_the_first_lives() {
+fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     // A cloned machine has the same stream as well.
@@ -108,7 +108,7 @@ fn a_second_process_with_the_same_host_id_is_refused_while_the_first_lives() {
 }
 
 #[test]
-fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
+fn crashed_agent_is_accepted_after_its_silence() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     end.live(id, at(200).mono);
@@ -121,7 +121,7 @@ fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
 }
 
 #[test]
-fn a_spool_that_another_host_owns_is_refused_whether_that_host_is_here_or_in_the_database() {
+fn spool_of_another_host_is_refused() {
     let (mut end, stream, owner) = (receiving(), StreamId::random(), HostId::random());
     let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
     let words = format!("the spool of this agent belongs to the host with the id {owner}");
@@ -132,7 +132,7 @@ fn a_spool_that_another_host_owns_is_refused_whether_that_host_is_here_or_in_the
 }
 
 #[test]
-fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
+fn deleted_or_replaced_spool_is_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let replaced = |greeting| match greeting {
@@ -161,7 +161,7 @@ fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
 }
 
 #[test]
-fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
+fn batches_lacking_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let lacking = |greeting| match greeting {
@@ -204,7 +204,7 @@ fn a_host_that_changes_its_streams_waits_for_the_writer() {
 }
 
 #[test]
-fn windows_share_what_the_aggregator_is_ready_to_hold() {
+fn windows_share_aggregators_memory() {
     let mut end = receiving();
     let window = |end: &mut Receiving, n: u64, batch_bytes| {
         let name = format!("edge-{n}");

@@ -73,7 +73,7 @@ fn proof_counts_once_and_on_its_own_connection() {
 }
 
 #[test]
-fn cleared_secret_is_asked_for_again_and_not_refused() {
+fn cleared_secret_is_requested_again() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     assert_eq!(end.prove(&1, proof(&secret, &hello, &challenge), None), Proven::Unasked);

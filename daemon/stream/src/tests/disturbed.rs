@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use proptest::strategy::Union;
 use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state_machine};
 
-use super::world::World;
+use super::simulation::Simulation;
 use super::*;
 
 /// Returns a configuration with small limits, so that a few events reach all of them: three events per batch, three
@@ -145,46 +145,46 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
 }
 
 impl<const ALL: bool> StateMachineTest for Plan<ALL> {
-    type SystemUnderTest = World;
+    type SystemUnderTest = Simulation;
     type Reference = Self;
 
-    fn init_test(_: &Self) -> World {
-        World::new(config(), CAPACITY)
+    fn init_test(_: &Self) -> Simulation {
+        Simulation::new(config(), CAPACITY)
     }
 
-    fn apply(mut world: World, _: &Self, step: Step) -> World {
+    fn apply(mut simulation: Simulation, _: &Self, step: Step) -> Simulation {
         match step {
-            Step::Offer(count) => (0..count).for_each(|_| world.offer()),
-            Step::Pass(millis) => world.pass(i64::from(millis)),
-            Step::Up { nth, keep } => world.deliver_up(nth.into(), keep),
-            Step::LoseUp(nth) => world.lose_up(nth.into()),
-            Step::Damage { nth, bit } => world.damage(nth.into(), bit.into()),
-            Step::Down { nth, keep } => world.deliver_down(nth.into(), keep),
-            Step::LoseDown(nth) => world.lose_down(nth.into()),
-            Step::Work => world.work(),
-            Step::Breaks(broken) => world.broken = broken,
-            Step::Commit(count) => world.commit(count.into(), true),
-            Step::FailToCommit => world.fail_commit(),
-            Step::CommitAndKill => world.commit(usize::MAX, false),
-            Step::KillAggregator => world.aggregator.kill(),
-            Step::KillAgent { done } => world.start_agent(world.site, done.into()),
-            Step::Disconnect => world.disconnect(),
-            Step::BackUp => world.back_up(),
-            Step::Restore => world.restore(),
-            Step::Copy => world.copy(),
-            Step::Move { done } => world.go_to_the_next(done.into()),
-            Step::DeleteSpool => world.delete_spool(),
+            Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
+            Step::Pass(millis) => simulation.pass(i64::from(millis)),
+            Step::Up { nth, keep } => simulation.deliver_up(nth.into(), keep),
+            Step::LoseUp(nth) => simulation.lose_up(nth.into()),
+            Step::Damage { nth, bit } => simulation.damage(nth.into(), bit.into()),
+            Step::Down { nth, keep } => simulation.deliver_down(nth.into(), keep),
+            Step::LoseDown(nth) => simulation.lose_down(nth.into()),
+            Step::Work => simulation.work(),
+            Step::Breaks(broken) => simulation.broken = broken,
+            Step::Commit(count) => simulation.commit(count.into(), true),
+            Step::FailToCommit => simulation.fail_commit(),
+            Step::CommitAndKill => simulation.commit(usize::MAX, false),
+            Step::KillAggregator => simulation.aggregator.kill(),
+            Step::KillAgent { done } => simulation.start_agent(simulation.site, done.into()),
+            Step::Disconnect => simulation.disconnect(),
+            Step::BackUp => simulation.back_up(),
+            Step::Restore => simulation.restore(),
+            Step::Copy => simulation.copy(),
+            Step::Move { done } => simulation.go_to_the_next(done.into()),
+            Step::DeleteSpool => simulation.delete_spool(),
         }
-        world
+        simulation
     }
 
-    fn check_invariants(world: &World, _: &Self) {
-        world.check();
+    fn check_invariants(simulation: &Simulation, _: &Self) {
+        simulation.check();
     }
 
-    fn teardown(mut world: World, _: Self) {
-        world.settle();
-        world.check_settled();
+    fn teardown(mut simulation: Simulation, _: Self) {
+        simulation.settle();
+        simulation.check_settled();
     }
 }
 

@@ -1,4 +1,4 @@
-//! Tests of both ends: each end alone with readable examples, both together with generated faults in a [`world`], and
+//! Tests of both ends: each end alone with readable examples, both together with generated faults in a [`simulation`], and
 //! exhaustively on a small model.
 
 mod admission;
@@ -8,8 +8,8 @@ mod exhaustive;
 mod limits;
 mod progress;
 mod random;
+mod simulation;
 mod versions;
-mod world;
 
 pub(super) use self::admission::hello;
 

@@ -24,7 +24,7 @@ fn chosen(hello: &Hello) -> Option<u16> {
 }
 
 #[test]
-fn agent_of_first_version_hears_nothing_new() {
+fn first_version_agent_gets_known_messages_only() {
     let old = hello_of(5, None);
     assert_eq!((chosen(&old), HelloExtension::of(&VersionRange::single(5))), (None, None));
     welcomed(&receiving().hello(&old, known(None), at(0).mono));

@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loss_that_goes_on_is_one_gap_a_second() {
+    fn continuing_loss_is_one_gap_per_second() {
         let (mut losses, run) = (Losses::default(), Some(RunId::random()));
         let mut gaps = Vec::new();
         // One of two events is dropped for three seconds.

@@ -62,7 +62,7 @@ pub(super) struct CutBatch {
 
 /// Capacity for further events.
 #[derive(Clone, Debug)]
-pub(super) struct Room {
+pub(super) struct EventCapacity {
     /// Capacity in memory.
     pub(super) memory: Usage,
     /// Capacity in the spool, bytes.
@@ -71,7 +71,7 @@ pub(super) struct Room {
     pub(super) spool_fails: bool,
 }
 
-impl Room {
+impl EventCapacity {
     fn fits(&self, usage: Usage) -> bool {
         usage.fits(self.memory) && usage.bytes <= self.spool_bytes
     }
@@ -101,7 +101,7 @@ impl Intake {
         }
     }
 
-    pub(super) fn offer(&mut self, event: &Event, room: &Room, now: Stamp) {
+    pub(super) fn offer(&mut self, event: &Event, room: &EventCapacity, now: Stamp) {
         self.losses.add_untold(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
@@ -147,7 +147,7 @@ impl Intake {
     }
 
     /// Returns the reason to refuse the current event; `None` if it is accepted.
-    fn refusal(&self, event: &Event, room: &Room) -> Option<String> {
+    fn refusal(&self, event: &Event, room: &EventCapacity) -> Option<String> {
         let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
             // An iteration that the aggregator would refuse must not block everything after it.
@@ -173,7 +173,7 @@ impl Intake {
     }
 
     /// Reports the due gaps in place of the lost events, as far as there is capacity.
-    pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
+    pub(super) fn report_losses(&mut self, room: &EventCapacity, now: Stamp) {
         while self.has_room_for_report(room)
             && let Some(gap) = self.losses.take_due(now.mono)
         {
@@ -182,7 +182,7 @@ impl Intake {
     }
 
     /// Reports all losses of a run that ends, or of all runs.
-    fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
+    fn report_ended(&mut self, run: Option<RunId>, room: &EventCapacity, now: Stamp) {
         while self.has_room_for_report(room)
             && let Some(gap) = self.losses.take_ended(run, now.mono)
         {
@@ -196,7 +196,7 @@ impl Intake {
         self.losses.is_empty()
     }
 
-    fn has_room_for_report(&self, room: &Room) -> bool {
+    fn has_room_for_report(&self, room: &EventCapacity) -> bool {
         self.losses.may_report() && room.fits(self.usage() + GAP)
     }
 
@@ -237,7 +237,7 @@ impl Intake {
     }
 
     /// Reports all losses and cuts the batch under construction, before the agent stops.
-    pub(super) fn flush(&mut self, room: &Room, now: WallTime) {
+    pub(super) fn flush(&mut self, room: &EventCapacity, now: WallTime) {
         // The time of a loss does not matter here, because all losses are reported.
         let since = self.open.since.unwrap_or_default();
         let now = Stamp { wall: now, ..since };
@@ -263,7 +263,7 @@ impl Intake {
         std::mem::take(&mut self.cut)
     }
 
-    pub(super) fn tick(&mut self, room: &Room, now: Stamp) {
+    pub(super) fn tick(&mut self, room: &EventCapacity, now: Stamp) {
         self.losses.add_untold(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
             self.cut();
@@ -272,7 +272,7 @@ impl Intake {
     }
 
     /// Returns the time at which the batch under construction is cut or a loss is reported.
-    pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
+    pub(super) fn deadline(&self, room: &EventCapacity) -> Option<MonoTime> {
         // Without capacity nothing can be done until an acknowledgement.
         let report = self.has_room_for_report(room).then(|| self.losses.due()).flatten();
         self.batch_deadline().into_iter().chain(report).min()

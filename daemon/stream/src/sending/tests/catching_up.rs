@@ -30,7 +30,7 @@ fn a_backlog_stays_in_the_file() {
 }
 
 #[test]
-fn a_backlog_is_delivered_in_order_with_new_events_behind_it() {
+fn backlog_is_delivered_in_order_before_new_events() {
     for restart in [false, true] {
         let mut agent = backlog(200);
         if restart {

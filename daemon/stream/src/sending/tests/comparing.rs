@@ -20,7 +20,7 @@ fn renewals(agent: &Agent) -> usize {
 }
 
 #[test]
-fn what_is_stored_goes_when_the_chains_are_equal() {
+fn stored_batches_are_deleted_when_chains_match() {
     for stored in [0, 1, 7, 10] {
         let mut agent = held(10, 0);
         agent.connect();
@@ -89,7 +89,7 @@ fn what_was_written_out_of_contact_is_told_from_what_was_sent() {
 }
 
 #[test]
-fn what_each_of_several_processes_may_have_sent_is_known() {
+fn newest_sent_batch_is_known_per_process() {
     // Another process took over before all batches of the first one were stored; both lost the end of their spool.
     let mut agent = held(10, 0);
     agent.connect();
@@ -108,7 +108,7 @@ fn what_each_of_several_processes_may_have_sent_is_known() {
 }
 
 #[test]
-fn a_copy_of_the_spool_deletes_nothing_by_what_another_process_stored() {
+fn copied_spool_keeps_batches_of_another_process() {
     // The original continued with another process, or with an unknown one.
     for (stored, process) in [(15, Some(9)), (15, None), (11, Some(9)), (8, Some(9)), (8, Some(1))] {
         let mut agent = held(10, 3);
@@ -132,7 +132,7 @@ fn a_mark_without_a_chain_deletes_nothing() {
 }
 
 #[test]
-fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
+fn aggregator_lacking_acknowledged_batches_is_reported() {
     // A new database, an older copy of it, and one from the time of an earlier process.
     for (stored, chain, process) in [(0, None, None), (5, OTHER, Some(2)), (2, OTHER, Some(1))] {
         let mut agent = lacked();
@@ -146,7 +146,7 @@ fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
 }
 
 #[test]
-fn an_aggregator_that_has_what_a_copy_sent_instead_gets_another_stream() {
+fn aggregator_with_batches_of_copy_gets_new_stream() {
     for (stored, process) in [(2, Some(9)), (5, Some(1))] {
         let mut agent = lacked();
         agent.welcome_after(stored, OTHER, process);
@@ -176,7 +176,7 @@ fn lacked() -> Agent {
 }
 
 #[test]
-fn while_the_stream_is_renewed_nothing_is_sent_and_events_are_kept() {
+fn nothing_is_sent_during_stream_renewal() {
     let mut agent = held(4, 0);
     agent.connect();
     agent.broken = true;

@@ -13,7 +13,7 @@ fn failing() -> Agent {
 }
 
 #[test]
-fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() {
+fn batches_are_sent_from_memory_while_disk_is_full() {
     let mut agent = failing();
     agent.cut(7);
     let why = "the disk is full";
@@ -48,7 +48,7 @@ fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() 
 }
 
 #[test]
-fn it_fails_and_recovers_once_however_often_it_is_tried() {
+fn failure_and_recovery_are_reported_once() {
     let mut agent = failing();
     agent.cut(2);
     (0..20).for_each(|_| agent.pass(1_000));
@@ -85,7 +85,7 @@ fn an_acknowledgement_that_comes_during_the_write_is_not_forgotten() {
 }
 
 #[test]
-fn a_process_killed_meanwhile_loses_what_was_not_stored_and_repeats_nothing() {
+fn process_killed_with_full_disk_repeats_nothing() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::up(config());
     agent.cut(2);
@@ -106,7 +106,7 @@ fn a_process_killed_meanwhile_loses_what_was_not_stored_and_repeats_nothing() {
 }
 
 #[test]
-fn nothing_goes_from_memory_before_the_file_knows_what_may_be_stored() {
+fn unspooled_batches_wait_until_file_records_sending() {
     // A process without a connection wrote two batches. The next process meets the aggregator and a full disk at the
     // same time.
     let mut agent = Agent::new(config());
@@ -124,7 +124,7 @@ fn nothing_goes_from_memory_before_the_file_knows_what_may_be_stored() {
 }
 
 #[test]
-fn what_a_full_disk_and_a_full_memory_cannot_hold_is_dropped_and_counted() {
+fn events_beyond_disk_and_memory_are_counted_as_dropped() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.broken = true;
@@ -153,7 +153,7 @@ fn told(file: &File) -> u64 {
 }
 
 #[test]
-fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
+fn losses_are_counted_while_disk_is_full() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.cut(2);
@@ -174,7 +174,7 @@ fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
 }
 
 #[test]
-fn what_only_memory_holds_at_the_end_is_counted_and_told_after_the_next_start() {
+fn events_lost_with_memory_are_reported_after_restart() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.cut(2);

@@ -1,7 +1,7 @@
 //! Fast links: flow control must not reduce the throughput.
 
 use super::super::Compression;
-use super::link::{Link, Setting};
+use super::link::{Link, LinkSettings};
 use super::*;
 
 /// Number of events of 16 KiB per second, more than any of the stores accepts.
@@ -22,7 +22,7 @@ fn usual() -> SendingConfig {
 }
 
 /// Returns the number of events stored within four seconds on a connection that is two seconds old, with a backlog.
-fn stored(setting: Setting) -> u64 {
+fn stored(setting: LinkSettings) -> u64 {
     let mut link = Link::new(usual(), setting);
     link.run(4);
     link.connect();
@@ -41,7 +41,7 @@ fn a_fast_link_carries_what_the_store_takes() {
     for (bytes_per_s, one_way, commit, deaf) in
         [(1_250_000_000, 0, 300, 0), (1_250_000_000, 10, 300, 50), (12_500_000, 1, 10, 50)]
     {
-        let setting = Setting {
+        let setting = LinkSettings {
             bytes_per_s,
             one_way,
             step: 1,
@@ -52,7 +52,7 @@ fn a_fast_link_carries_what_the_store_takes() {
             text: long,
         };
         let with = stored(setting);
-        let without = stored(Setting { controlled: false, ..setting });
+        let without = stored(LinkSettings { controlled: false, ..setting });
         let seen = format!(
             "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {deaf} ms away: {with} events, {without} without \
              control"
@@ -64,7 +64,7 @@ fn a_fast_link_carries_what_the_store_takes() {
 }
 
 /// Returns the milliseconds from the connection until two megabytes are stored.
-fn begun(setting: Setting) -> i64 {
+fn begun(setting: LinkSettings) -> i64 {
     let mut link = Link::new(usual(), setting);
     link.run(1);
     link.connect();
@@ -76,9 +76,9 @@ fn begun(setting: Setting) -> i64 {
 }
 
 #[test]
-fn a_connection_soon_carries_all_that_it_can() {
+fn window_grows_to_capacity_of_link() {
     for one_way in [0, 1, 10, 25] {
-        let setting = Setting {
+        let setting = LinkSettings {
             bytes_per_s: 1_250_000_000,
             one_way,
             step: 1,
@@ -88,7 +88,7 @@ fn a_connection_soon_carries_all_that_it_can() {
             events_per_s: EVENTS_PER_S,
             text: long,
         };
-        let (with, without) = (begun(setting), begun(Setting { controlled: false, ..setting }));
+        let (with, without) = (begun(setting), begun(LinkSettings { controlled: false, ..setting }));
         println!("{one_way} ms: after {with} ms, {without} ms without control");
         // The allowance begins with 4 KiB and doubles: a megabyte after eight round trips.
         assert!(

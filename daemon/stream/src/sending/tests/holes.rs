@@ -19,7 +19,7 @@ fn without(numbers: &[u64]) -> Agent {
 }
 
 #[test]
-fn a_hole_is_passed_counted_and_told_to_the_aggregator() {
+fn hole_is_skipped_counted_and_reported() {
     let mut agent = without(&[4, 5]);
     agent.connect();
     agent.welcome(0, None);
@@ -40,7 +40,7 @@ fn a_hole_is_passed_counted_and_told_to_the_aggregator() {
 }
 
 #[test]
-fn a_hole_up_to_the_end_is_passed_as_well() {
+fn hole_up_to_end_is_skipped() {
     let mut agent = without(&[8, 9, 10]);
     agent.connect();
     agent.welcome(0, None);
@@ -83,7 +83,7 @@ fn several_holes_are_passed_one_after_the_other() {
 }
 
 #[test]
-fn a_hole_in_what_is_compared_deletes_nothing_that_may_not_be_stored() {
+fn hole_in_compared_batches_deletes_no_unstored_batch() {
     let mut agent = without(&[6]);
     agent.connect();
     agent.welcome(6, Some(Chain::from_bytes([9; 16])));

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 #[test]
-fn an_acknowledgement_of_what_was_never_sent_is_a_reason_to_ask() {
+fn acknowledgement_of_unsent_batch_causes_new_hello() {
     let mut agent = Agent::up(config());
     agent.cut(5);
     assert_eq!(agent.numbers(), [1, 2, 3]);

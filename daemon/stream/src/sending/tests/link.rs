@@ -10,7 +10,7 @@ const LIVE_BYTES: usize = 1_500;
 const LIVE_EVERY_MS: i64 = 250;
 
 /// One direction of a link.
-pub(super) struct Way<T> {
+pub(super) struct OneWayPath<T> {
     pub(super) bytes_per_s: i64,
     delay_ms: i64,
     /// Time in microseconds at which the last handed-over byte will have left.
@@ -20,7 +20,7 @@ pub(super) struct Way<T> {
     under_way: VecDeque<(i64, T)>,
 }
 
-impl<T> Way<T> {
+impl<T> OneWayPath<T> {
     const fn new(bytes_per_s: i64, delay_ms: i64) -> Self {
         Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, under_way: VecDeque::new() }
     }
@@ -38,7 +38,7 @@ impl<T> Way<T> {
     }
 }
 
-pub(super) enum Sent {
+pub(super) enum SentMessage {
     Frame(Bytes),
     /// A live update, with the time at which it was made.
     Live(i64),
@@ -46,7 +46,7 @@ pub(super) enum Sent {
 
 /// Environment of the two state machines; times in milliseconds.
 #[derive(Clone, Copy)]
-pub(super) struct Setting {
+pub(super) struct LinkSettings {
     pub(super) bytes_per_s: i64,
     pub(super) one_way: i64,
     /// Step of the simulation, and the interval at which the agent sends.
@@ -65,10 +65,10 @@ pub(super) struct Setting {
 /// An agent, an aggregator, and a link of limited speed.
 pub(super) struct Link {
     pub(super) agent: Agent,
-    pub(super) setting: Setting,
-    pub(super) up: Way<Sent>,
+    pub(super) setting: LinkSettings,
+    pub(super) up: OneWayPath<SentMessage>,
     receiving: Receiving,
-    down: Way<ToAgent>,
+    down: OneWayPath<ToAgent>,
     /// Batches that wait for the next commit; those of the current commit and its end.
     waiting: Vec<BatchHead>,
     committing: (Vec<BatchHead>, i64),
@@ -83,16 +83,16 @@ pub(super) struct Link {
 }
 
 impl Link {
-    pub(super) fn new(config: SendingConfig, setting: Setting) -> Self {
+    pub(super) fn new(config: SendingConfig, setting: LinkSettings) -> Self {
         Self {
             agent: Agent::new(config),
             setting,
-            up: Way::new(setting.bytes_per_s, setting.one_way),
+            up: OneWayPath::new(setting.bytes_per_s, setting.one_way),
             receiving: Receiving::new(ReceivingConfig {
                 most_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
-            down: Way::new(10_000_000, setting.one_way),
+            down: OneWayPath::new(10_000_000, setting.one_way),
             waiting: Vec::new(),
             committing: (Vec::new(), 0),
             stored: 0,
@@ -105,7 +105,7 @@ impl Link {
     }
 
     fn offer(&mut self) {
-        let Setting { step, events_per_s, text, .. } = self.setting;
+        let LinkSettings { step, events_per_s, text, .. } = self.setting;
         let now = self.agent.millis;
         let (before, after) = ((now - step) * events_per_s / 1_000, now * events_per_s / 1_000);
         for n in before..after {
@@ -124,15 +124,15 @@ impl Link {
         self.due |= now % LIVE_EVERY_MS == 0;
         if self.due && self.agent.sending.may_show() {
             self.agent.sending.shown(LIVE_BYTES);
-            self.up.send(LIVE_BYTES, Sent::Live(now), now);
+            self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
             self.due = false;
         }
         self.send();
         let hears = now % 1_000 >= self.setting.deaf;
         while hears && let Some(sent) = self.up.arrived(now) {
             match sent {
-                Sent::Live(made) => self.shown = made,
-                Sent::Frame(frame) => self.take(frame),
+                SentMessage::Live(made) => self.shown = made,
+                SentMessage::Frame(frame) => self.take(frame),
             }
         }
         self.commit();
@@ -150,7 +150,7 @@ impl Link {
                 };
                 match codec::decode(&frame) {
                     Ok(ToAggregator::Echo { bytes, .. }) if !self.setting.controlled => asked = Some(bytes),
-                    _ => self.up.send(frame.len(), Sent::Frame(frame.into()), self.agent.millis),
+                    _ => self.up.send(frame.len(), SentMessage::Frame(frame.into()), self.agent.millis),
                 }
             }
             let Some(bytes) = asked else { return };

@@ -70,7 +70,7 @@ fn names(body: &[u8], count: u32) -> Vec<u64> {
     codec::events(body, count).expect("readable").into_iter().filter_map(name).collect()
 }
 
-struct World {
+struct Simulation {
     agent: Agent,
     /// Actions for the disk, in order.
     jobs: VecDeque<Action>,
@@ -84,15 +84,15 @@ struct World {
     survived: BTreeSet<u64>,
 }
 
-impl World {
+impl Simulation {
     fn new() -> Self {
         let mut config = SendingConfig { batch_nodes: 2, batch_bytes: 100, spool_bytes: 2_000, ..config() };
         config.memory = Usage { events: 12, bytes: 400 };
         let (jobs, up, down, store, unsynced, survived) = Default::default();
-        let mut world =
+        let mut simulation =
             Self { agent: Agent::new(config), jobs, up, down, store, offered: 0, unsynced, survived };
-        world.reconnect();
-        world
+        simulation.reconnect();
+        simulation
     }
 
     fn run(&mut self) {
@@ -233,29 +233,29 @@ proptest! {
 
     #[test]
     fn what_survives_in_the_file_is_stored_once(steps in prop::collection::vec(step(), 1..80)) {
-        let mut world = World::new();
+        let mut simulation = Simulation::new();
         for step in steps {
             match step {
-                Step::Offer(count) => (0..count).for_each(|_| world.offer()),
-                Step::Pass(millis) => world.pass(millis.into()),
-                Step::Work(count) => (0..count).for_each(|_| world.work()),
-                Step::Deliver(count) => (0..count).for_each(|_| world.deliver()),
-                Step::Answer(count) => (0..count).for_each(|_| world.answer()),
-                Step::Reconnect => world.reconnect(),
+                Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
+                Step::Pass(millis) => simulation.pass(millis.into()),
+                Step::Work(count) => (0..count).for_each(|_| simulation.work()),
+                Step::Deliver(count) => (0..count).for_each(|_| simulation.deliver()),
+                Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),
+                Step::Reconnect => simulation.reconnect(),
                 Step::Break(broken) => {
                     // A full disk has lost nothing that was on it before.
-                    world.unsynced.clear();
-                    world.agent.broken = broken;
+                    simulation.unsynced.clear();
+                    simulation.agent.broken = broken;
                 }
-                Step::Kill { connect } => world.start(world.agent.file.clone(), connect),
+                Step::Kill { connect } => simulation.start(simulation.agent.file.clone(), connect),
                 Step::Cut { back, connect } => {
-                    let index = world.unsynced.len().saturating_sub(usize::from(back) % 8);
-                    let file = world.unsynced.get(index).unwrap_or(&world.agent.file).clone();
-                    world.start(file, connect);
+                    let index = simulation.unsynced.len().saturating_sub(usize::from(back) % 8);
+                    let file = simulation.unsynced.get(index).unwrap_or(&simulation.agent.file).clone();
+                    simulation.start(file, connect);
                 }
-                Step::Sync => world.unsynced.clear(),
+                Step::Sync => simulation.unsynced.clear(),
             }
         }
-        world.end();
+        simulation.end();
     }
 }

@@ -54,7 +54,7 @@ fn challenge_of_another_stream_is_not_answered() {
 }
 
 #[test]
-fn agent_that_is_in_answers_no_challenge() {
+fn agent_with_session_answers_no_challenge() {
     let mut agent = Agent::new(SendingConfig::default());
     agent.connect();
     let stream = agent.hellos[0].stream;

@@ -1,6 +1,6 @@
 //! Slow links: live figures stay recent, the link is used, and nothing is lost or repeated.
 
-use super::link::{Link, Setting};
+use super::link::{Link, LinkSettings};
 use super::*;
 
 fn usual() -> SendingConfig {
@@ -36,7 +36,7 @@ fn finish(mut link: Link) {
 }
 
 #[test]
-fn a_live_picture_stays_fresh_on_a_link_that_is_too_slow_for_the_events() {
+fn live_updates_stay_fresh_on_slow_link() {
     // Bytes per second, one-way delay, and largest delay of the live figures, both in milliseconds.
     for (rate, delay, most) in [
         (6_250, 0, 1_500),
@@ -47,7 +47,7 @@ fn a_live_picture_stays_fresh_on_a_link_that_is_too_slow_for_the_events() {
     ] {
         for offline in [0, 60] {
             // More events than the link carries, and a backlog of batches of the largest size.
-            let setting = Setting {
+            let setting = LinkSettings {
                 bytes_per_s: rate,
                 one_way: delay,
                 step: 5,

@@ -43,7 +43,7 @@ fn small_batches_are_under_way_in_greater_number() {
 }
 
 #[test]
-fn what_is_asked_for_again_is_sent_again() {
+fn requested_batch_is_sent_again() {
     let mut agent = Agent::up(config());
     agent.cut(4);
     assert_eq!(agent.numbers(), [1, 2, 3]);
@@ -86,7 +86,7 @@ fn without_an_answer_the_greeting_is_repeated() {
 }
 
 #[test]
-fn a_refusal_is_told_and_the_greeting_repeated_later() {
+fn refused_greeting_is_repeated_later() {
     let mut agent = Agent::new(config());
     agent.connect();
     agent.receive(&ToAgent::Refused { reason: "the name is taken".into() });

@@ -9,7 +9,7 @@ use super::aggregator::{Aggregator, Database, Entry};
 use super::{SpoolFile, names, told};
 
 #[derive(Clone, Debug, Default)]
-pub(in super::super) struct Truth {
+pub(in super::super) struct ExpectedContent {
     /// Events that were in a spool and not deleted with it.
     spooled: BTreeSet<u64>,
     /// All places of each event in the database so far.
@@ -30,7 +30,7 @@ pub(in super::super) struct Truth {
     pub(super) restored: bool,
 }
 
-impl Truth {
+impl ExpectedContent {
     pub(super) fn sent(&mut self, frame: &Bytes) {
         if let Some(part) = codec::part(frame) {
             self.parts.truncate(part.offset as usize);

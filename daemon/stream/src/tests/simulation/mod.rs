@@ -1,16 +1,16 @@
 //! Both ends, a spool on disk and a database, with a transport that loses, repeats, reorders and damages frames.
 
 mod aggregator;
+mod expected_content;
 mod file;
-mod truth;
 
 use std::collections::VecDeque;
 
 use bytes::Bytes;
 
 use self::aggregator::Aggregator;
+use self::expected_content::ExpectedContent;
 pub(super) use self::file::SpoolFile;
-use self::truth::Truth;
 use super::*;
 
 /// Secret of the host, which copies of its state directory share.
@@ -23,7 +23,7 @@ const PATIENCE_MS: i64 = 300_000;
 const MOST_TURNS: usize = 5_000;
 
 #[derive(Clone, Debug)]
-pub(super) struct World {
+pub(super) struct Simulation {
     pub(super) now: i64,
     config: SendingConfig,
     host: HostId,
@@ -41,14 +41,14 @@ pub(super) struct World {
     pub(super) aggregator: Aggregator,
     pub(super) up: Vec<(u64, Bytes)>,
     pub(super) down: Vec<(u64, ToAgent)>,
-    pub(super) truth: Truth,
+    pub(super) expected_content: ExpectedContent,
 }
 
-impl World {
+impl Simulation {
     pub(super) fn new(config: SendingConfig, capacity: usize) -> Self {
         let host = HostId::random();
         let file = SpoolFile::new(StreamId::random());
-        let mut world = Self {
+        let mut simulation = Self {
             now: 0,
             config,
             host,
@@ -63,10 +63,10 @@ impl World {
             aggregator: Aggregator::new(capacity),
             up: Vec::new(),
             down: Vec::new(),
-            truth: Truth::default(),
+            expected_content: ExpectedContent::default(),
         };
-        world.agent(|sending, now| sending.connected(now.mono));
-        world
+        simulation.agent(|sending, now| sending.connected(now.mono));
+        simulation
     }
 
     pub(super) fn file(&self) -> &SpoolFile {
@@ -83,7 +83,7 @@ impl World {
                         self.sites[self.site].sends(sent);
                     }
                     let frame = Bytes::from(frame);
-                    self.truth.sent(&frame);
+                    self.expected_content.sent(&frame);
                     self.up.push((self.connection, frame));
                 }
                 job => self.jobs.push_back(job),
@@ -150,12 +150,12 @@ impl World {
         match job {
             Action::Append { batches, totals } => {
                 file.append(batches, totals.clone());
-                batches.iter().for_each(|batch| self.truth.appended(batch));
+                batches.iter().for_each(|batch| self.expected_content.appended(batch));
             }
             Action::Load { from, bytes } => return file.load(*from, *bytes),
             Action::Delete { through, chain } => {
                 let deleted = file.delete(*through, *chain);
-                self.truth.deleted(&deleted);
+                self.expected_content.deleted(&deleted);
             }
             Action::Renew { stream, previous, first, events_before_first } => {
                 file.renew(*stream, *previous, *first, *events_before_first);
@@ -173,7 +173,7 @@ impl World {
         }
         let index = index % self.up.len();
         let (connection, frame) = self.up.remove(index);
-        if keep && !self.truth.is_damaged(&frame) {
+        if keep && !self.expected_content.is_damaged(&frame) {
             self.up.insert(index, (connection, frame.clone()));
         }
         let reply = self.aggregator.frame(connection, &frame, at(self.now).mono);
@@ -225,7 +225,7 @@ impl World {
     /// Commits `count` works. Unless `told`, the aggregator is killed between commit and acknowledgement.
     pub(super) fn commit(&mut self, count: usize, told: bool) {
         let stored = self.aggregator.commit(count);
-        stored.iter().for_each(|(stream, entry)| self.truth.committed(*stream, entry));
+        stored.iter().for_each(|(stream, entry)| self.expected_content.committed(*stream, entry));
         if told {
             let replies = self.aggregator.committed(stored.into_iter().map(|(stream, _)| stream).collect());
             self.down.extend(replies);
@@ -267,7 +267,7 @@ impl World {
         let mut copy = self.file().clone();
         copy.counted = CountedEvents::default();
         self.sites.push(copy);
-        self.truth.copied = true;
+        self.expected_content.copied = true;
     }
 
     /// Kills the agent and starts that of the next machine, which has a copy of an older spool.
@@ -282,7 +282,7 @@ impl World {
         self.up.retain(|(_, frame)| codec::batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
-        self.truth.lost(&old);
+        self.expected_content.lost(&old);
         self.start_agent(self.site, 0);
     }
 
@@ -293,7 +293,7 @@ impl World {
     pub(super) fn restore(&mut self) {
         if let Some(backup) = self.aggregator.backup.clone() {
             self.aggregator.database = backup;
-            self.truth.restored = true;
+            self.expected_content.restored = true;
             self.aggregator.kill();
         }
     }
@@ -343,7 +343,7 @@ impl World {
     pub(super) fn check(&self) {
         let Accounting { produced, stored, waiting, dropped, .. } = self.sending.accounting();
         assert_eq!(produced, stored + waiting + dropped, "produced = stored + waiting + dropped");
-        if !self.truth.restored && !self.truth.copied {
+        if !self.expected_content.restored && !self.expected_content.copied {
             assert_eq!(self.aggregator.missing, 0, "batches went missing");
         }
     }
@@ -351,8 +351,8 @@ impl World {
     /// Checks the invariants of a settled state.
     pub(super) fn check_settled(&self) {
         self.check();
-        self.truth.check(&self.aggregator);
-        self.truth.check_sum(self.offered, &self.aggregator);
+        self.expected_content.check(&self.aggregator);
+        self.expected_content.check_sum(self.offered, &self.aggregator);
         assert!(self.sites.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
     }
 }
