@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_that_are_absent_have_no_duration_and_add_nothing() {
+    fn absent_stages_have_no_duration() {
         let clock = clock(0);
         let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
         for (name, nanos) in
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_that_never_came_leaves_the_sum_open() {
+    fn missing_answer_leaves_sum_unknown() {
         let clock = clock(0);
         let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
         let sent = log.clock().stamp();

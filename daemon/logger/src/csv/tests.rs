@@ -42,7 +42,7 @@ fn nested_nodes_are_joined_and_values_with_children_are_marked() {
 }
 
 #[test]
-fn columns_of_later_rows_stand_where_those_rows_have_them() {
+fn columns_of_later_rows_keep_their_order() {
     let rows = [
         tree(&[("a", Some(1.0)), ("c", Some(3.0))]),
         tree(&[("a", Some(1.0)), ("b", Some(2.0)), ("c", Some(3.0)), ("d", Some(4.0))]),

@@ -16,7 +16,7 @@ fn paths(tree: &Tree) -> Vec<(Option<u32>, String)> {
 }
 
 #[test]
-fn guards_nest_and_close_what_they_opened() {
+fn guards_close_their_nodes() {
     let (clock, mut log) = recorder();
     {
         let mut sensing = log.time(stage::SENSING);
@@ -51,7 +51,7 @@ fn guards_nest_and_close_what_they_opened() {
 }
 
 #[test]
-fn tokens_are_counted_and_the_wait_for_the_first_is_measured() {
+fn tokens_and_time_to_first_are_recorded() {
     let (clock, mut log) = recorder();
     {
         let mut tokens = log.tokens("answer".into());
@@ -72,7 +72,7 @@ fn tokens_are_counted_and_the_wait_for_the_first_is_measured() {
 }
 
 #[test]
-fn a_reading_that_failed_is_recorded_as_such() {
+fn failed_reading_is_recorded_without_value() {
     struct Broken;
     impl Meter for Broken {
         fn kind(&self) -> Name {
@@ -98,7 +98,7 @@ fn a_reading_that_failed_is_recorded_as_such() {
 }
 
 #[test]
-fn a_tree_never_grows_beyond_its_limits_and_says_what_is_missing() {
+fn tree_stays_within_limits_and_counts_missing_nodes() {
     let (_, mut log) = recorder();
     for _ in 0..MAX_NODES {
         log.start(stage::CAPTURE);
@@ -116,7 +116,7 @@ fn a_tree_never_grows_beyond_its_limits_and_says_what_is_missing() {
 }
 
 #[test]
-fn nodes_below_the_deepest_level_are_left_out_and_their_elders_stay() {
+fn nodes_below_depth_limit_are_discarded() {
     fn descend(log: &mut Recorder, levels: usize) {
         if levels > 0 {
             let mut deeper = log.time("step".into());
@@ -150,7 +150,7 @@ fn foreign(third: HostId) -> Tree {
 }
 
 #[test]
-fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
+fn inserted_tree_keeps_shape_hosts_and_times() {
     let third = HostId::random();
     let other = foreign(third);
     let (clock, _) = recorder();
@@ -177,7 +177,7 @@ fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
 }
 
 #[test]
-fn a_tree_inserted_on_another_host_travels_back_with_the_growth() {
+fn inserted_tree_returns_with_delta() {
     let other = foreign(HostId::random());
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
@@ -215,7 +215,7 @@ fn an_insertion_that_does_not_fit_changes_nothing() {
 }
 
 #[test]
-fn only_an_open_transit_can_be_continued_and_a_growth_fits_once() {
+fn transit_is_continued_once_by_one_delta() {
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
     let upload = log.depart(stage::UPLOAD, sent);

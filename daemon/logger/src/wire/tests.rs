@@ -143,7 +143,7 @@ proptest! {
 }
 
 #[test]
-fn for_people_a_tree_is_an_object_and_is_checked_as_well() {
+fn human_readable_tree_is_checked_object() {
     let mut tree = Tree::new(stage::ITERATION, Anchor { host: HostId::random(), wall: WallTime::default() });
     tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, Measure::Timer(Some(Span::from_nanos(5))));
     let text = serde_json::to_string(&tree).expect("plain data");
@@ -187,7 +187,7 @@ fn each_limit_is_named_when_it_is_broken() {
 }
 
 #[test]
-fn what_is_not_a_tree_is_refused_with_the_reason() {
+fn invalid_tree_is_refused_with_reason() {
     let tree = |nodes: &[&[u8]]| match decode(&by_hand(1, nodes)) {
         Err(WireError::Tree(error)) => error,
         other => panic!("{other:?}"),
@@ -212,7 +212,7 @@ fn what_is_not_a_tree_is_refused_with_the_reason() {
 }
 
 #[test]
-fn the_wire_form_stays_what_it_is() {
+fn wire_form_is_unchanged() {
     let host = HostId::from_bytes([0xaa; 16]);
     let mut tree = Tree::new(stage::ITERATION, Anchor { host, wall: WallTime::from_unix_nanos(1) });
     tree.add(NodeId::ROOT, stage::SENSING, Span::from_nanos(2), Measure::Timer(Some(Span::from_nanos(300))));

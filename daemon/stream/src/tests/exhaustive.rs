@@ -149,7 +149,7 @@ fn explore(start: Simulation, most_faults: u32) -> (usize, usize, usize) {
     (known.len(), transitions, rests)
 }
 
-/// Returns a world in which batches of one event each are about to be spooled.
+/// Returns a simulation in which batches of one event each are about to be spooled.
 fn simulation(batches: usize) -> Simulation {
     let config = SendingConfig { batch_nodes: 1, batch_bytes: 1_024, window: 2, ..SendingConfig::default() };
     let mut simulation = Simulation::new(config, 2);

@@ -35,7 +35,7 @@ fn started(run: RunId) -> Event {
     })
 }
 
-/// Returns a world in which `events` events fit into memory, with a disk that has done nothing yet.
+/// Returns a simulation in which `events` events fit into memory, with a disk that has done nothing yet.
 fn of(events: u64) -> Simulation {
     Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy() }, 100)
 }
