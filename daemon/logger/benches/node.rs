@@ -120,7 +120,7 @@ fn typical(clock: &SharedClock) -> Tree {
         drop(remote.time(name));
     }
     let download = remote.depart(stage::DOWNLOAD, clock.stamp());
-    log.tree_mut().absorb(remote.into_growth().expect("resumed")).expect("fits");
+    log.tree_mut().absorb(remote.into_tree_delta().expect("resumed")).expect("fits");
     log.arrive(download, clock.wall());
     for transit in [upload, download] {
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(transit) {

@@ -29,5 +29,5 @@ pub use name::{Name, Unit, stage};
 pub use recorder::{Measuring, Recorder, Timing, Tokens};
 pub use stages::Stages;
 pub use text::Text;
-pub use tree::{Anchor, Growth, HostIndex, Node, NodeId, Tree};
+pub use tree::{Anchor, HostIndex, Node, NodeId, Tree, TreeDelta};
 pub use tree_error::TreeError;

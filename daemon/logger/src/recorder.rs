@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES, RESERVED_NODES};
 use crate::{
-    Anchor, Growth, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeError, Unit,
+    Anchor, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeDelta, TreeError, Unit,
     stage,
 };
 
@@ -225,13 +225,13 @@ impl Recorder {
 
     /// Ends the recording of a [resumed](Self::resume) tree. Returns the nodes that this host added, to be sent back;
     /// `None` for a tree that began here.
-    pub fn into_growth(mut self) -> Option<Growth> {
+    pub fn into_tree_delta(mut self) -> Option<TreeDelta> {
         let Received { base, closed } = self.received?;
         self.note_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
-        Some(Growth { base, anchor, others: anchors.collect(), closed, nodes })
+        Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
     }
 
     #[inline]

@@ -215,9 +215,9 @@ mod tests {
         }
         cloud.step_wall(Span::from_nanos(step));
         let download = remote.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
-        let growth = remote.into_growth().expect("resumed");
+        let delta = remote.into_tree_delta().expect("resumed");
         pass(both, down);
-        log.tree_mut().absorb(growth).expect("fits");
+        log.tree_mut().absorb(delta).expect("fits");
         let back = log.clock().wall();
         log.arrive(download, back);
         {

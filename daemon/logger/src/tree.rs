@@ -79,7 +79,7 @@ pub struct Tree {
 /// Only the growth is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it. It is
 /// serialised like a [`Tree`].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Growth {
+pub struct TreeDelta {
     /// Number of nodes of the tree when it was received.
     pub base: u32,
     /// Anchor of the host that added the nodes.
@@ -180,20 +180,20 @@ impl Tree {
     ///
     /// # Errors
     /// If the growth does not fit this tree. The tree is then unchanged.
-    pub fn absorb(&mut self, growth: Growth) -> Result<(), TreeError> {
+    pub fn absorb(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
-        if growth.base as usize != base {
-            return Err(TreeError::OtherTree { expected: growth.base as usize, actual: base });
+        if delta.base as usize != base {
+            return Err(TreeError::OtherTree { expected: delta.base as usize, actual: base });
         }
-        let (closed, at) = growth.closed;
+        let (closed, at) = delta.closed;
         match self.nodes.get(closed.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
             _ => return Err(TreeError::NotUnderWay(closed.index())),
         }
         let hosts = self.anchors.len();
-        self.nodes.extend(growth.nodes);
-        self.anchors.push(growth.anchor);
-        self.anchors.extend(growth.others);
+        self.nodes.extend(delta.nodes);
+        self.anchors.push(delta.anchor);
+        self.anchors.extend(delta.others);
         if let Err(error) = self.check(base) {
             self.nodes.truncate(base);
             self.anchors.truncate(hosts);

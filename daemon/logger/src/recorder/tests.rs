@@ -144,8 +144,8 @@ fn foreign(third: HostId) -> Tree {
     let tree = log.tree().clone();
     let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
     remote.value("grip".into(), 3.0, Unit::new("N"));
-    let growth = remote.into_growth().expect("resumed");
-    log.tree_mut().absorb(growth).expect("fits");
+    let delta = remote.into_tree_delta().expect("resumed");
+    log.tree_mut().absorb(delta).expect("fits");
     log.finish()
 }
 
@@ -186,9 +186,9 @@ fn inserted_tree_returns_with_delta() {
     let mut remote =
         Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent).expect("under way");
     remote.insert(&other).expect("fits");
-    let growth = remote.into_growth().expect("resumed");
-    assert_eq!(growth.others.len(), 2);
-    log.tree_mut().absorb(growth).expect("fits");
+    let delta = remote.into_tree_delta().expect("resumed");
+    assert_eq!(delta.others.len(), 2);
+    log.tree_mut().absorb(delta).expect("fits");
     let tree = log.finish();
     assert_eq!((tree.anchors().len(), tree.check(0)), (4, Ok(())));
     assert!(tree.find(&["iteration", "grip"]).is_some());
@@ -224,8 +224,8 @@ fn transit_is_continued_once_by_one_delta() {
     };
     assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotUnderWay(0))));
     assert!(matches!(resume(&log, NodeId::NOWHERE), Err(TreeError::NotUnderWay(_))));
-    let growth = resume(&log, upload).expect("under way").into_growth().expect("resumed");
-    let mut crooked = growth.clone();
+    let delta = resume(&log, upload).expect("under way").into_tree_delta().expect("resumed");
+    let mut crooked = delta.clone();
     crooked.nodes.push(Node {
         parent: Some(NodeId(9)),
         name: stage::QUEUE,
@@ -236,6 +236,6 @@ fn transit_is_continued_once_by_one_delta() {
     let before = log.tree().clone();
     assert_eq!(log.tree_mut().absorb(crooked), Err(TreeError::Order(2)));
     assert_eq!(log.tree(), &before);
-    assert_eq!(log.tree_mut().absorb(growth.clone()), Ok(()));
-    assert_eq!(log.tree_mut().absorb(growth), Err(TreeError::NotUnderWay(1)));
+    assert_eq!(log.tree_mut().absorb(delta.clone()), Ok(()));
+    assert_eq!(log.tree_mut().absorb(delta), Err(TreeError::NotUnderWay(1)));
 }

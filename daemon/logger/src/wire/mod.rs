@@ -30,7 +30,7 @@ use peernet_clock::WallTime;
 
 use self::reader::Reader;
 use crate::limits::MAX_BYTES;
-use crate::{Growth, NodeId, Tree, TreeError};
+use crate::{NodeId, Tree, TreeDelta, TreeError};
 
 /// Version of the wire form.
 pub const VERSION: u64 = 1;
@@ -91,8 +91,8 @@ pub fn decode(bytes: &[u8]) -> Result<Tree, WireError> {
 }
 
 /// Appends the wire form of a growth to `out`.
-pub fn encode_growth(growth: &Growth, out: &mut Vec<u8>) {
-    let Growth { base, anchor, others, closed: (closed, at), nodes } = growth;
+pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
+    let TreeDelta { base, anchor, others, closed: (closed, at), nodes } = delta;
     writer::array(out, 7);
     writer::uint(out, VERSION);
     writer::uint(out, u64::from(*base));
@@ -107,7 +107,7 @@ pub fn encode_growth(growth: &Growth, out: &mut Vec<u8>) {
 ///
 /// # Errors
 /// Unless the bytes are exactly one growth within the limits.
-pub fn decode_growth(bytes: &[u8]) -> Result<Growth, WireError> {
+pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let mut reader = Reader::begin(bytes, 7, "a growth")?;
     let base = reader.small("the length of the tree")?;
     let anchor = reader.anchor()?;
@@ -119,7 +119,7 @@ pub fn decode_growth(bytes: &[u8]) -> Result<Growth, WireError> {
     for (index, node) in nodes.iter().enumerate() {
         node.measure.check(base as usize + index)?;
     }
-    Ok(Growth { base, anchor, others, closed: (closed, at), nodes })
+    Ok(TreeDelta { base, anchor, others, closed: (closed, at), nodes })
 }
 
 #[cfg(test)]

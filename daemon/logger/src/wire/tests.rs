@@ -90,9 +90,9 @@ fn wire(tree: &Tree) -> Vec<u8> {
     out
 }
 
-fn growth_of(tree: &Tree, anchor: Anchor) -> Growth {
+fn delta_of(tree: &Tree, anchor: Anchor) -> TreeDelta {
     let (nodes, closed) = (tree.nodes().to_vec(), (NodeId(3), anchor.wall));
-    Growth { base: 7, others: tree.anchors()[1..].to_vec(), anchor, closed, nodes }
+    TreeDelta { base: 7, others: tree.anchors()[1..].to_vec(), anchor, closed, nodes }
 }
 
 proptest! {
@@ -106,12 +106,12 @@ proptest! {
         let packed = rmp_serde::to_vec(&tree).expect("plain data");
         prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
 
-        let growth = growth_of(&tree, anchor);
+        let delta = delta_of(&tree, anchor);
         let mut bytes = Vec::new();
-        encode_growth(&growth, &mut bytes);
-        prop_assert_eq!(&decode_growth(&bytes), &Ok(growth.clone()));
-        let packed = rmp_serde::to_vec(&growth).expect("plain data");
-        prop_assert_eq!(&rmp_serde::from_slice::<Growth>(&packed).expect("our own"), &growth);
+        encode_tree_delta(&delta, &mut bytes);
+        prop_assert_eq!(&decode_tree_delta(&bytes), &Ok(delta.clone()));
+        let packed = rmp_serde::to_vec(&delta).expect("plain data");
+        prop_assert_eq!(&rmp_serde::from_slice::<TreeDelta>(&packed).expect("our own"), &delta);
     }
 
     #[test]
@@ -133,12 +133,12 @@ proptest! {
         if let Ok(other) = decode(&bytes) {
             prop_assert_eq!(decode(&wire(&other)), Ok(other));
         }
-        let _ = decode_growth(&bytes);
+        let _ = decode_tree_delta(&bytes);
     }
 
     #[test]
     fn no_bytes_panic(bytes: Vec<u8>) {
-        let _ = (decode(&bytes), decode_growth(&bytes));
+        let _ = (decode(&bytes), decode_tree_delta(&bytes));
     }
 }
 

@@ -20,9 +20,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
-use peernet_logger::{Growth, Tree};
+use peernet_logger::{Tree, TreeDelta};
 
-use super::{Header, decode_growth, decode_tree, encode_growth, encode_tree};
+use super::{Header, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta};
 
 /// Files by name.
 type Files = BTreeMap<String, Bytes>;
@@ -47,7 +47,7 @@ fn files() -> Files {
 enum Content {
     Header(Header),
     Tree(Tree),
-    Growth(Growth),
+    TreeDelta(TreeDelta),
 }
 
 impl Content {
@@ -59,7 +59,7 @@ impl Content {
                 decode_tree(frame).map(Self::Tree).map_err(|error| error.to_string())
             }
             Some(variants::GROWTH_NAME) => {
-                decode_growth(frame).map(Self::Growth).map_err(|error| error.to_string())
+                decode_tree_delta(frame).map(Self::TreeDelta).map_err(|error| error.to_string())
             }
             _ => Header::decode(frame).map(Self::Header).map_err(|error| error.to_string()),
         };
@@ -70,7 +70,9 @@ impl Content {
         match self {
             Self::Header(header) => header.encode().expect("the headers of the fixtures are short"),
             Self::Tree(tree) => encode_tree(tree).expect("the trees of the fixtures are small"),
-            Self::Growth(growth) => encode_growth(growth).expect("the growths of the fixtures are small"),
+            Self::TreeDelta(delta) => {
+                encode_tree_delta(delta).expect("the growths of the fixtures are small")
+            }
         }
     }
 
@@ -79,7 +81,7 @@ impl Content {
         match self {
             Self::Header(header) => variants::header_name(header),
             Self::Tree(_) => variants::TREE_NAME,
-            Self::Growth(_) => variants::GROWTH_NAME,
+            Self::TreeDelta(_) => variants::GROWTH_NAME,
         }
     }
 }

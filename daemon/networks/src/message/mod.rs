@@ -36,7 +36,9 @@ pub use hello::{
     SessionId,
 };
 pub use probe_key::ProbeKey;
-pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
+pub(crate) use tree::{
+    TreeFrameError, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta, put_upload,
+};
 
 use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};

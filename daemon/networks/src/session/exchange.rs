@@ -7,7 +7,7 @@ use peernet_logger::{
 };
 use peernet_sample::Sample;
 
-use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_growth};
+use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
 /// A request and its outcome. The log always comes back.
@@ -136,7 +136,7 @@ pub(crate) fn absorb(
     let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
-    let mut growth = decode_growth(growth)?;
+    let mut growth = decode_tree_delta(growth)?;
     if growth.closed.0 != departed.upload {
         return Err(GrowthError::OtherNodeClosed);
     }

@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use crate::message::{
-    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_growth,
+    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_tree_delta,
 };
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
@@ -93,7 +93,7 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
 fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
     let zero = log.offset(MonoTime::default());
-    let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {
+    let grown = log.into_tree_delta().and_then(|growth| match encode_tree_delta(&growth) {
         Ok(wire) => Some(wire),
         Err(error) => {
             tracing::warn!(%error, "an answer goes out without what was measured here");

@@ -1,7 +1,9 @@
 //! The tree of an iteration of which another agent observed the same messages on its host.
 
 use peernet_clock::{OneWayDelay, SharedClock, Span, Stamp};
-use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, stage};
+use peernet_logger::{
+    Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
+};
 
 use super::{add_topics, count, ends, ticket};
 use crate::link::{Crossing, HostStamp};
@@ -43,14 +45,14 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         // Both ways together are known by the monotonic clocks alone: what this host waited, less what the peer took.
         transport = way_back.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
-        let growth = Growth {
+        let delta = TreeDelta {
             base,
             anchor: Anchor { host: peer, wall: arrived.wall },
             others: Vec::new(),
             closed: (upload, arrived.wall),
             nodes: nodes.into_iter().flatten().collect(),
         };
-        match log.tree_mut().absorb(growth) {
+        match log.tree_mut().absorb(delta) {
             Ok(()) => {
                 if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
                     **transit = up.transit(up_delay);
