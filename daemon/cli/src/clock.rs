@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 
 use peernet_agent::config::RehearsalConfig;
-use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, SystemClock};
+use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, SystemClock};
 
 /// This machine's clock under a given identity.
 ///
@@ -29,5 +29,5 @@ pub fn rehearsed(truth: &SharedClock, rehearsal: Option<&RehearsalConfig>) -> io
         }
         _ => truth.identity().clone(),
     };
-    Ok(Arc::new(RehearsedClock::new(Arc::clone(truth), identity, rehearsal.description(since))))
+    Ok(Arc::new(FaultyClock::new(Arc::clone(truth), identity, rehearsal.description(since))))
 }

@@ -23,14 +23,14 @@
 //! - `delay`: the result, a [`OneWayDelay`] with its interval, its source and its verdict.
 
 mod band;
+mod clock_faults;
 mod delay;
 mod discipline;
 mod exchange;
+mod faulty_clock;
 mod identity;
 mod log_throttle;
 mod manual;
-mod rehearsal;
-mod rehearsed;
 mod related_clocks;
 mod relation;
 #[cfg(test)]
@@ -41,18 +41,19 @@ mod system;
 mod time;
 
 pub use band::ProvenSkew;
+pub use clock_faults::{ClockFaultStep, ClockFaults, SteppedClock};
 pub use delay::{DelaySource, Interval, OneWayDelay, Verdict};
 pub use discipline::Discipline;
 pub use exchange::{Exchange, ExchangeObservation};
+pub use faulty_clock::FaultyClock;
 pub use identity::{ClockIdentity, time_namespace};
 pub use log_throttle::LogThrottle;
 pub use manual::ManualClock;
-pub use rehearsal::{RehearsalDescription, RehearsedStep, SteppedClock};
-pub use rehearsed::RehearsedClock;
 pub use related_clocks::RelatedClocks;
 pub use relation::{
-    Direction, Doubt, ExchangeCounts, Judged, Learned, Offset, Refusal, Relation, RelationSettings,
+    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, Relation,
+    RelationSettings,
 };
 pub use source::{Clock, SharedClock, Stamp, SystemClock};
-pub use steps::{Disturbance, Readings, Watch};
+pub use steps::{ClockWatch, Disturbance, Readings};
 pub use time::{MonoTime, RawTime, Span, WallTime};

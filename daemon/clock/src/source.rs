@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::steps::{Paired, StepWatch};
 use crate::system::{BOOT, MONO, RAW, WALL, is_kernels, read};
-use crate::{ClockIdentity, Interval, MonoTime, RawTime, Readings, RehearsalDescription, Span, WallTime};
+use crate::{ClockFaults, ClockIdentity, Interval, MonoTime, RawTime, Readings, Span, WallTime};
 
 /// The clocks of a host, read together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,7 +65,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
-    /// Reads all clocks of the host, for [`Watch`](crate::Watch).
+    /// Reads all clocks of the host, for [`ClockWatch`](crate::ClockWatch).
     fn readings(&self) -> Readings {
         let Stamp { wall, mono, raw } = self.stamp();
         Readings { wall, mono, raw, boot: mono }
@@ -114,7 +114,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
     }
 
     /// Returns the faults that are injected into the clock, if any.
-    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+    fn rehearsal(&self) -> Option<&ClockFaults> {
         None
     }
 }
@@ -212,7 +212,7 @@ impl Clock for SystemClock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::RehearsedClock;
+    use crate::FaultyClock;
 
     #[test]
     fn the_monotonic_clock_never_runs_backwards() {
@@ -229,14 +229,10 @@ mod tests {
     fn only_the_system_clock_shows_kernel_time() {
         let system = SystemClock::new(ClockIdentity::new("boot", "system"));
         assert!((0..10_000).all(|_| system.shows_kernel_time()));
-        let wrong = RehearsalDescription {
-            offset: Span::ZERO,
-            drift_ppm: 0.0,
-            steps: Vec::new(),
-            since: system.wall(),
-        };
+        let wrong =
+            ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since: system.wall() };
         let identity = system.identity().clone();
-        let rehearsed = RehearsedClock::new(Arc::new(system), identity, wrong);
+        let rehearsed = FaultyClock::new(Arc::new(system), identity, wrong);
         assert!(!rehearsed.shows_kernel_time());
     }
 

@@ -1,8 +1,8 @@
 //! Messages about clocks: the relation between two hosts' clocks, and the claims of each host's time daemon.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, RelatedClocks, Span,
-    Verdict, WallTime,
+    ClockFaults, Discipline, Exchange, ExchangeCounts, Interval, Offset, RelatedClocks, Span, Verdict,
+    WallTime,
 };
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Serialize, Serializer};
@@ -261,7 +261,7 @@ pub struct HostClock {
     /// Number of steps, slews and sleeps of the clock since the agent started.
     pub epoch: u32,
     /// Faults that are injected into the clock.
-    pub rehearsal: Option<RehearsalDescription>,
+    pub rehearsal: Option<ClockFaults>,
     /// Clock hardware that the kernel reads, such as `tsc` (Linux: `current_clocksource`); `None` if the kernel does
     /// not state it. Since version 7 of the event stream.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -317,7 +317,7 @@ async fn accuracy_stands_beside_latency_where_samples_have_labels() {
 #[tokio::test]
 async fn a_rehearsal_is_said_on_every_page_and_with_every_figure_it_touches() {
     let since = samples::NOW;
-    let rehearsal = peernet_clock::RehearsalDescription {
+    let rehearsal = peernet_clock::ClockFaults {
         offset: Span::from_seconds(1),
         drift_ppm: 50.0,
         steps: Vec::new(),

@@ -1,6 +1,6 @@
 //! `[rehearsal]`
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, Span, SteppedClock, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
 /// `[rehearsal]`: makes this host's clocks wrong on purpose, to see that the reported delays do not move.
@@ -47,13 +47,13 @@ pub enum RehearsedDiscipline {
 
 impl RehearsalConfig {
     /// What is wrong with a clock whose rehearsal began when the true one showed `since`.
-    pub fn description(&self, since: WallTime) -> RehearsalDescription {
-        let step = |step: &RehearsedStepConfig| RehearsedStep {
+    pub fn description(&self, since: WallTime) -> ClockFaults {
+        let step = |step: &RehearsedStepConfig| ClockFaultStep {
             at: Span::from_seconds_f64(step.at_s),
             by: milliseconds(step.by_ms),
             clock: step.clock,
         };
-        RehearsalDescription {
+        ClockFaults {
             offset: milliseconds(self.offset_ms),
             drift_ppm: self.drift_ppm,
             steps: self.steps.iter().map(step).collect(),

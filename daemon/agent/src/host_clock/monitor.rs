@@ -1,6 +1,6 @@
 //! Monitor of the host's clocks: detects steps, slews, sleeps and other disturbances.
 
-use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
+use peernet_clock::{ClockWatch, Disturbance, MonoTime, SharedClock, Span};
 use peernet_stream::IncidentKind;
 
 use super::{Clocksource, Vmclock};
@@ -19,7 +19,7 @@ const RAW_CONSEQUENCE: &str = "delays of that moment are left out";
 #[derive(Debug)]
 pub(super) struct HostClockMonitor {
     clock: SharedClock,
-    watch: Watch,
+    watch: ClockWatch,
     max_drift_ppm: f64,
     wall_epoch: u32,
     slew_reported: Option<MonoTime>,
@@ -36,7 +36,7 @@ impl HostClockMonitor {
         clocksource: Clocksource,
         vmclock: Vmclock,
     ) -> Self {
-        let (watch, wall_epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
+        let (watch, wall_epoch) = (ClockWatch::new(max_drift_ppm), clock.wall_epoch());
         let clocksource_name = clocksource.name();
         Self {
             clock,
@@ -145,7 +145,7 @@ mod tests {
     use std::fs::File;
     use std::sync::Arc;
 
-    use peernet_clock::{ClockIdentity, ManualClock, RehearsalDescription, RehearsedClock, WallTime};
+    use peernet_clock::{ClockFaults, ClockIdentity, FaultyClock, ManualClock, WallTime};
     use peernet_stream::Event;
     use tokio::sync::mpsc;
 
@@ -171,9 +171,9 @@ mod tests {
             let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
             let identity = ClockIdentity::new("boot", "clock");
             let manual = Arc::new(ManualClock::new(since, identity.clone()));
-            let drifts = RehearsalDescription { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
+            let drifts = ClockFaults { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
             let inner = Arc::clone(&manual) as SharedClock;
-            let clock: SharedClock = Arc::new(RehearsedClock::new(inner, identity, drifts));
+            let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, drifts));
             let (listener, events) = mpsc::channel(100);
             let event_queue = EventQueue::nowhere().tapped(Some(EventTap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, ExchangeObservation, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks,
-    Relation, Span, Stamp, Verdict, WallTime,
+    Direction, Doubt, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime,
+    RelatedClocks, Relation, Span, Stamp, Verdict, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -118,7 +118,7 @@ impl Knowledge {
         now: Stamp,
     ) -> ([OneWayDelay; 2], News) {
         let mut news = self.turn(now);
-        let Judged { learned, up, down } =
+        let JudgedExchange { learned, up, down } =
             self.told(whose(observation), |relation| relation.judge(observation));
         // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
@@ -283,7 +283,7 @@ impl Knowledge {
     fn learn(&mut self, observation: &ExchangeObservation, now: Stamp, news: &mut News) -> bool {
         let learned = self.told(whose(observation), |relation| relation.learn(observation));
         self.learned(learned, observation, now, news);
-        !matches!(learned, Learned::Refused(_))
+        !matches!(learned, LearnResult::Refused(_))
     }
 
     /// Tells the relation something that came with these epochs of the related clocks of edge and cloud. If what was learnt is void
@@ -301,13 +301,19 @@ impl Knowledge {
         answer
     }
 
-    fn learned(&mut self, learned: Learned, observation: &ExchangeObservation, now: Stamp, news: &mut News) {
+    fn learned(
+        &mut self,
+        learned: LearnResult,
+        observation: &ExchangeObservation,
+        now: Stamp,
+        news: &mut News,
+    ) {
         self.begin_window(now, news);
         let settings = *self.relation.settings();
         match learned {
-            Learned::Refused(_) => return,
-            Learned::Taken => {}
-            Learned::Restarted(moved) => {
+            LearnResult::Refused(_) => return,
+            LearnResult::Taken => {}
+            LearnResult::Restarted(moved) => {
                 let limit = |doubt| match doubt {
                     Doubt::Drift => settings.max_drift_ppm,
                     Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
@@ -315,7 +321,7 @@ impl Knowledge {
                 let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
                 news.restart = self.reports.restarted(moved, doubt).or(news.restart.take());
             }
-            Learned::Jumped(moved) => {
+            LearnResult::Jumped(moved) => {
                 let jump = self.reports.jumped(moved, observation.exchange.returned);
                 news.jump = jump.or(news.jump.take());
             }

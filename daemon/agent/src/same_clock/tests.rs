@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{
-    ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, Span, SystemClock, time_namespace,
+    ClockFaults, ClockIdentity, FaultyClock, SharedClock, Span, SystemClock, time_namespace,
 };
 use peernet_logger::HostId;
 use peernet_networks::{ClockSocketName, SESSION_VERSIONS, SessionHello, SessionId};
@@ -27,8 +27,8 @@ fn system() -> SharedClock {
 fn rehearsed() -> SharedClock {
     let clock = system();
     let (identity, since) = (clock.identity().clone(), clock.wall());
-    let wrong = RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
-    Arc::new(RehearsedClock::new(clock, identity, wrong))
+    let wrong = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
+    Arc::new(FaultyClock::new(clock, identity, wrong))
 }
 
 fn session(last: u8) -> SessionId {

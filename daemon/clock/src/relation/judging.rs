@@ -1,7 +1,7 @@
 //! Computation of a delay from the known offset.
 
 use super::sources::{Combined, Knowledge};
-use super::{Direction, Judged, Learned, Refusal, Relation};
+use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
 /// Smallest number of exchanges in the window from which a delay is judged at all.
@@ -10,20 +10,20 @@ const LEAST_EXCHANGES: u64 = 3;
 impl Relation {
     /// Learns a finished exchange of data, then judges its two delays. The delays of an exchange that was refused are
     /// `stepped`.
-    pub fn judge(&mut self, observation: &ExchangeObservation) -> Judged {
+    pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
-        if let Learned::Refused(why) = learned {
-            return Judged {
+        if let LearnResult::Refused(why) = learned {
+            return JudgedExchange {
                 learned,
                 up: self.refused(why, Direction::Up, sent, received),
                 down: self.refused(why, Direction::Down, replied, returned),
             };
         }
         let [up, down] = self.guesses(sent, returned);
-        Judged {
+        JudgedExchange {
             learned,
             up: self.delay_in_company(Direction::Up, sent, received, company, up),
             down: self.delay_in_company(Direction::Down, replied, returned, company, down),

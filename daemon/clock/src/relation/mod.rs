@@ -20,7 +20,9 @@ use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
 use suspects::Contradictions;
-pub use types::{Direction, Doubt, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
+pub use types::{
+    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings,
+};
 use windows::Windows;
 
 /// Largest magnitude of stamps and offsets (±73 years; a host without a battery starts in 1970).
@@ -159,17 +161,17 @@ impl Relation {
     }
 
     /// Learns a finished exchange, unless it is refused.
-    pub fn learn(&mut self, observation: &ExchangeObservation) -> Learned {
+    pub fn learn(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let learned = self.consider(observation);
         let counts = &mut self.counts;
         match learned {
-            Learned::Taken | Learned::Restarted(_) | Learned::Jumped(_) => {
+            LearnResult::Taken | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
                 counts.taken += 1;
                 self.presence.note(observation.exchange.returned);
             }
-            Learned::Refused(Refusal::Impossible) => counts.impossible += 1,
-            Learned::Refused(Refusal::Outlier) => counts.outliers += 1,
-            Learned::Refused(Refusal::Stepped) => counts.stepped += 1,
+            LearnResult::Refused(Refusal::Impossible) => counts.impossible += 1,
+            LearnResult::Refused(Refusal::Outlier) => counts.outliers += 1,
+            LearnResult::Refused(Refusal::Stepped) => counts.stepped += 1,
         }
         learned
     }
@@ -190,10 +192,10 @@ impl Relation {
         }
     }
 
-    fn consider(&mut self, observation: &ExchangeObservation) -> Learned {
+    fn consider(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let exchange = &observation.exchange;
         if !self.is_possible(exchange) {
-            return Learned::Refused(Refusal::Impossible);
+            return LearnResult::Refused(Refusal::Impossible);
         }
         // An exchange that spans a step is refused, but its epochs count.
         let report = self.steps.compare(observation);
@@ -203,14 +205,14 @@ impl Relation {
             self.restart();
         }
         if !report.is_current || !is_steady(observation) || self.steps.excludes(exchange) {
-            return Learned::Refused(Refusal::Stepped);
+            return LearnResult::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
         let contradiction = self.windows.contradiction(&bounds);
         let moved = match contradiction {
             Some(contradiction) => {
                 if !self.replace_window(&bounds, exchange.returned, contradiction) {
-                    return Learned::Refused(Refusal::Outlier);
+                    return LearnResult::Refused(Refusal::Outlier);
                 }
                 None
             }
@@ -224,13 +226,13 @@ impl Relation {
         if let Some(moved) = moved {
             self.contradictions.suspects.clear();
             self.counts.restarts += 1;
-            return Learned::Jumped(moved);
+            return LearnResult::Jumped(moved);
         }
         match self.restarted.take() {
-            None => Learned::Taken,
+            None => LearnResult::Taken,
             Some(before) => {
                 let now = self.estimate_at(exchange.returned);
-                Learned::Restarted(before.zip(now).map(|(before, now)| now - before))
+                LearnResult::Restarted(before.zip(now).map(|(before, now)| now - before))
             }
         }
     }

@@ -64,7 +64,7 @@ pub enum Refusal {
 
 /// Result of learning an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learned {
+pub enum LearnResult {
     /// It was accepted.
     Taken,
     /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the movement
@@ -128,9 +128,9 @@ pub struct ExchangeCounts {
 
 /// Delays of a message and of its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Judged {
+pub struct JudgedExchange {
     /// Result of learning the exchange itself.
-    pub learned: Learned,
+    pub learned: LearnResult,
     /// Edge to cloud.
     pub up: OneWayDelay,
     /// Cloud to edge.

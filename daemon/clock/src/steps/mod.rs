@@ -7,7 +7,7 @@ mod tests;
 mod watch;
 
 pub(crate) use step::{Paired, StepWatch};
-pub use watch::{Disturbance, Watch};
+pub use watch::{ClockWatch, Disturbance};
 
 use crate::{MonoTime, RawTime, Span, WallTime};
 

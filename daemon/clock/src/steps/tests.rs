@@ -58,7 +58,7 @@ fn an_interrupted_read_is_repeated() {
 
 /// Returns the disturbances that a watch reports in ten readings per second.
 fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
-    let mut watch = Watch::new(ppm);
+    let mut watch = ClockWatch::new(ppm);
     (0..seconds * 10).flat_map(|tenth| watch.look(ahead(tenth))).collect()
 }
 

@@ -25,7 +25,7 @@ pub enum Disturbance {
 /// The limit is the one for a pair of hosts. Half of it may be due to the other host, but neither of them knows the
 /// other's part; exchanges between the two detect what this check misses.
 #[derive(Debug)]
-pub struct Watch {
+pub struct ClockWatch {
     max_drift_ppm: f64,
     last: Option<Readings>,
     /// Reading from which the rate is measured.
@@ -35,7 +35,7 @@ pub struct Watch {
     other: (f64, u32),
 }
 
-impl Watch {
+impl ClockWatch {
     /// Injected drift up to which a clock is not considered stepped.
     const RATE_PPM: f64 = 500.0;
     /// Shortest sleep that is reported. Reading takes less time.

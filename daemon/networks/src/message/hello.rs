@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_clock::{ClockIdentity, Discipline, Interval, RehearsalDescription};
+use peernet_clock::{ClockFaults, ClockIdentity, Discipline, Interval};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{Condition, Hardware, Release, VersionRange};
 use serde::de::Error as _;
@@ -133,7 +133,7 @@ pub struct PeerClock {
     pub text: String,
     /// How it is made wrong on purpose.
     #[serde(deserialize_with = "finite")]
-    pub rehearsal: Option<RehearsalDescription>,
+    pub rehearsal: Option<ClockFaults>,
     /// Its free-running clock; `None` in sessions of a version before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawClock>,
@@ -226,8 +226,8 @@ fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipli
     }
 }
 
-fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RehearsalDescription>, D::Error> {
-    let rehearsal: Option<RehearsalDescription> = Option::deserialize(deserializer)?;
+fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockFaults>, D::Error> {
+    let rehearsal: Option<ClockFaults> = Option::deserialize(deserializer)?;
     match rehearsal {
         Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
             Err(D::Error::custom("a drift that is no number"))

@@ -2,7 +2,7 @@
 //! what is stored was judged by the same code that judges it again.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeObservation, Interval, Judged, Learned, OneWayDelay, RawTime,
+    Discipline, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
     RelatedClocks, Relation, RelationSettings, Span, WallTime,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
@@ -115,7 +115,7 @@ impl Simulation {
         let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
         self.truths.push(delays);
         let number = self.truths.len() as u64;
-        let Judged { learned, up, down } = self.relation.judge(&self.observation(stamps));
+        let JudgedExchange { learned, up, down } = self.relation.judge(&self.observation(stamps));
         self.note(stamps, learned);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
@@ -187,13 +187,13 @@ impl Simulation {
         generate::at(0.0) + truth + self.cloud_ahead + Span::from_nanos(truth.nanos() / 50_000)
     }
 
-    fn note(&mut self, exchange: Exchange, learned: Learned) {
+    fn note(&mut self, exchange: Exchange, learned: LearnResult) {
         let restarts = if self.is_one_window { 0 } else { self.relation.counts().restarts };
         let window = self.first_window + u64::from(restarts);
         if window != self.window {
             (self.window, self.best) = (window, (None, None));
         }
-        if let Learned::Refused(_) = learned {
+        if let LearnResult::Refused(_) = learned {
             return;
         }
         let (upper, lower) = &mut self.best;

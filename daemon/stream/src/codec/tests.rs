@@ -1,6 +1,6 @@
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription,
-    RehearsedStep, Span, Verdict, WallTime,
+    ClockFaultStep, ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset,
+    RawTime, Span, Verdict, WallTime,
 };
 use proptest::prelude::*;
 
@@ -70,10 +70,10 @@ fn host_clock() -> HostClock {
         discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
         text: "chrony, stratum 2, to 10.0.0.1".into(),
         epoch: 3,
-        rehearsal: Some(RehearsalDescription {
+        rehearsal: Some(ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: -50.0,
-            steps: vec![RehearsedStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
+            steps: vec![ClockFaultStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
             since: WallTime::from_unix_nanos(5),
         }),
         clocksource: None,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, Span, SteppedClock};
+use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, Span, SteppedClock};
 
 use super::{system_clock, watched};
 use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
@@ -11,7 +11,7 @@ use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, Rehearsed
 fn rehearsed(config: &RehearsalConfig) -> SharedClock {
     let truth = system_clock();
     let description = config.description(truth.wall());
-    Arc::new(RehearsedClock::new(truth, ClockIdentity::new("boot", "rehearsal"), description))
+    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "rehearsal"), description))
 }
 
 #[tokio::test]

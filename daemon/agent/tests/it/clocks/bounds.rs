@@ -1,6 +1,6 @@
 //! Every delay has an interval, and the truth lies in it.
 
-use peernet_clock::{DelaySource, RehearsalDescription, Span, Verdict};
+use peernet_clock::{ClockFaults, DelaySource, Span, Verdict};
 
 use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong};
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, rehearsed, value};
@@ -71,8 +71,7 @@ async fn a_wrong_clock_does_not_move_the_delays() {
     let right = |name| async move { (None, clock(name)) };
     let ahead = wrong(Span::from_seconds(1), 40.0);
     let behind = wrong(Span::from_seconds(-1), -40.0);
-    let wrong =
-        |name: &'static str, how: &RehearsalDescription| (Some(how.clone()), rehearsed(name, how.clone()));
+    let wrong = |name: &'static str, how: &ClockFaults| (Some(how.clone()), rehearsed(name, how.clone()));
     for ((edge_wrong, edge_clock), (cloud_wrong, cloud_clock)) in
         [(right("edge").await, wrong("cloud", &ahead)), (wrong("edge", &behind), right("cloud").await)]
     {
@@ -84,9 +83,8 @@ async fn a_wrong_clock_does_not_move_the_delays() {
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 
         assert_eq!(seen.iterations().len(), 200);
-        let right = |wrong: &Option<RehearsalDescription>, shown| {
-            wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown))
-        };
+        let right =
+            |wrong: &Option<ClockFaults>, shown| wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown));
         for iteration in seen.iterations() {
             let (sent, received, delay) = transit(iteration, "upload");
             assert_holds(&delay, right(&cloud_wrong, received) - right(&edge_wrong, sent));

@@ -11,7 +11,7 @@ mod probes;
 mod reflectors;
 mod steps;
 
-use peernet_clock::{OneWayDelay, RehearsalDescription, Span, WallTime};
+use peernet_clock::{ClockFaults, OneWayDelay, Span, WallTime};
 use peernet_logger::Measure;
 use peernet_stream::Iteration;
 
@@ -50,12 +50,12 @@ fn transit(iteration: &Iteration, way: &str) -> (WallTime, WallTime, OneWayDelay
 }
 
 /// A clock that is wrong from now on.
-fn wrong(offset: Span, drift_ppm: f64) -> RehearsalDescription {
-    RehearsalDescription { offset, drift_ppm, steps: Vec::new(), since: crate::harness::clock("now").wall() }
+fn wrong(offset: Span, drift_ppm: f64) -> ClockFaults {
+    ClockFaults { offset, drift_ppm, steps: Vec::new(), since: crate::harness::clock("now").wall() }
 }
 
 /// When a clock that is wrong showed `shown`, to a nanosecond or so.
-fn truth(wrong: &RehearsalDescription, shown: WallTime) -> WallTime {
+fn truth(wrong: &ClockFaults, shown: WallTime) -> WallTime {
     // The error changes little over the error itself: three rounds are plenty.
     (0..3).fold(shown, |truth, _| shown - wrong.error_at(truth))
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, SharedClock, Span, Verdict, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, SharedClock, Span, Verdict, WallTime};
 use peernet_stream::{IncidentKind, LiveUpdate};
 
 use super::{CLOUD, assert_holds, line, transit, wrong};
@@ -11,14 +11,14 @@ use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, c
 
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
-fn stepping(by: Span) -> RehearsalDescription {
-    let step = RehearsedStep::of_wall(Span::from_millis(300), by);
-    RehearsalDescription { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
+fn stepping(by: Span) -> ClockFaults {
+    let step = ClockFaultStep::of_wall(Span::from_millis(300), by);
+    ClockFaults { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
 }
 
 /// When a clock that is set by whole seconds showed `shown`, a moment before or after the other showed `near`: one that is
 /// set back shows the same time twice.
-fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) -> WallTime {
+fn right(wrong: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(wrong) = wrong else { return shown };
     let moment = Span::from_millis(400);
     let candidates = [near - moment, near + moment].map(|at| shown - wrong.error_at(at));
@@ -26,21 +26,14 @@ fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) 
 }
 
 /// How many iterations were good after the step.
-fn good_after(
-    seen: &Seen,
-    edge: Option<&RehearsalDescription>,
-    cloud: Option<&RehearsalDescription>,
-) -> usize {
+fn good_after(seen: &Seen, edge: Option<&ClockFaults>, cloud: Option<&ClockFaults>) -> usize {
     let mut good = 0;
     for iteration in seen.iterations() {
         let moved = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
         let (left, back, down) = transit(iteration, "download");
         // One of the two clocks is right, and so is its stamp.
-        let way = |from: WallTime,
-                   of: Option<&RehearsalDescription>,
-                   to: WallTime,
-                   by: Option<&RehearsalDescription>| {
+        let way = |from: WallTime, of: Option<&ClockFaults>, to: WallTime, by: Option<&ClockFaults>| {
             let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
             right(by, to, near_to) - right(of, from, near_from)
         };

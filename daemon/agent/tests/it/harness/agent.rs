@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_agent::{Agent, AgentConfig, Failure, Running, StartError};
-use peernet_clock::{ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, SystemClock};
+use peernet_clock::{ClockFaults, ClockIdentity, FaultyClock, SharedClock, SystemClock};
 use peernet_stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
@@ -29,10 +29,10 @@ pub(crate) fn clock(name: &str) -> SharedClock {
 }
 
 /// This machine's clock under a name of its own, made wrong.
-pub(crate) fn rehearsed(name: &str, wrong: RehearsalDescription) -> SharedClock {
+pub(crate) fn rehearsed(name: &str, wrong: ClockFaults) -> SharedClock {
     let system = clock(name);
     let identity = system.identity().clone();
-    Arc::new(RehearsedClock::new(system, identity, wrong))
+    Arc::new(FaultyClock::new(system, identity, wrong))
 }
 
 /// A configuration of these tables, without `[agent]`.

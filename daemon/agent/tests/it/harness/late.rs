@@ -3,15 +3,14 @@
 use std::sync::OnceLock;
 
 use peernet_clock::{
-    Clock, ClockIdentity, MonoTime, RawTime, Readings, RehearsalDescription, RehearsedClock, SharedClock,
-    Span, WallTime,
+    Clock, ClockFaults, ClockIdentity, FaultyClock, MonoTime, RawTime, Readings, SharedClock, Span, WallTime,
 };
 
 /// A right clock until it is told to go wrong.
 #[derive(Debug)]
 pub(crate) struct Late {
     right: SharedClock,
-    rehearsed: OnceLock<RehearsedClock>,
+    rehearsed: OnceLock<FaultyClock>,
 }
 
 impl Late {
@@ -20,9 +19,9 @@ impl Late {
     }
 
     /// Goes wrong from now on.
-    pub(crate) fn go_wrong(&self, how: RehearsalDescription) {
+    pub(crate) fn go_wrong(&self, how: ClockFaults) {
         let identity = self.right.identity().clone();
-        let wrong = RehearsedClock::new(SharedClock::clone(&self.right), identity, how);
+        let wrong = FaultyClock::new(SharedClock::clone(&self.right), identity, how);
         self.rehearsed.set(wrong).expect("once");
     }
 
@@ -79,7 +78,7 @@ impl Clock for Late {
         self.now().adopt(system)
     }
 
-    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+    fn rehearsal(&self) -> Option<&ClockFaults> {
         self.now().rehearsal()
     }
 }

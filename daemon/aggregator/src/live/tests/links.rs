@@ -1,8 +1,6 @@
 //! Tests of links in the picture: bounded, with the edge's clock, kept while the edge is disconnected.
 
-use peernet_clock::{
-    DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
-};
+use peernet_clock::{ClockFaultStep, ClockFaults, DelaySource, ExchangeCounts, Interval, Offset, Verdict};
 use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};
 
 use super::*;
@@ -134,10 +132,10 @@ fn excess_links_and_texts_are_cut_and_counted() {
     let mut links: Vec<LinkLive> =
         (0..1_000).map(|n| link(HostId::random(), &format!("c{n}"), 1.0, 0)).collect();
     let long = "ä".repeat(100_000);
-    let steps = vec![RehearsedStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
+    let steps = vec![ClockFaultStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
     let clock = HostClock {
         text: long.clone(),
-        rehearsal: Some(RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
+        rehearsal: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
         ..HostClock::default()
     };
     let greedy = &mut links[0];

@@ -84,7 +84,7 @@ fn delay_without_fresh_exchange_is_stale() {
     assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late = big(40e9);
     let judged = relation.judge(&late.observation());
-    assert_eq!((judged.learned, judged.up.verdict), (Learned::Taken, Verdict::Stale));
+    assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Taken, Verdict::Stale));
     assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
     // Its own exchange makes the next delay recent, and itself when it is judged again.
     assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);

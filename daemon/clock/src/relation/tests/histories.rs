@@ -110,9 +110,12 @@ fn delays_of_generated_histories_contain_the_truth() {
             newest_epoch = newest_epoch.max(*epoch);
             let answer =
                 relation.judge(&ExchangeObservation { cloud_epoch: Some(*epoch), ..trip.observation() });
-            jumps += u64::from(matches!(answer.learned, Learned::Jumped(_)));
-            let is_stepped = answer.learned == Learned::Refused(Refusal::Stepped);
-            assert!(is_stepped || !matches!(answer.learned, Learned::Refused(_)), "{seed}: {n}: {answer:?}");
+            jumps += u64::from(matches!(answer.learned, LearnResult::Jumped(_)));
+            let is_stepped = answer.learned == LearnResult::Refused(Refusal::Stepped);
+            assert!(
+                is_stepped || !matches!(answer.learned, LearnResult::Refused(_)),
+                "{seed}: {n}: {answer:?}"
+            );
             let mut check = |delay: OneWayDelay, truth: Span| {
                 judged += 1;
                 trusted += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));

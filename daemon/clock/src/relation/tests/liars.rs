@@ -15,7 +15,7 @@ proptest! {
             lie.exchange.replied = RawTime::from_nanos(replied);
             lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
             let judged = relation.judge(&lie);
-            prop_assert!(matches!(judged.learned, Learned::Refused(_)));
+            prop_assert!(matches!(judged.learned, LearnResult::Refused(_)));
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
         prop_assert_eq!(picture(&relation), before);
@@ -67,7 +67,7 @@ proptest! {
                 lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
                 lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
                 let learned = lied_to.learn(&lie);
-                prop_assert_eq!(learned, Learned::Refused(Refusal::Outlier));
+                prop_assert_eq!(learned, LearnResult::Refused(Refusal::Outlier));
                 lies += 1;
             }
         }
@@ -83,7 +83,7 @@ fn repeated_wrong_exchange_counts_once() {
     let before = picture(&relation);
     let lie = host_clocks(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
     for _ in 0..20 {
-        assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
+        assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
     }
     assert_eq!(picture(&relation), before);
 }
@@ -92,7 +92,7 @@ fn repeated_wrong_exchange_counts_once() {
 fn wide_exchange_does_not_end_suspicion() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = acquainted(&before);
-    let learned: Vec<Learned> = (0..8)
+    let learned: Vec<LearnResult> = (0..8)
         .map(|n| {
             let way = if n % 2 == 0 { 3e4 } else { 5e6 };
             let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).observation());
@@ -101,7 +101,7 @@ fn wide_exchange_does_not_end_suspicion() {
             judged.learned
         })
         .collect();
-    assert!(matches!(learned[6], Learned::Restarted(_)), "{learned:?}");
+    assert!(matches!(learned[6], LearnResult::Restarted(_)), "{learned:?}");
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn impossible_exchanges_are_recognised() {
         |exchange| exchange.uncertainty = Span::from_nanos(-1),
         |exchange| exchange.received = RawTime::from_nanos(i64::MIN),
     ];
-    let impossible = Learned::Refused(Refusal::Impossible);
+    let impossible = LearnResult::Refused(Refusal::Impossible);
     let told: Vec<_> = edits.into_iter().map(refused).collect();
     assert_eq!(told, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
 }
@@ -190,8 +190,8 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = acquainted(&before);
     let lie = after.trip(10e9, 3e4, 1e5, 3e4).observation();
-    assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
-    let is_trusted = |judged: &Judged| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+    assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
+    let is_trusted = |judged: &JudgedExchange| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
@@ -208,7 +208,7 @@ fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
     let mut relation = acquainted(&before);
     assert_eq!(
         relation.learn(&after.trip(10e9, 3e4, 1e5, 3e4).observation()),
-        Learned::Refused(Refusal::Outlier)
+        LearnResult::Refused(Refusal::Outlier)
     );
     for n in 1..=12 {
         let at = 10.0 + f64::from(n) * 6.0;

@@ -32,7 +32,7 @@ fn host_clocks(offset: Span) -> HostClocks {
 fn acquainted(host_clocks: &HostClocks) -> Relation {
     let mut relation = relation();
     for trip in Path::VETH.trips(host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
-        assert_eq!(relation.learn(&trip.observation()), Learned::Taken);
+        assert_eq!(relation.learn(&trip.observation()), LearnResult::Taken);
     }
     relation
 }

@@ -25,7 +25,7 @@ fn survive(
     let mut relation = acquainted(host_clocks);
     let mut recovered = None;
     for trip in Path::VETH.trips(host_clocks, (9.95, 13.0), 100.0, &mut RandomSource::new(6)) {
-        let Judged { up, down, .. } = relation.judge(&witness(&trip));
+        let JudgedExchange { up, down, .. } = relation.judge(&witness(&trip));
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
@@ -74,7 +74,7 @@ fn first_exchange_after_step_states_its_size() {
     let mut relation = acquainted(&host_clocks);
     let mut told = Vec::new();
     for trip in Path::VETH.trips(&host_clocks, (10.0, 11.0), 50.0, &mut RandomSource::new(6)) {
-        if let Learned::Restarted(by) =
+        if let LearnResult::Restarted(by) =
             relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
             told.push(by.expect("it was known before"));
@@ -95,16 +95,16 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
         ..trip.observation()
     };
     for by in [60, -60] {
-        assert_eq!(relation.learn(&spans(by)), Learned::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&spans(by)), LearnResult::Refused(Refusal::Stepped));
     }
     assert_eq!(picture(&relation), before);
-    assert_eq!(relation.learn(&spans(40)), Learned::Taken);
+    assert_eq!(relation.learn(&spans(40)), LearnResult::Taken);
     // A clock with an injected drift of 100 ppm, for ten seconds.
     let long = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
     let drifted =
         ExchangeObservation { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.observation() };
-    assert_eq!(relation.learn(&drifted), Learned::Taken);
+    assert_eq!(relation.learn(&drifted), LearnResult::Taken);
 }
 
 /// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
@@ -121,11 +121,11 @@ fn exchange_sent_before_step_notice_is_refused() {
         let mut relation = acquainted(&host_clocks);
         let (news, spanning) =
             (host_clocks.trip(10.0001e9, 3e4, 1e4, 3e4), host_clocks.trip(9.9999e9, 5e4, 2e5, 5e4));
-        assert_eq!(relation.learn(&told(news)), Learned::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&told(news)), LearnResult::Refused(Refusal::Stepped));
         assert_eq!(relation.window(), 1);
-        assert_eq!(relation.learn(&told(spanning)), Learned::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&told(spanning)), LearnResult::Refused(Refusal::Stepped));
         let after = relation.learn(&told(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
-        assert!(matches!(after, Learned::Restarted(Some(_))), "{after:?}");
+        assert!(matches!(after, LearnResult::Restarted(Some(_))), "{after:?}");
     }
 }
 
@@ -139,7 +139,7 @@ fn step_notice_ends_window_once() {
     let told = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
     // The first exchange may have been in flight during the step.
     let first = relation.judge(&told(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
-    assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
+    assert_eq!(first.learned, LearnResult::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
         assert_eq!(
             (delay.value, delay.verdict),
@@ -148,7 +148,7 @@ fn step_notice_ends_window_once() {
         );
     }
     let second = relation.learn(&told(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
-    assert!(matches!(second, Learned::Restarted(Some(_))), "{second:?}");
+    assert!(matches!(second, LearnResult::Restarted(Some(_))), "{second:?}");
     relation.cloud_stepped(1);
     relation.edge_stepped(0);
     assert_eq!((relation.window(), relation.counts().restarts), (1, 1));
@@ -164,16 +164,16 @@ fn older_epoch_is_refused_and_restarted_counter_accepted() {
         cloud_epoch: Some(epoch),
         ..host_clocks.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
-    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), Learned::Taken));
+    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), LearnResult::Taken));
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
         let learned = relation.learn(&told(n, epoch));
-        assert_eq!(learned == Learned::Taken, epoch == 7);
+        assert_eq!(learned == LearnResult::Taken, epoch == 7);
     }
     assert_eq!(relation.window(), 0);
     // The agent of the cloud was restarted.
-    let learned: Vec<Learned> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
+    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
     assert_eq!(relation.window(), 1);
-    assert!(matches!(learned[8], Learned::Restarted(_)), "{learned:?}");
-    assert!(learned[9..].iter().all(|learned| *learned == Learned::Taken));
+    assert!(matches!(learned[8], LearnResult::Restarted(_)), "{learned:?}");
+    assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Taken));
 }

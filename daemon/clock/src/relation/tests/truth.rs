@@ -29,7 +29,7 @@ proptest! {
         for (count, trip) in trips.iter().enumerate() {
             let judged = relation.judge(&trip.observation());
             // Jitter alone looks like a jump now and then, which makes no delay wrong.
-            prop_assert!(matches!(judged.learned, Learned::Taken | Learned::Jumped(_)), "{:?}", judged.learned);
+            prop_assert!(matches!(judged.learned, LearnResult::Taken | LearnResult::Jumped(_)), "{:?}", judged.learned);
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 prop_assert!(contains(&delay, truth), "{delay:?} {truth}");
                 let (value, bounds) = (delay.value.expect("has a value"), delay.bounds.expect("has bounds"));
@@ -55,7 +55,7 @@ proptest! {
         let trips = Path { loss: 0.3, ..Path::VETH }.trips(&host_clocks, (0.0, 60.0), 2.0, &mut random);
         let settings = RelationSettings { clocks: RelatedClocks::Wall, retention: length, ..RelationSettings::default() };
         let mut relation = Relation::new(settings);
-        let first: Vec<Judged> = trips.iter().map(|trip| relation.judge(&trip.observation())).collect();
+        let first: Vec<JudgedExchange> = trips.iter().map(|trip| relation.judge(&trip.observation())).collect();
         for (trip, first) in trips.iter().zip(first) {
             let exchange = &trip.exchange;
             let up = relation.delay(Direction::Up, exchange.sent, exchange.received);
@@ -105,7 +105,7 @@ fn intervals_of_ten_thousand_iterations_contain_truth() {
         let mut relation = relation();
         let (mut errors, mut judged) = (0.0, 0u32);
         for trip in Path::VETH.trips(&host_clocks, (0.0, 100.0), 100.0, &mut RandomSource::new(4)) {
-            let Judged { up, down, .. } = relation.judge(&trip.observation());
+            let JudgedExchange { up, down, .. } = relation.judge(&trip.observation());
             for (delay, truth) in [(up, trip.up), (down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e6;
@@ -128,7 +128,7 @@ fn long_service_at_the_limit_of_drift_is_no_impossible_exchange() {
         // Ten seconds of service: the cloud's clock gains 500 µs meanwhile, and both directions together take 60 µs.
         let trip = host_clocks.trip(f64::from(n) * 1e9, 30e3, 10e9, 30e3);
         let judged = relation.judge(&trip.observation());
-        assert_eq!(judged.learned, Learned::Taken);
+        assert_eq!(judged.learned, LearnResult::Taken);
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
     }
 }

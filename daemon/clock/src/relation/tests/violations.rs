@@ -61,7 +61,7 @@ fn observe_violation_at(
         if let Some(doubt) = relation.doubt() {
             effect.doubted.get_or_insert((after, doubt));
         }
-        if matches!(judged.learned, Learned::Jumped(_)) {
+        if matches!(judged.learned, LearnResult::Jumped(_)) {
             effect.jumps += 1;
             effect.jumped.get_or_insert(after);
         }
@@ -175,7 +175,7 @@ fn path_that_becomes_shorter_is_no_jump() {
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
         for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            assert_eq!(judged.learned, Learned::Taken);
+            assert_eq!(judged.learned, LearnResult::Taken);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
         }
@@ -252,7 +252,7 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
         let seconds = (f64::from(n) * 5.0, f64::from(n + 1) * 5.0);
         for trip in route.trips(&host_clocks, seconds, 10.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            jumps += u32::from(matches!(judged.learned, Learned::Jumped(_)));
+            jumps += u32::from(matches!(judged.learned, LearnResult::Jumped(_)));
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 widths.push(delay.bounds.expect("bounds").width());
@@ -308,8 +308,8 @@ fn exchange_hiding_jump_bounds_no_earlier_delay() {
     let near = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
     let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);
-    assert_eq!(relation.learn(&waited.observation()), Learned::Taken);
-    assert!(matches!(relation.learn(&near(30.1).observation()), Learned::Jumped(_)));
+    assert_eq!(relation.learn(&waited.observation()), LearnResult::Taken);
+    assert!(matches!(relation.learn(&near(30.1).observation()), LearnResult::Jumped(_)));
     let before = near(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
     assert!(contains(&delay, before.up), "{delay:?}");

@@ -9,20 +9,20 @@ use crate::{RawTime, Span, WallTime};
 /// Faults of the wall clock and the free-running clock: `shown = true + offset + drift × (true − since) + steps of this
 /// clock so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RehearsalDescription {
+pub struct ClockFaults {
     /// Offset from the start on.
     pub offset: Span,
     /// Drift in parts per million; positive if the clock is fast.
     pub drift_ppm: f64,
     /// Steps, in any order.
-    pub steps: Vec<RehearsedStep>,
+    pub steps: Vec<ClockFaultStep>,
     /// True wall-clock time of the start, from which drift and steps count.
     pub since: WallTime,
 }
 
 /// A step of a clock with injected faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RehearsedStep {
+pub struct ClockFaultStep {
     /// Time of the step after the start.
     pub at: Span,
     /// Size of the step.
@@ -33,7 +33,7 @@ pub struct RehearsedStep {
     pub clock: SteppedClock,
 }
 
-impl RehearsedStep {
+impl ClockFaultStep {
     /// Creates a step of the wall clock.
     pub const fn of_wall(at: Span, by: Span) -> Self {
         Self { at, by, clock: SteppedClock::Wall }
@@ -59,7 +59,7 @@ impl SteppedClock {
 }
 
 /// Formats the faults, such as `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
-impl fmt::Display for RehearsalDescription {
+impl fmt::Display for ClockFaults {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let millis = |span: Span| span.nanos() as f64 / 1e6;
         write!(f, "offset {:+} ms", millis(self.offset))?;
@@ -74,7 +74,7 @@ impl fmt::Display for RehearsalDescription {
     }
 }
 
-impl RehearsalDescription {
+impl ClockFaults {
     /// Returns the time that the wall clock shows when the true one shows `truth`.
     pub fn shown(&self, truth: WallTime) -> WallTime {
         truth + self.error_at(truth)
@@ -133,7 +133,7 @@ impl RehearsalDescription {
         &self,
         elapsed: Span,
         clock: SteppedClock,
-    ) -> impl Iterator<Item = &RehearsedStep> {
+    ) -> impl Iterator<Item = &ClockFaultStep> {
         self.steps.iter().filter(move |step| step.clock == clock && step.at <= elapsed)
     }
 }

@@ -2,15 +2,15 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::rehearsal::{RehearsalDescription, SteppedClock};
+use crate::clock_faults::{ClockFaults, SteppedClock};
 use crate::{Clock, ClockIdentity, MonoTime, RawTime, Readings, SharedClock, Span, WallTime};
 
 /// A clock whose wall clock and free-running clock have injected faults. Its monotonic clock is unchanged.
 #[derive(Debug)]
-pub struct RehearsedClock {
+pub struct FaultyClock {
     inner: SharedClock,
     identity: ClockIdentity,
-    description: RehearsalDescription,
+    description: ClockFaults,
     /// Time of the true free-running clock at the start.
     raw_since: RawTime,
     step_counts: Mutex<StepCounts>,
@@ -24,9 +24,9 @@ struct StepCounts {
     last_step: Option<Span>,
 }
 
-impl RehearsedClock {
+impl FaultyClock {
     /// Creates a clock that shows `inner` with the faults of `description`.
-    pub fn new(inner: SharedClock, identity: ClockIdentity, description: RehearsalDescription) -> Self {
+    pub fn new(inner: SharedClock, identity: ClockIdentity, description: ClockFaults) -> Self {
         let step_counts = Mutex::new(StepCounts { inner: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
         let raw_since = now.raw - (now.wall - description.since);
@@ -53,7 +53,7 @@ impl RehearsedClock {
     }
 }
 
-impl Clock for RehearsedClock {
+impl Clock for FaultyClock {
     fn wall(&self) -> WallTime {
         self.description.shown(self.inner.wall())
     }
@@ -101,7 +101,7 @@ impl Clock for RehearsedClock {
         self.description.shown(system)
     }
 
-    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+    fn rehearsal(&self) -> Option<&ClockFaults> {
         Some(&self.description)
     }
 }
@@ -113,14 +113,14 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{Interval, ManualClock, RehearsedStep};
+    use crate::{ClockFaultStep, Interval, ManualClock};
 
-    fn step(at: i64, by: i64) -> RehearsedStep {
-        RehearsedStep { at: Span::from_seconds(at), by: Span::from_millis(by), clock: SteppedClock::Wall }
+    fn step(at: i64, by: i64) -> ClockFaultStep {
+        ClockFaultStep { at: Span::from_seconds(at), by: Span::from_millis(by), clock: SteppedClock::Wall }
     }
 
-    fn described(steps: &[RehearsedStep]) -> RehearsalDescription {
-        RehearsalDescription {
+    fn described(steps: &[ClockFaultStep]) -> ClockFaults {
+        ClockFaults {
             offset: Span::from_millis(137),
             drift_ppm: 50.0,
             steps: steps.to_vec(),
@@ -143,7 +143,7 @@ mod tests {
     fn injected_and_real_steps_are_counted_at_first_query() {
         let description = described(&[step(20, -500), step(10, 3000)]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
         assert_eq!((clock.wall_epoch(), clock.last_step()), (0, None));
         inner.advance(Span::from_seconds(10));
         assert_eq!((clock.wall_epoch(), clock.last_step()), (1, Some(Span::from_seconds(3))));
@@ -160,10 +160,10 @@ mod tests {
 
     #[test]
     fn drift_is_common_to_both_clocks_and_a_step_is_of_the_named_one() {
-        let raw_step = RehearsedStep { clock: SteppedClock::Raw, ..step(20, -39) };
+        let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..step(20, -39) };
         let description = described(&[step(10, 3000), raw_step]);
         let inner = Arc::new(ManualClock::new(description.since, ClockIdentity::new("boot", "system")));
-        let clock = RehearsedClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
+        let clock = FaultyClock::new(inner.clone(), ClockIdentity::new("boot", "rehearsal"), description);
         let errors = || (clock.wall() - inner.wall(), clock.raw() - inner.raw());
         assert_eq!(errors(), (Span::from_millis(137), Span::from_millis(137)));
         inner.advance(Span::from_seconds(10));
@@ -184,7 +184,7 @@ mod tests {
     proptest! {
         #[test]
         fn what_was_shown_leads_back_to_the_truth(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
-            let description = RehearsalDescription { drift_ppm: ppm, ..described(&[step(60, 10), step(30, by)]) };
+            let description = ClockFaults { drift_ppm: ppm, ..described(&[step(60, 10), step(30, by)]) };
             let truth = description.since + Span::from_nanos(elapsed);
             let back = description.true_of(description.shown(truth));
             prop_assert!((back - truth).abs() <= Span::from_nanos(1), "{}", back - truth);
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn the_words_name_all_that_is_wrong() {
-        let mut rehearsal = RehearsalDescription {
+        let mut rehearsal = ClockFaults {
             offset: Span::from_millis(-500),
             drift_ppm: 0.0,
             steps: Vec::new(),
@@ -219,7 +219,7 @@ mod tests {
         };
         assert_eq!(rehearsal.to_string(), "offset -500 ms");
         rehearsal.drift_ppm = 50.5;
-        rehearsal.steps.push(RehearsedStep {
+        rehearsal.steps.push(ClockFaultStep {
             at: Span::from_millis(1500),
             by: Span::from_seconds(3),
             clock: SteppedClock::Wall,
@@ -229,12 +229,12 @@ mod tests {
 
     #[test]
     fn the_words_are_the_figures_that_were_written() {
-        let step = |at, by| RehearsedStep {
+        let step = |at, by| ClockFaultStep {
             at: Span::from_seconds(at),
             by: Span::from_micros(by),
             clock: SteppedClock::Wall,
         };
-        let rehearsal = RehearsalDescription {
+        let rehearsal = ClockFaults {
             offset: Span::from_micros(-123_300),
             drift_ppm: 0.1,
             steps: (1..2000).map(|at| step(at, at * 100)).collect(),
