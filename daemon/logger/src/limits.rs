@@ -17,5 +17,5 @@ pub const MAX_ANCHORS: usize = 8;
 /// Largest number of bytes (UTF-8) of a name, a kind, or a unit's symbol.
 pub const MAX_NAME_BYTES: usize = 128;
 
-/// Largest number of bytes of the wire form of a tree or a growth.
+/// Largest number of bytes of the wire form of a tree or a tree delta.
 pub const MAX_BYTES: usize = 1024 * 1024;

@@ -2,7 +2,7 @@
 
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 
-/// Reason why a tree or a growth is invalid.
+/// Reason why a tree or a tree delta is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TreeError {
     /// The root is missing, a node other than the root has no parent, or the root has one.

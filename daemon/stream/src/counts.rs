@@ -24,7 +24,7 @@ pub struct RunCounts {
 
 /// Events that were handed in to this process, by result.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct HandedIn {
+pub struct HandedInEvents {
     /// Events in batches.
     pub taken: RunCounts,
     /// Dropped events.
@@ -49,7 +49,7 @@ pub struct CountedEvents {
 
 /// Events of a process that its spool accounts for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Settled {
+pub struct SettledEvents {
     /// Events in batches, and dropped events.
     pub events: RunCounts,
     /// Number of events in batches.
@@ -102,15 +102,15 @@ impl RunCounts {
     }
 }
 
-impl HandedIn {
+impl HandedInEvents {
     /// Returns the counts that the spool records.
-    pub fn settled(&self) -> Settled {
+    pub fn settled(&self) -> SettledEvents {
         let mut events = self.taken.clone();
         events.all += self.dropped.all;
         for (run, count) in &self.dropped.runs {
             *events.runs.entry(*run).or_default() += count;
         }
-        Settled { events, taken: self.taken.all, last: self.last }
+        SettledEvents { events, taken: self.taken.all, last: self.last }
     }
 
     /// Moves the events in batches that are not in `kept` to the dropped ones.
@@ -131,7 +131,7 @@ impl HandedIn {
 impl CountedEvents {
     /// Returns the gaps for `lost` events. `known` events that the spool lacks were stored or reported anyway; their
     /// runs are unknown.
-    pub(super) fn gaps(&self, settled: &Settled, known: u64, lost: u64) -> Vec<Gap> {
+    pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
         let mut left = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);

@@ -61,7 +61,8 @@ pub use connection::{
     Connection, ConnectionStatistics, DirectionStatistics, NetworkInterface, TransportRoundTrip,
 };
 pub use counts::{
-    CountedEvents, CountedRun, HandedIn, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled, Settled,
+    CountedEvents, CountedRun, HandedInEvents, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled,
+    SettledEvents,
 };
 pub use end_reason::EndReason;
 pub use estimate_basis::EstimateBasis;
@@ -75,13 +76,14 @@ pub use live::{
 pub use message::{Batch, BatchHead, MOST_UNDER_WAY, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;
 pub use receiving::{
-    Arrival, Challenges, Greeting, Known, Lacking, Mark, Missing, Proven, Receiving, ReceivingConfig,
+    Arrival, Challenges, Greeting, LackingBatches, Mark, MissingBatches, ProofResult, Receiving,
+    ReceivingConfig, StreamRecord,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{SpoolState, SpooledBatch, Usage};
-pub use totals::{Reached, Totals};
-pub use unresolved::{MOST_SENT_UNSPOOLED, Unresolved};
+pub use totals::{NewestSentBatch, Totals};
+pub use unresolved::{MOST_SENT_UNSPOOLED, UnresolvedBatches};
 pub use versions::{Release, VersionMismatch, VersionRange};
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 
-use crate::counts::{CountedEvents, Settled};
-use crate::totals::{Reached, Totals};
-use crate::{Chain, Gap, StreamId, Unresolved};
+use crate::counts::{CountedEvents, SettledEvents};
+use crate::totals::{NewestSentBatch, Totals};
+use crate::{Chain, Gap, StreamId, UnresolvedBatches};
 
 /// Largest number of gaps of earlier processes that are kept separately.
 const MOST_UNREPORTED: usize = 64;
@@ -92,12 +92,12 @@ pub struct SpoolState {
     pub totals: Totals,
     /// Batches that processes may have sent from this spool. Processes may be missing from the list; one that is
     /// missing is treated as a process of a copy of the spool.
-    pub reached: Vec<Reached>,
+    pub reached: Vec<NewestSentBatch>,
     /// Gaps of earlier processes that are not reported yet: dropped events, and events lost with the process.
     pub unreported: Vec<Gap>,
     /// The last batches of an earlier process of which only the aggregator knows whether they are stored. No loss is
     /// reported before that is known.
-    pub unresolved: Option<Unresolved>,
+    pub unresolved: Option<UnresolvedBatches>,
 }
 
 impl SpoolState {
@@ -128,9 +128,9 @@ impl SpoolState {
     /// ([`Self::unresolved`]).
     ///
     /// The number is exact. The losses of a run that was not counted separately are reported in a gap without a run.
-    pub fn lose_tail(&mut self, counted: CountedEvents, settled: Settled) -> Option<u64> {
+    pub fn lose_tail(&mut self, counted: CountedEvents, settled: SettledEvents) -> Option<u64> {
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
-            self.unresolved = Some(Unresolved::new(counted, settled, &self.totals));
+            self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
         }
         let lost = counted.all.saturating_sub(settled.events.all);
@@ -180,8 +180,8 @@ mod tests {
         CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
     }
 
-    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> Settled {
-        Settled { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
+    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
+        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
     }
 
     #[test]
@@ -200,7 +200,7 @@ mod tests {
         assert_eq!(gaps, expected);
         // Another process that is killed at once adds only its events.
         let next = CountedEvents { all: 2, ..counted };
-        assert_eq!(state.lose_tail(next, Settled::default()), Some(2));
+        assert_eq!(state.lose_tail(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }
 
@@ -219,7 +219,7 @@ mod tests {
         let mut state = SpoolState::new(StreamId::random());
         for _ in 0..500 {
             let run = RunId::random();
-            state.lose_tail(counted(3, &[(run, 3)]), Settled::default());
+            state.lose_tail(counted(3, &[(run, 3)]), SettledEvents::default());
         }
         assert_eq!(state.unreported.len(), MOST_UNREPORTED);
         assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);

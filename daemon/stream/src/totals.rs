@@ -1,7 +1,7 @@
 //! Counts since a spool was created, and the newest batch of each process.
 
 use crate::Gap;
-use crate::counts::HandedIn;
+use crate::counts::HandedInEvents;
 
 /// Newest batch that a process may have sent.
 ///
@@ -10,7 +10,7 @@ use crate::counts::HandedIn;
 /// batch of that process, all of it is therefore stored: the file lost its end (a power failure, a failed disk), or is
 /// an older copy. If the aggregator has a batch of a process that the file does not know, nothing follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Reached {
+pub struct NewestSentBatch {
     /// The process ([`super::Hello::process`]).
     pub process: u64,
     /// Number of the newest batch that it may have sent.
@@ -30,10 +30,10 @@ pub struct Totals {
     /// Number of dropped events that gaps have reported. The others must still be reported, after a restart as well.
     pub told: u64,
     /// Events that were handed in to the current process.
-    pub handed_in: HandedIn,
+    pub handed_in: HandedInEvents,
     /// Newest batch that the current process may have sent; `None` before the aggregator has accepted it. The spool
     /// then keeps its records of this and other processes.
-    pub reached: Option<Reached>,
+    pub reached: Option<NewestSentBatch>,
     /// Losses that no gap reports yet. Their presence means that [`SpoolState::unresolved`] is resolved.
     pub unreported: Option<Vec<Gap>>,
 }

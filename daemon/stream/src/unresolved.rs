@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use crate::counts::{CountedEvents, SentUnspooled, Settled};
+use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
 use crate::{Gap, MOST_UNDER_WAY};
 
@@ -15,11 +15,11 @@ pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
 
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Unresolved {
+pub struct UnresolvedBatches {
     /// Events that the process counted.
     pub counted: CountedEvents,
     /// Events that the spool accounts for.
-    pub settled: Settled,
+    pub settled: SettledEvents,
     /// Number of dropped events that gaps had reported ([`super::Totals::told`]).
     pub told: u64,
     /// Number of events in all batches that were written to the spool.
@@ -28,7 +28,7 @@ pub struct Unresolved {
 
 /// Result for an earlier process, which is added to the [`Totals`] of the spool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Resolved {
+pub(super) struct ResolvedBatches {
     /// Number of events in batches that are stored and were never written to the spool.
     pub(super) stored: u64,
     /// Number of lost events.
@@ -41,23 +41,23 @@ pub(super) struct Resolved {
 
 impl CountedEvents {
     /// Returns whether batches were sent that are not in the spool.
-    pub(super) fn may_be_stored(&self, settled: &Settled, totals: &Totals) -> bool {
+    pub(super) fn may_be_stored(&self, settled: &SettledEvents, totals: &Totals) -> bool {
         self.sent.iter().any(|sent| sent.taken > settled.taken || sent.told > totals.told)
     }
 }
 
-impl Unresolved {
-    pub(super) fn new(counted: CountedEvents, settled: Settled, totals: &Totals) -> Self {
+impl UnresolvedBatches {
+    pub(super) fn new(counted: CountedEvents, settled: SettledEvents, totals: &Totals) -> Self {
         let events = totals.produced.saturating_sub(totals.dropped);
         Self { counted, settled, told: totals.told, events }
     }
 
     /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
-    pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> Resolved {
+    pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
         let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
         let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
         let taken = sent.taken.saturating_sub(self.settled.taken);
-        Resolved {
+        ResolvedBatches {
             stored: sent.events.saturating_sub(self.events),
             lost: self.counted.all.saturating_sub(self.settled.events.all + taken),
             told: sent.told.saturating_sub(self.told),
@@ -67,7 +67,7 @@ impl Unresolved {
 
     /// Updates the losses that no gap reports yet: those in `owed`, `untold` earlier ones, and those of the process
     /// itself. Losses that its stored gaps reported are removed, the oldest first.
-    pub(super) fn unreported(&self, resolved: &Resolved, owed: &mut VecDeque<Gap>, untold: &mut u64) {
+    pub(super) fn unreported(&self, resolved: &ResolvedBatches, owed: &mut VecDeque<Gap>, untold: &mut u64) {
         let mut told = resolved.told;
         while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
             told -= gap.count;
@@ -92,7 +92,7 @@ impl Unresolved {
 
 impl Totals {
     /// Returns the totals with the result for the earlier process.
-    pub(super) fn with(self, resolved: &Resolved) -> Self {
+    pub(super) fn with(self, resolved: &ResolvedBatches) -> Self {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
             dropped: self.dropped + resolved.lost,
@@ -114,7 +114,7 @@ mod tests {
 
     /// Returns a spool that has batches up to 3 with 10 of 30 events. Batches 4 and 5 were sent, with 6 events and with
     /// 3 events and a gap of 2.
-    fn unresolved(run: RunId) -> (SpoolState, Unresolved) {
+    fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.told) = (15, 3, 1);
         let sent =
@@ -124,13 +124,13 @@ mod tests {
         let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
         let counted = CountedEvents { all: 30, last, sent, runs };
         let events = RunCounts { all: 10, runs: [(run, 9)].into() };
-        assert_eq!(state.lose_tail(counted, Settled { events, taken: 8, last: None }), None);
+        assert_eq!(state.lose_tail(counted, SettledEvents { events, taken: 8, last: None }), None);
         let unresolved = state.unresolved.clone().expect("what was sent may be stored");
         (state, unresolved)
     }
 
     /// Returns the counts of the gaps with a run and of those without one.
-    fn gaps(unresolved: &Unresolved, resolved: &Resolved, mut untold: u64) -> (u64, u64) {
+    fn gaps(unresolved: &UnresolvedBatches, resolved: &ResolvedBatches, mut untold: u64) -> (u64, u64) {
         let mut owed = VecDeque::new();
         unresolved.unreported(resolved, &mut owed, &mut untold);
         assert!(owed.iter().all(|gap| gap.reason == KILLED));
@@ -181,8 +181,9 @@ mod tests {
     #[test]
     fn told_part_of_merged_gap_is_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
-        let resolved = Resolved { lost: 1, told: 4, ..Resolved::default() };
-        let gap = |count| Gap { count, ..unresolved.counted.gaps(&Settled::default(), 0, 1)[0].clone() };
+        let resolved = ResolvedBatches { lost: 1, told: 4, ..ResolvedBatches::default() };
+        let gap =
+            |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
         let (mut owed, mut untold) = (VecDeque::from([gap(5)]), 1);
         unresolved.unreported(&resolved, &mut owed, &mut untold);
         let counts: Vec<u64> = owed.iter().map(|gap| gap.count).collect();
@@ -195,7 +196,7 @@ mod tests {
         let (mut state, first) = unresolved(run);
         let counted = CountedEvents { all: 2, ..first.counted.clone() };
         let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
-        assert_eq!(state.lose_tail(nothing_sent, Settled::default()), Some(2));
+        assert_eq!(state.lose_tail(nothing_sent, SettledEvents::default()), Some(2));
         assert_eq!(state.unresolved, Some(first));
         assert_eq!((state.totals.dropped, state.unreported.len()), (5, 1));
     }

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
-use peernet_stream::{HostSecret, Missing};
+use peernet_stream::{HostSecret, MissingBatches};
 
 use peernet_store::writing::Introduction;
 
@@ -45,7 +45,7 @@ pub(super) struct Newcomer {
     /// The host's introduction, with the secret that it proved to have.
     pub(super) introduction: Introduction,
     /// Batches that the agent no longer holds and that are not in the database.
-    pub(super) missing: Option<Missing>,
+    pub(super) missing: Option<MissingBatches>,
     /// Number in the order of arrival.
     arrival_number: u64,
 }
@@ -134,7 +134,7 @@ impl Hosts {
     pub(super) fn welcome(
         &mut self,
         introduction: Introduction,
-        missing: Option<Missing>,
+        missing: Option<MissingBatches>,
     ) -> Option<Newcomer> {
         let host = introduction.host.id;
         self.arrival_number += 1;

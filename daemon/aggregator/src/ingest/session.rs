@@ -184,7 +184,7 @@ impl IngestSession {
             self.store.streams.came(head.host, introduction.stream);
             greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
-                hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
+                hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono);
             }
         }
         match (arrival, body) {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Stamp;
 use peernet_stream::{
-    Action, Chain, Notice, Reached, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
+    Action, Chain, NewestSentBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
 };
 
 /// The state that survives the agent's process.
@@ -18,7 +18,7 @@ pub(crate) struct Spool {
     deleted: (u64, Chain),
     batches: BTreeMap<u64, SpooledBatch>,
     totals: Totals,
-    reached: Vec<Reached>,
+    reached: Vec<NewestSentBatch>,
 }
 
 impl Spool {

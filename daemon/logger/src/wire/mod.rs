@@ -35,7 +35,7 @@ use crate::{NodeId, Tree, TreeDelta, TreeError};
 /// Version of the wire form.
 pub const VERSION: u64 = 1;
 
-/// Reason why bytes are not a tree or a growth.
+/// Reason why bytes are not a tree or a tree delta.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// The input is longer than the limit.
@@ -90,7 +90,7 @@ pub fn decode(bytes: &[u8]) -> Result<Tree, WireError> {
     Ok(Tree::from_parts(anchors, nodes)?)
 }
 
-/// Appends the wire form of a growth to `out`.
+/// Appends the wire form of a tree delta to `out`.
 pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
     let TreeDelta { base, anchor, others, closed: (closed, at), nodes } = delta;
     writer::array(out, 7);
@@ -103,7 +103,7 @@ pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
     writer::nodes(out, nodes);
 }
 
-/// Reads the wire form of a growth. [`Tree::absorb`] checks whether it fits a tree.
+/// Reads the wire form of a tree delta. [`Tree::absorb`] checks whether it fits a tree.
 ///
 /// # Errors
 /// Unless the bytes are exactly one growth within the limits.

@@ -6,7 +6,7 @@ use peernet_logger::{Measure, NodeId, Transit, Tree, TreeDelta, stage, wire};
 
 use super::Departure;
 
-/// A tree or a growth that cannot be sent or cannot be read.
+/// A tree or a tree delta that cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
     #[error("the tree takes {0} bytes, more than {MAX_BYTES}")]

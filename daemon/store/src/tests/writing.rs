@@ -2,7 +2,8 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, STREAM_VERSIONS, StreamId,
+    Chain, Event, Gap, Hello, Iteration, LackingBatches, Mark, MissingBatches, STREAM_VERSIONS, StreamId,
+    StreamRecord,
 };
 
 use super::rollups::{assert_same, table};
@@ -232,9 +233,9 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     let (host, stream) = (bed.edge, bed.stream);
     let (from, through, chain, process) = (3, 9, Chain::START, 7);
     let (events, events_through) = (Some(40), 700);
-    let missing = Missing { host, stream, from, through, chain, process, events, events_through };
+    let missing = MissingBatches { host, stream, from, through, chain, process, events, events_through };
     let after = bed.batch_numbered(10, vec![]);
-    let committed = bed.commit(&[Work::Missing(missing), after]).await;
+    let committed = bed.commit(&[Work::MissingBatches(missing), after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 10);
     let (stored, _) = committed.hosts[&bed.edge];
     assert_eq!((stored.gaps, stored.missing), (2, 1_090));
@@ -286,7 +287,7 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     bed.writer = open(&bed.path).await;
     assert!(bed.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(bed.edge, StreamId::from_bytes([9; 16]), None);
-    let known = Known { came: true, last: Some(hello.stream), ..Known::default() };
+    let known = StreamRecord { came: true, last: Some(hello.stream), ..StreamRecord::default() };
     assert_eq!(bed.writer.streams().known(&hello, None), known);
 }
 
@@ -298,9 +299,10 @@ async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
     let mark = bed.commit(&[work]).await.marks[&old];
     bed.writer = open(&bed.path).await;
     let hello = hello_of(bed.edge, new, Some(old));
-    let known = Known { last: Some(old), previous: Some(mark), ..Known::default() };
+    let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
     assert_eq!(bed.writer.streams().known(&hello, None), known);
-    let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4, events: Some(17) }));
+    let (host, lacking) =
+        (hello.host, Some(LackingBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{BatchHead, Gap, Incident, Missing};
+use peernet_stream::{BatchHead, Gap, Incident, MissingBatches};
 use sqlx::SqliteConnection;
 
 use super::Refusal;
@@ -81,10 +81,10 @@ async fn known_number(
 pub(super) async fn missing(
     connection: &mut SqliteConnection,
     host: i64,
-    missing: &Missing,
+    missing: &MissingBatches,
     now: WallTime,
 ) -> Result<Stored, Refusal> {
-    let Missing { stream, from, through, events, .. } = missing;
+    let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = format!(
         "batches {from} to {through} of stream {stream} are not in this database: another one stored them before this one was made or \
          put back, and their agent has deleted them from its spool"

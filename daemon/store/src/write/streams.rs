@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
+use peernet_stream::{BatchHead, Chain, Hello, LackingBatches, Mark, StreamId, StreamRecord};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
@@ -59,9 +59,9 @@ struct Row {
 
 impl Streams {
     /// What is known when a host says hello that has been stored for so long.
-    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> Known {
+    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
-        Known {
+        StreamRecord {
             mark: mark_of(hello.stream),
             came: self.came.contains(&hello.stream),
             last: self.last.get(&hello.host.id).copied(),
@@ -136,7 +136,7 @@ impl Moved {
             );
             (reason, None)
         });
-        let lacking = came.lacking.map(|Lacking { stream, from, through, events }| {
+        let lacking = came.lacking.map(|LackingBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
                  than this one, which is an older copy"

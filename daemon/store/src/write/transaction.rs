@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_stream::{BatchHead, Event, Mark, Missing, StreamId};
+use peernet_stream::{BatchHead, Event, Mark, MissingBatches, StreamId};
 use sqlx::SqliteConnection;
 
 use super::aside::Rejected;
@@ -60,9 +60,10 @@ impl Staging {
                 (Work::Batch(batch), None) => (batch.head, None),
                 (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
                 (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
-                (Work::Missing(missing), _) => {
-                    let Missing { host, stream, through: number, chain, process, events_through, .. } =
-                        *missing;
+                (Work::MissingBatches(missing), _) => {
+                    let MissingBatches {
+                        host, stream, through: number, chain, process, events_through, ..
+                    } = *missing;
                     // Only who it is, and what it is marked with.
                     let (before, events, events_before) = (chain, 0, events_through);
                     let head =
@@ -112,7 +113,9 @@ impl Staging {
                     counts.newest = counts.newest.max(batch.newest);
                     batch.added
                 }
-                (Work::Missing(missing), None) => records::missing(connection, host, missing, now).await?,
+                (Work::MissingBatches(missing), None) => {
+                    records::missing(connection, host, missing, now).await?
+                }
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);

@@ -2,7 +2,9 @@
 
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
-use peernet_stream::{BatchHead, HostDescription, HostSecret, Lacking, Missing, Placement, StreamId, codec};
+use peernet_stream::{
+    BatchHead, HostDescription, HostSecret, LackingBatches, MissingBatches, Placement, StreamId, codec,
+};
 
 use super::prepared::Prepared;
 
@@ -20,7 +22,7 @@ pub enum Work {
     /// A batch that cannot be stored whatever the database holds: put aside as it came.
     Aside(Box<Aside>),
     /// Batches that nobody has any more.
-    Missing(Missing),
+    MissingBatches(MissingBatches),
     /// Read the secret of a host again: an operator may have cleared it.
     Secret(HostId),
 }
@@ -41,7 +43,7 @@ pub struct Introduction {
     /// The host's stream before, which this one does not go on from: its spool was deleted or replaced.
     pub replaced: Option<StreamId>,
     /// What this database lacks of the stream that this one goes on from.
-    pub lacking: Option<Lacking>,
+    pub lacking: Option<LackingBatches>,
     /// The secret that it has proven to have; kept unless there is one.
     pub secret: Option<HostSecret>,
 }

@@ -8,9 +8,9 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use super::script::{Script, beginning, host};
 use crate::codec;
 use crate::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce,
-    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
-    ToAggregator, Usage,
+    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Nonce,
+    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, StreamRecord,
+    ToAgent, ToAggregator, Usage,
 };
 use peernet_logger::HostId;
 
@@ -44,7 +44,8 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
                 let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
-                let known = Known { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
+                let known =
+                    StreamRecord { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
                 if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
                     // The mark may be ahead of the accepted batches. The stream is followed from here on.

@@ -5,7 +5,7 @@ use peernet_clock::MonoTime;
 use super::super::codec::MAX_MESSAGE_BYTES;
 use super::super::{STREAM_VERSIONS, batch_weight};
 use super::progress::LAST_BATCH;
-use super::{Hello, Known, Receiving, StreamId};
+use super::{Hello, Receiving, StreamId, StreamRecord};
 use peernet_logger::{HostId, Slug};
 
 /// Returns the reason to refuse an agent that has no version in common with this aggregator.
@@ -60,7 +60,7 @@ pub(super) enum Admission {
 }
 
 impl Receiving {
-    pub(super) fn admission(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Admission {
+    pub(super) fn admission(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Admission {
         match self.objection(hello, known, now) {
             Some(reason) => Admission::Refused(reason),
             None => self.challenge(hello, now),
@@ -68,7 +68,7 @@ impl Receiving {
     }
 
     /// Returns the reason to refuse a hello that does not depend on who is connected under its host id.
-    fn objection(&self, hello: &Hello, known: Known, now: MonoTime) -> Option<String> {
+    fn objection(&self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = wrong_version(hello) {
             return Some(reason);
         }

@@ -31,7 +31,7 @@ struct Pending {
 
 /// Result of a proof.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Proven {
+pub enum ProofResult {
     /// The proof is valid.
     Yes {
         /// Hello that the proof confirms.
@@ -85,21 +85,21 @@ impl<C: Eq + Hash> Challenges<C> {
 
     /// Checks the proof that came on a connection. `known` is the secret of the host that [`awaited`](Self::awaited)
     /// returns, if the aggregator has one. A challenge is removed by its answer, whether that is valid or not.
-    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> Proven {
+    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
         let answered =
             |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
         if !self.pending.get(connection).is_some_and(answered) {
-            return Proven::Unasked;
+            return ProofResult::Unasked;
         }
         let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
-            return Proven::Unasked;
+            return ProofResult::Unasked;
         };
         let told = proof.secret.filter(|_| enrol);
-        let Some(secret) = known.or(told.as_ref()) else { return Proven::Unasked };
+        let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unasked };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {
-            Proven::Yes { hello, enrolled: told.filter(|_| known.is_none()) }
+            ProofResult::Yes { hello, enrolled: told.filter(|_| known.is_none()) }
         } else {
-            Proven::No(hello)
+            ProofResult::No(hello)
         }
     }
 

@@ -12,7 +12,7 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
-pub use self::challenges::{Challenges, Proven};
+pub use self::challenges::{Challenges, ProofResult};
 use self::deferred::DeferredStreams;
 use self::parts::PartAssembler;
 use self::progress::Progress;
@@ -82,17 +82,17 @@ impl From<BatchHead> for Mark {
     }
 }
 
-impl From<Missing> for Mark {
+impl From<MissingBatches> for Mark {
     /// Returns the mark after this gap is stored.
-    fn from(missing: Missing) -> Self {
-        let Missing { host, through, chain, process, events_through, .. } = missing;
+    fn from(missing: MissingBatches) -> Self {
+        let MissingBatches { host, through, chain, process, events_through, .. } = missing;
         Self { host, stored: through, chain, process: Some(process), events: Some(events_through) }
     }
 }
 
 /// State of the database for a host that sends a hello, including batches that are about to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Known {
+pub struct StreamRecord {
     /// Mark of the hello's stream.
     pub mark: Option<Mark>,
     /// `true` if the host used that stream before.
@@ -113,14 +113,14 @@ pub enum Greeting {
         /// Message to be sent.
         reply: ToAgent,
         /// Batches that neither end has any more. They are to be stored as a gap together with the mark `through`.
-        missing: Option<Missing>,
+        missing: Option<MissingBatches>,
         /// Stream that this host used before and that the new one does not continue: its spool was deleted or replaced,
         /// and the events that it still held will never come. To be stored as a gap of unknown count.
         replaced: Option<StreamId>,
         /// Batches that were once stored in the stream that this one continues, but are not in this database, which is
         /// older than they are. To be stored as a gap. The mark of that stream stays, because another copy of the spool
         /// may still hold them.
-        lacking: Option<Lacking>,
+        lacking: Option<LackingBatches>,
         /// Another host with the name of this one, which has been stored for longer. The other host's session ended.
         displaced: Option<HostId>,
     },
@@ -139,7 +139,7 @@ pub enum Greeting {
 
 /// Batches of a stream that the agent no longer holds and that were never stored here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Missing {
+pub struct MissingBatches {
     /// Host that the stream belongs to.
     pub host: HostId,
     /// Stream of the batches.
@@ -160,7 +160,7 @@ pub struct Missing {
 
 /// Batches of an earlier stream that this database lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lacking {
+pub struct LackingBatches {
     /// Stream of the batches.
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
@@ -233,11 +233,11 @@ impl Receiving {
     /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
     /// with a stream.
     ///
-    /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`Missing`], even
+    /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
     /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
     /// is refused.
-    pub fn hello(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Greeting {
-        let Known { mark, last, seniority, .. } = known;
+    pub fn hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
+        let StreamRecord { mark, last, seniority, .. } = known;
         let (host, stream) = (hello.host.id, hello.stream);
         match self.admission(hello, known, now) {
             Admission::Granted => {}
@@ -262,7 +262,7 @@ impl Receiving {
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             // Batches after the last one in the spool may have been stored from the memory of a dead process.
             let lacks = from <= through || events.is_some_and(|events| events > 0);
-            lacks.then_some(Lacking { stream: previous, from, through: through.max(from), events })
+            lacks.then_some(LackingBatches { stream: previous, from, through: through.max(from), events })
         });
         let displaced = self.take_back_name(hello, now);
         let left = self.hosts.insert(host, Session::of(hello, seniority, now));

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::super::MOST_UNDER_WAY;
-use super::{Arrival, BatchHead, Chain, Hello, Mark, Missing, StreamId, ToAgent};
+use super::{Arrival, BatchHead, Chain, Hello, Mark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
 /// Largest accepted batch number: the largest integer of SQLite.
@@ -73,7 +73,7 @@ impl Progress {
 
     /// Updates the progress for the hello of an agent. `same` tells whether it is the process that was connected
     /// before. Returns the batches that neither end has.
-    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<Missing> {
+    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<MissingBatches> {
         if let Some(mark) = mark {
             self.take(mark);
         }
@@ -90,7 +90,7 @@ impl Progress {
             let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
             let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
             self.accept(through, chain, events_through);
-            Missing { host, stream, from, through, chain, process, events, events_through }
+            MissingBatches { host, stream, from, through, chain, process, events, events_through }
         })
     }
 

@@ -10,7 +10,7 @@ use super::session::{Link, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
-use crate::totals::Reached;
+use crate::totals::NewestSentBatch;
 use peernet_logger::Slug;
 
 /// Returns the reason to refuse an aggregator that chose a version which this agent does not support.
@@ -269,8 +269,9 @@ impl Sending {
     /// Returns whether this process or an earlier one sent the aggregator's last batch, which is no longer here. An
     /// older database may contain batches from a copy of the spool, which this spool does not continue.
     fn has_sent(&self, welcome: &Welcome) -> bool {
-        let by =
-            |reached: &Reached| Some(reached.process) == welcome.process && reached.number >= welcome.stored;
+        let by = |reached: &NewestSentBatch| {
+            Some(reached.process) == welcome.process && reached.number >= welcome.stored
+        };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
             || self.renewal.reached_before().iter().any(by)
@@ -287,7 +288,7 @@ impl Sending {
     /// Leaves the stream, because the aggregator's batches differ from those of this spool.
     ///
     /// If the aggregator's last batch came from a process that wrote to this spool, everything that the spool holds
-    /// from that process is stored ([`Reached`]): the spool lost its end, or is a copy that the process continued from.
+    /// from that process is stored ([`NewestSentBatch`]): the spool lost its end, or is a copy that the process continued from.
     /// Later batches of the spool were never stored. If the batch came from another process, the spool is a copy of
     /// unknown age, and everything in it is sent: it is better to store events twice, in two streams, than not at all.
     fn leave(&mut self, welcome: &Welcome, now: Stamp) {

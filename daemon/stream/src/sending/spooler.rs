@@ -12,8 +12,8 @@ use super::intake::{EventCapacity, Intake};
 use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
-use crate::totals::{Reached, Totals};
-use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedIn, SentUnspooled, StreamId};
+use crate::totals::{NewestSentBatch, Totals};
+use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedInEvents, SentUnspooled, StreamId};
 
 /// Largest number of batches in one transaction, so that other work on the spool does not wait for long.
 const MOST_APPENDED: usize = 256;
@@ -48,7 +48,7 @@ impl EventSpooler {
         // Events in the spool were produced, whatever its counts state.
         let produced = produced.max(dropped.saturating_add(backlog.held().events));
         let totals =
-            Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals.clone() };
+            Totals { produced, reached: None, handed_in: HandedInEvents::default(), ..spool.totals.clone() };
         Self {
             appends: Appends::new(totals.clone()),
             deletions: Deletions::new(backlog.acknowledged().0),
@@ -149,7 +149,7 @@ impl EventSpooler {
     }
 
     pub(super) fn settled_runs(&self) -> Vec<(RunId, u64)> {
-        let events = |handed_in: &HandedIn, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
+        let events = |handed_in: &HandedInEvents, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
         let (counted, written) = (&self.intake.counted().handed_in, &self.appends.written().handed_in);
         let ended = self.intake.ended().iter().map(|run| (*run, events(counted, *run)));
         ended.filter(|(run, count)| events(written, *run) == *count).collect()
@@ -177,7 +177,8 @@ impl EventSpooler {
     fn safe_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.counted(), self.backlog.settled());
         let only_here = self.unspooled_events();
-        let handed_in = HandedIn { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
+        let handed_in =
+            HandedInEvents { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
         Totals {
             produced: counted.produced - only_here,
             dropped: counted.dropped,
@@ -397,8 +398,8 @@ impl EventSpooler {
 
     /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
     /// it.
-    fn reaches(&self, number: u64) -> Option<Reached> {
-        self.is_met.then_some(Reached { process: self.process, number })
+    fn reaches(&self, number: u64) -> Option<NewestSentBatch> {
+        self.is_met.then_some(NewestSentBatch { process: self.process, number })
     }
 
     /// Returns whether the file records for all its batches that this process may send them.

@@ -6,7 +6,7 @@ use super::Action;
 use super::job::Job;
 use super::spooler::EventSpooler;
 use crate::StreamId;
-use crate::totals::Reached;
+use crate::totals::NewestSentBatch;
 
 /// Stream that the spool is moved to, and the processes that sent in the current one.
 #[derive(Clone, Debug)]
@@ -15,11 +15,11 @@ pub(super) struct StreamRenewal {
     wanted: Option<StreamId>,
     job: Job<StreamId>,
     /// Batches that earlier processes may have sent in the current stream.
-    reached_before: Vec<Reached>,
+    reached_before: Vec<NewestSentBatch>,
 }
 
 impl StreamRenewal {
-    pub(super) fn new(reached_before: Vec<Reached>) -> Self {
+    pub(super) fn new(reached_before: Vec<NewestSentBatch>) -> Self {
         Self { wanted: None, job: Job::default(), reached_before }
     }
 
@@ -34,7 +34,7 @@ impl StreamRenewal {
     }
 
     /// Returns the batches that earlier processes may have sent in the current stream.
-    pub(super) fn reached_before(&self) -> &[Reached] {
+    pub(super) fn reached_before(&self) -> &[NewestSentBatch] {
         &self.reached_before
     }
 

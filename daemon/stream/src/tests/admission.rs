@@ -29,8 +29,8 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
 }
 
 /// Returns the database's state for one stream.
-pub(super) fn known(mark: Option<Mark>) -> Known {
-    Known { mark, came: mark.is_some(), ..Known::default() }
+pub(super) fn known(mark: Option<Mark>) -> StreamRecord {
+    StreamRecord { mark, came: mark.is_some(), ..StreamRecord::default() }
 }
 
 pub(super) fn reason(greeting: Greeting) -> String {
@@ -139,7 +139,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
         Greeting::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let last = |last| Known { last, ..Known::default() };
+    let last = |last| StreamRecord { last, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
     assert_eq!(replaced(end.hello(&first, known(None), at(0).mono)), None);
     end.goodbye(id);
@@ -153,10 +153,10 @@ fn deleted_or_replaced_spool_is_reported_once() {
     let renewed = Hello { previous: Some(old), ..second.clone() };
     assert_eq!(replaced(end.hello(&renewed, last(Some(old)), at(4).mono)), None);
     end.goodbye(id);
-    let stored = Known { mark: Some(mark(id, 3)), ..last(Some(old)) };
+    let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
     assert_eq!(replaced(end.hello(&second, stored, at(5).mono)), None);
     end.goodbye(id);
-    let came = Known { came: true, ..last(Some(old)) };
+    let came = StreamRecord { came: true, ..last(Some(old)) };
     assert_eq!(replaced(end.hello(&hello(id, "edge", 3, new, 1), came, at(6).mono)), None);
 }
 
@@ -170,21 +170,21 @@ fn batches_lacking_in_older_database_are_reported_once() {
     };
     let renewed =
         Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
-    let previous = |previous| Known { last: Some(old), previous, ..Known::default() };
-    let expected = |from| Some(Lacking { stream: old, from, through: 7, events: Some(8 - from) });
+    let previous = |previous| StreamRecord { last: Some(old), previous, ..StreamRecord::default() };
+    let expected = |from| Some(LackingBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
         assert_eq!(lacking(end.hello(&renewed, before, at(0).mono)), lacks);
         assert_eq!(lacking(end.hello(&renewed, before, at(1).mono)), None, "said");
         end.goodbye(id);
-        let came = Known { came: true, ..before };
+        let came = StreamRecord { came: true, ..before };
         assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
         end.goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
-    let expected = Lacking { stream: old, from: 8, through: 8, events: Some(2) };
+    let expected = LackingBatches { stream: old, from: 8, through: 8, events: Some(2) };
     assert_eq!(lacking(end.hello(&renewed, before, at(3).mono)), Some(expected));
 }
 

@@ -102,7 +102,7 @@ fn lost_batches_are_reported_missing_once() {
         let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
-            Some(Missing {
+            Some(MissingBatches {
                 host: id,
                 stream,
                 from,
@@ -235,7 +235,7 @@ fn numbers_at_their_end_break_nothing() {
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.hello(&hello, known(None), at(0).mono);
-    assert!(matches!(greeting, Greeting::Welcome { missing: Some(Missing { from: 1, .. }), .. }));
+    assert!(matches!(greeting, Greeting::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
         BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }

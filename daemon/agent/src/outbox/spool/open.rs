@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
+use peernet_stream::{Chain, HandedInEvents, NewestSentBatch, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -267,13 +267,13 @@ async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
 }
 
 /// How far the newest processes came.
-async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx::Error> {
+async fn reached(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
             .bind(MOST_PROCESSES)
             .fetch_all(connection)
             .await?;
-    let reached = |(process, number): (i64, i64)| Reached {
+    let reached = |(process, number): (i64, i64)| NewestSentBatch {
         process: process.cast_unsigned(),
         number: number.cast_unsigned(),
     };
@@ -281,7 +281,7 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, SpoolDefect> {
+    fn state(self, held: Held, reached: Vec<NewestSentBatch>) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
@@ -315,7 +315,7 @@ impl StreamRow {
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
                 told: self.told.cast_unsigned(),
-                handed_in: HandedIn::default(),
+                handed_in: HandedInEvents::default(),
                 reached: None,
                 unreported: None,
             },

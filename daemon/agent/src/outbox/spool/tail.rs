@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{Gap, KILLED, RunCounts, Settled, SpoolState, Unresolved};
+use peernet_stream::{Gap, KILLED, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::event_queue::counter::{self, CountOwner, EventCounter};
@@ -80,15 +80,15 @@ pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<
 pub(super) async fn unresolved(
     connection: &mut SqliteConnection,
     own: &CountOwner,
-) -> Result<Option<Unresolved>, sqlx::Error> {
+) -> Result<Option<UnresolvedBatches>, sqlx::Error> {
     let row: Option<UnresolvedRow> =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns, told, events FROM unresolved")
             .fetch_optional(connection)
             .await?;
     Ok(row.and_then(|row| {
-        Some(Unresolved {
+        Some(UnresolvedBatches {
             counted: counter::read(&row.counter, own)?,
-            settled: Settled {
+            settled: SettledEvents {
                 events: decoded(&row.counted).unwrap_or_default(),
                 taken: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
@@ -130,7 +130,7 @@ pub(super) async fn begin(
         let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
-        lost = state.lose_tail(counted, Settled { events, taken, last });
+        lost = state.lose_tail(counted, SettledEvents { events, taken, last });
     }
     let counter = EventCounter::create(own).unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");

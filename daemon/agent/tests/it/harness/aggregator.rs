@@ -8,9 +8,9 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration, Known,
-    LiveUpdate, Mark, Missing, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId, ToAgent,
-    ToAggregator, codec,
+    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration,
+    LiveUpdate, Mark, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
+    StreamRecord, ToAgent, ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -32,7 +32,7 @@ pub(crate) struct Seen {
     /// The streams that hosts said hello with, in this order.
     pub(crate) streams: Vec<StreamId>,
     /// Batches that nobody has.
-    pub(crate) missing: Vec<Missing>,
+    pub(crate) missing: Vec<MissingBatches>,
     /// Streams that ended because the spool was another one at the next hello.
     pub(crate) replaced: Vec<StreamId>,
     /// Batches that came although they were stored.
@@ -232,7 +232,7 @@ impl Desk {
             return vec![ToAgent::Refused { reason: reason.clone() }];
         }
         let mark_of = |stream| seen.marks.get(&stream).copied();
-        let known = Known {
+        let known = StreamRecord {
             mark: mark_of(hello.stream),
             came: seen.streams.contains(&hello.stream),
             last: seen.streams.last().copied(),

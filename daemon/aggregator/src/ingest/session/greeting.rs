@@ -3,7 +3,7 @@
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
 use peernet_networks::Peer;
-use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
+use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
 
 use super::IngestSession;
 use crate::ingest::queue::Incoming;
@@ -34,11 +34,11 @@ impl IngestSession {
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
         let known = self.hosts.secret(proof.host).cloned();
         match self.challenges.prove(&from.connection, proof, known.as_ref()) {
-            Proven::Yes { hello, enrolled } => {
+            ProofResult::Yes { hello, enrolled } => {
                 let secret = known.or(enrolled);
                 self.enter(from, *hello, secret, now);
             }
-            Proven::No(hello) => {
+            ProofResult::No(hello) => {
                 let host = hello.host.id;
                 // An operator may have cleared the secret since it was read, so it is read again.
                 if self.hosts.needs_secret_check(host, now.mono)
@@ -48,7 +48,7 @@ impl IngestSession {
                 }
                 self.refuse(from, &hello, wrong_secret(host), now);
             }
-            Proven::Unasked => {
+            ProofResult::Unasked => {
                 self.output.reject_stranger(from.connection);
             }
         }
@@ -114,7 +114,7 @@ impl IngestSession {
                     }
                     greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
                     match missing {
-                        Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
+                        Some(missing) => hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono),
                         None => drop(hole),
                     }
                     self.store.streams.came(host, stream);

@@ -12,8 +12,8 @@ use self::unreported::UnreportedLosses;
 use super::SendingConfig;
 use crate::spool::Usage;
 use crate::totals::Totals;
-use crate::unresolved::Resolved;
-use crate::{Event, Gap, RunCounts, Unresolved, codec};
+use crate::unresolved::ResolvedBatches;
+use crate::{Event, Gap, RunCounts, UnresolvedBatches, codec};
 use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{RunId, Slug};
 
@@ -202,7 +202,7 @@ impl Intake {
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
     /// are reported after the spool contains them ([`Self::resolution_written`]).
-    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
+    pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         self.losses.resolve(unresolved, resolved)
     }
 

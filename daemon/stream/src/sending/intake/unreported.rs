@@ -6,8 +6,8 @@ use peernet_clock::{MonoTime, Stamp};
 use peernet_logger::{RunId, Slug};
 
 use super::losses::Losses;
-use crate::unresolved::Resolved;
-use crate::{Gap, Unresolved};
+use crate::unresolved::ResolvedBatches;
+use crate::{Gap, UnresolvedBatches};
 
 /// Losses to be reported, those of earlier processes first.
 #[derive(Clone, Debug)]
@@ -85,7 +85,7 @@ impl UnreportedLosses {
     }
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports.
-    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
+    pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
         self.owed.iter().cloned().collect()
     }

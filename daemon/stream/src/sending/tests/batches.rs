@@ -50,7 +50,7 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
             gaps: 0,
             told: 0,
             handed_in: totals.handed_in.clone(),
-            reached: Some(Reached { process: 1, number: 4 }),
+            reached: Some(NewestSentBatch { process: 1, number: 4 }),
             unreported: None,
         }
     );

@@ -119,7 +119,7 @@ fn unspooled_batches_wait_until_file_records_sending() {
     assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
     agent.broken = false;
     agent.pass(1_000);
-    assert_eq!(agent.file.reached, [Reached { process: 2, number: 4 }]);
+    assert_eq!(agent.file.reached, [NewestSentBatch { process: 2, number: 4 }]);
     assert_eq!(agent.deliver(), [1, 2, 3, 4]);
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, Greeting, Known, Mark, Receiving, ReceivingConfig};
+use super::super::super::{Arrival, Greeting, Mark, Receiving, ReceivingConfig, StreamRecord};
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
@@ -194,7 +194,7 @@ impl Link {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
-                let greeting = self.receiving.hello(&hello, Known::default(), now);
+                let greeting = self.receiving.hello(&hello, StreamRecord::default(), now);
                 let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
                 self.reply(reply);
             }

@@ -25,7 +25,7 @@ use super::super::{
 };
 use super::{Action, Notice, Sending, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
-use crate::totals::{Reached, Totals};
+use crate::totals::{NewestSentBatch, Totals};
 use peernet_logger::HostId;
 
 fn at(millis: i64) -> Stamp {
@@ -64,7 +64,7 @@ struct File {
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
-    reached: Vec<Reached>,
+    reached: Vec<NewestSentBatch>,
     /// Number of processes that opened it.
     processes: u64,
     batches: BTreeMap<u64, SpooledBatch>,

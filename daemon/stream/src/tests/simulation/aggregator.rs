@@ -11,13 +11,13 @@ use super::{SECRET, names, told};
 #[derive(Clone, Debug)]
 enum Work {
     /// A host sent a hello with this stream and left another one: one transaction.
-    Hello(StreamId, Option<StreamId>, Option<Lacking>),
+    Hello(StreamId, Option<StreamId>, Option<LackingBatches>),
     Batch {
         head: BatchHead,
         body: Bytes,
     },
     Damaged(BatchHead),
-    Missing(Missing),
+    MissingBatches(MissingBatches),
 }
 
 /// Content of a stream.
@@ -132,9 +132,9 @@ impl Aggregator {
                 Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
             }
             ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
-                Proven::Yes { hello, .. } => self.hello(connection, &hello, now),
-                Proven::Unasked => Some(ToAgent::Unknown),
-                Proven::No(hello) => panic!("the proof of {hello:?} is wrong"),
+                ProofResult::Yes { hello, .. } => self.hello(connection, &hello, now),
+                ProofResult::Unasked => Some(ToAgent::Unknown),
+                ProofResult::No(hello) => panic!("the proof of {hello:?} is wrong"),
             },
             ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
                 Some(self.receiving.echo(host, bytes, now))
@@ -146,7 +146,7 @@ impl Aggregator {
 
     fn hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
         let mark_of = |stream| self.database.marks.get(&stream).copied();
-        let known = Known {
+        let known = StreamRecord {
             mark: mark_of(hello.stream),
             came: self.came.contains(&hello.stream),
             last: self.last,
@@ -158,7 +158,7 @@ impl Aggregator {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
                 self.queue.push(Work::Hello(hello.stream, replaced, lacking));
-                self.queue.extend(missing.map(Work::Missing));
+                self.queue.extend(missing.map(Work::MissingBatches));
                 self.last = Some(hello.stream);
                 self.came.insert(hello.stream);
                 Some(reply)
@@ -193,7 +193,7 @@ impl Aggregator {
                 Work::Batch { head, .. } | Work::Damaged(head) => {
                     replies.extend(self.receiving.failed(head.stream));
                 }
-                Work::Missing(missing) => replies.extend(self.receiving.failed(missing.stream)),
+                Work::MissingBatches(missing) => replies.extend(self.receiving.failed(missing.stream)),
                 kept @ Work::Hello(..) => self.queue.push(kept),
             }
         }
@@ -225,7 +225,7 @@ impl Database {
                 self.last = Some(stream);
                 if self.came.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(Lacking { stream, from, through, events }) = lacking {
+                    if let Some(LackingBatches { stream, from, through, events }) = lacking {
                         let gap = Entry::Gap { from, through, events };
                         self.entries.entry(stream).or_default().push(gap);
                     }
@@ -247,8 +247,8 @@ impl Database {
                 let entry = Entry::Damaged { number: head.number, chain: head.chain };
                 (head.stream, Mark::from(head), entry)
             }
-            Work::Missing(missing) => {
-                let Missing { stream, from, through, events, .. } = missing;
+            Work::MissingBatches(missing) => {
+                let MissingBatches { stream, from, through, events, .. } = missing;
                 if let Some(before) = self.marks.get(&stream) {
                     assert_eq!(from, before.stored + 1, "a gap follows what is stored");
                 }

@@ -14,10 +14,10 @@ pub(in super::super) struct SpoolFile {
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
-    reached: Vec<Reached>,
+    reached: Vec<NewestSentBatch>,
     /// Losses that no gap reports yet, each with the number of reported events after its report.
     unreported: Vec<(u64, Gap)>,
-    unresolved: Option<Unresolved>,
+    unresolved: Option<UnresolvedBatches>,
     /// Counts in shared memory, which survive the process.
     pub(super) counted: CountedEvents,
     pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
@@ -64,7 +64,7 @@ impl SpoolFile {
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
         state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
-        state.totals.handed_in = HandedIn::default();
+        state.totals.handed_in = HandedInEvents::default();
         self.totals = state.totals.clone();
         self.unresolved = state.unresolved.clone();
         self.tell(&state.unreported);

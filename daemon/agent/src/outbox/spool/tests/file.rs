@@ -1,6 +1,6 @@
 //! What is written is there again.
 
-use peernet_stream::{Chain, Reached, StreamId, Usage};
+use peernet_stream::{Chain, NewestSentBatch, StreamId, Usage};
 
 use super::*;
 
@@ -100,7 +100,7 @@ async fn who_sent_from_the_file_is_remembered() {
     assert_eq!(fresh.reached, []);
     let written = batches(Chain::START, 1..=6, 10);
     let by = |process, number| {
-        let reached = Reached { process, number };
+        let reached = NewestSentBatch { process, number };
         (reached, Totals { reached: Some(reached), ..totals(9) })
     };
     let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));

@@ -1,7 +1,7 @@
 //! What a killed process took with it.
 
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{HandedIn, KILLED, SentUnspooled};
+use peernet_stream::{HandedInEvents, KILLED, SentUnspooled};
 
 use super::*;
 use crate::event_queue::EventCounter;
@@ -18,7 +18,7 @@ fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
 
 /// So many events of a run are in batches, and so many lost ones are told.
 fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
-    let mut handed_in = HandedIn { last: Some(at(1)), ..HandedIn::default() };
+    let mut handed_in = HandedInEvents { last: Some(at(1)), ..HandedInEvents::default() };
     handed_in.taken.add(Some(run), events);
     Totals { produced: before.produced + events, told, handed_in, ..before.clone() }
 }
