@@ -16,7 +16,7 @@ use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::ingest::{self, Hosts, IngestSession, Reopening, WriterRequest, committing, preparing, socket};
 use crate::live::{self, LiveEvent, LiveTracker};
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
@@ -31,7 +31,7 @@ const WRITER_REQUESTS: usize = 16;
 /// Handle of a running aggregator; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Aggregator {
-    live: watch::Receiver<Arc<Picture>>,
+    live: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     store: Store,
     requests: mpsc::Sender<WriterRequest>,
@@ -168,7 +168,7 @@ impl Aggregator {
     }
 
     /// Follows the snapshots of the live picture: a new one after each change, at most five per second.
-    pub fn live(&self) -> watch::Receiver<Arc<Picture>> {
+    pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }
 

@@ -21,14 +21,14 @@ mod config;
 mod error;
 mod ingest;
 mod live;
-mod picture;
+mod live_state;
 mod readiness;
 
 pub use aggregator::{Aggregator, Running};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
-pub use picture::{
-    Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, PercentilePoint,
-    PercentileSeries, Picture, PipelinePicture, RefusedFrames, RefusedHost, Totals, Window,
+pub use live_state::{
+    Arrivals, CatchingUp, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint, PercentilePoint,
+    PercentileSeries, PipelineSnapshot, RefusedFrames, RefusedHost, Totals, Window,
 };
 pub use readiness::Readiness;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_clock::ClockFaults;
 use peernet_statistics::number::{SPACE, fixed};
 
@@ -45,7 +45,7 @@ pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
     /// Those of a picture.
-    pub(crate) fn of(picture: &Picture) -> Self {
+    pub(crate) fn of(picture: &LiveState) -> Self {
         let connected = picture.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {
             Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))

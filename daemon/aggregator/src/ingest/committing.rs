@@ -22,7 +22,7 @@ use super::connection_log::ConnectionLog;
 use super::preparing::PreparedWork;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{
     CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
@@ -105,7 +105,7 @@ pub(crate) struct TaskContext {
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
     /// Snapshots of the live picture, the source of the connections' statistics.
-    pub(crate) pictures: watch::Receiver<Arc<Picture>>,
+    pub(crate) pictures: watch::Receiver<Arc<LiveState>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,

@@ -11,7 +11,7 @@ use peernet_logger::{HostId, Slug};
 use peernet_store::writing::ConnectionSample;
 use peernet_stream::NetworkName;
 
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 
 /// Interval of storing the statistics of an open connection.
 const INTERVAL: Span = Span::from_seconds(60);
@@ -35,7 +35,7 @@ struct OpenConnection {
 
 impl ConnectionLog {
     /// Updates the open connections from a snapshot. Returns the samples to be stored.
-    pub(super) fn observe(&mut self, picture: &Picture, now: MonoTime) -> Vec<ConnectionSample> {
+    pub(super) fn observe(&mut self, picture: &LiveState, now: MonoTime) -> Vec<ConnectionSample> {
         let mut due = Vec::new();
         let mut before = std::mem::take(&mut self.open);
         for link in picture.links.iter().filter(|link| link.connected) {
@@ -69,7 +69,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::picture::{LinkPicture, Totals};
+    use crate::live_state::{LinkSnapshot, Totals};
 
     fn slug(text: &str) -> Slug {
         text.parse().expect("a name")
@@ -95,7 +95,7 @@ mod tests {
     }
 
     /// Returns a picture with one link.
-    fn picture(connected: bool, connections: Vec<Connection>) -> Picture {
+    fn picture(connected: bool, connections: Vec<Connection>) -> LiveState {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {
             network: NetworkName::default(),
@@ -128,8 +128,8 @@ mod tests {
             reflector: None,
         };
         let (edge, history) = (HostId::from_bytes([1; 16]), Vec::new());
-        let link = LinkPicture { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };
-        Picture {
+        let link = LinkSnapshot { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };
+        LiveState {
             at,
             aggregator: slug("base"),
             listening: String::new(),

@@ -6,7 +6,7 @@ use peernet_stream::Accounting;
 
 use super::bounds;
 use super::storage_lag::StorageLag;
-use crate::picture::Arrivals;
+use crate::live_state::Arrivals;
 
 /// The events of one host: produced, waiting, arrived and stored.
 #[derive(Debug, Default)]

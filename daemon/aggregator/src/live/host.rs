@@ -18,7 +18,7 @@ use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
 use super::presence::Presence;
 use super::{MOST_LINKS, MOST_PIPELINES};
-use crate::picture::{Arrivals, HostPicture, LinkPicture, PipelinePicture};
+use crate::live_state::{Arrivals, HostSnapshot, LinkSnapshot, PipelineSnapshot};
 use peernet_store::Stored;
 
 /// State of one host with its pipelines and links.
@@ -35,7 +35,7 @@ pub(super) struct Host {
     /// Keyed by the cloud and the network.
     links: BTreeMap<(HostId, NetworkName), Link>,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<HostPicture>>,
+    picture: Option<Arc<HostSnapshot>>,
 }
 
 impl Host {
@@ -198,11 +198,11 @@ impl Host {
     }
 
     /// Returns the host's snapshot.
-    pub(super) fn picture(&mut self) -> Arc<HostPicture> {
+    pub(super) fn picture(&mut self) -> Arc<HostSnapshot> {
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(HostPicture {
+        let picture = Arc::new(HostSnapshot {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.is_connected(),
@@ -230,7 +230,7 @@ impl Host {
         &mut self,
         number: impl Fn(RunId) -> Option<i64> + Copy,
         now: Stamp,
-    ) -> impl Iterator<Item = Arc<PipelinePicture>> {
+    ) -> impl Iterator<Item = Arc<PipelineSnapshot>> {
         let Self { description, pipelines, .. } = self;
         pipelines.iter_mut().map(move |(name, pipeline)| {
             pipeline.picture((description.id, &description.name, name), number, now)
@@ -238,7 +238,7 @@ impl Host {
     }
 
     /// Returns the snapshots of its links, sorted by the cloud's name and the network.
-    pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
+    pub(super) fn links(&mut self) -> Vec<Arc<LinkSnapshot>> {
         // A link is connected only if the edge's latest message contained it.
         let last = self.is_connected().then_some(self.presence.seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();

@@ -8,7 +8,7 @@ use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, LinkLive};
 
 use super::bounds;
-use crate::picture::LinkPicture;
+use crate::live_state::LinkSnapshot;
 use peernet_store::ClockPoint;
 
 /// Length of the history, seconds.
@@ -24,7 +24,7 @@ pub(super) struct Link {
     seen: Stamp,
     history: BTreeMap<i64, Arc<ClockPoint>>,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<LinkPicture>>,
+    picture: Option<Arc<LinkSnapshot>>,
 }
 
 impl Link {
@@ -70,7 +70,7 @@ impl Link {
     }
 
     /// Returns the link's snapshot. `last` is the time of the edge's last message if the edge is connected.
-    pub(super) fn picture(&mut self, edge: HostId, name: &Slug, last: Option<MonoTime>) -> Arc<LinkPicture> {
+    pub(super) fn picture(&mut self, edge: HostId, name: &Slug, last: Option<MonoTime>) -> Arc<LinkSnapshot> {
         // A connected edge whose latest update does not contain the link does not use the cloud any more.
         let connected = last == Some(self.seen.mono);
         if let Some(drawn) = &self.picture
@@ -78,7 +78,7 @@ impl Link {
         {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(LinkPicture {
+        let picture = Arc::new(LinkSnapshot {
             edge,
             edge_name: name.clone(),
             connected,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_stream::HostMetrics;
 
-use crate::picture::MetricsPoint;
+use crate::live_state::MetricsPoint;
 
 /// Interval between two points.
 const POINT_EVERY: Span = Span::from_seconds(5);

@@ -26,7 +26,7 @@ use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{HostDescription, LiveUpdate};
 
 use self::host::Host;
-use crate::picture::{Picture, RefusedHost, Totals};
+use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::Stored;
 
 /// Largest number of hosts in the picture. Beyond it, the host that was silent longest is removed.
@@ -257,7 +257,7 @@ impl LiveTracker {
     }
 
     /// Returns a snapshot.
-    pub(crate) fn picture(&mut self, now: Stamp) -> Picture {
+    pub(crate) fn picture(&mut self, now: Stamp) -> LiveState {
         let numbers = &self.numbers;
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
@@ -269,7 +269,7 @@ impl LiveTracker {
             pipelines.extend(host.pipelines(number, now));
             links.extend(host.links());
         }
-        Picture {
+        LiveState {
             at: now.wall,
             aggregator: self.aggregator.clone(),
             listening: self.listening.clone(),
@@ -283,7 +283,7 @@ impl LiveTracker {
     }
 
     /// Returns a snapshot to be published.
-    pub(crate) fn shared(&mut self, now: Stamp) -> Arc<Picture> {
+    pub(crate) fn shared(&mut self, now: Stamp) -> Arc<LiveState> {
         Arc::new(self.picture(now))
     }
 }

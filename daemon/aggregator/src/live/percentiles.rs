@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use peernet_statistics::{Moments, Sketch, Summary};
 use peernet_store::{Figures, P95_NEEDS};
 
-use crate::picture::{PercentilePoint, PercentileSeries};
+use crate::live_state::{PercentilePoint, PercentileSeries};
 
 /// Possible lengths of a bucket, seconds.
 const BUCKETS_S: [u32; 9] = [1, 2, 5, 10, 30, 60, 120, 300, 600];

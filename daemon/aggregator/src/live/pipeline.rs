@@ -11,7 +11,7 @@ use peernet_stream::{PipelineLive, PipelineState, Placement};
 use super::bounds;
 use super::percentiles::Percentiles;
 use super::second_figures::SecondFigures;
-use crate::picture::{LiveSecond, PipelinePicture, Window};
+use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
 /// Lengths of the picture's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
@@ -41,7 +41,7 @@ pub(super) struct Pipeline {
     /// The aggregator's clocks at the latest update.
     seen: Stamp,
     /// The latest snapshot; `None` if something changed since.
-    picture: Option<Arc<PipelinePicture>>,
+    picture: Option<Arc<PipelineSnapshot>>,
 }
 
 impl Pipeline {
@@ -107,7 +107,7 @@ impl Pipeline {
     /// Discards the snapshot if its windows change with time, because the agent is silent. Returns whether it did.
     pub(super) fn age(&mut self, now: Stamp) -> bool {
         let empty =
-            |picture: &Arc<PipelinePicture>| picture.windows.iter().all(|window| window.counts.total() == 0);
+            |picture: &Arc<PipelineSnapshot>| picture.windows.iter().all(|window| window.counts.total() == 0);
         let ageing =
             now.mono - self.seen.mono > SILENT && self.picture.as_ref().is_some_and(|drawn| !empty(drawn));
         if ageing {
@@ -153,11 +153,11 @@ impl Pipeline {
         (host, host_name, pipeline): (HostId, &Slug, &Slug),
         number: impl Fn(RunId) -> Option<i64>,
         now: Stamp,
-    ) -> Arc<PipelinePicture> {
+    ) -> Arc<PipelineSnapshot> {
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(PipelinePicture {
+        let picture = Arc::new(PipelineSnapshot {
             host,
             host_name: host_name.clone(),
             pipeline: pipeline.clone(),

@@ -7,7 +7,7 @@ use peernet_statistics::{Merge, Summary};
 use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
-use crate::picture::{LiveSecond, Window};
+use crate::live_state::{LiveSecond, Window};
 use peernet_store::{Bound, Figures, Transfers, rank};
 
 /// Figures of one or more seconds. A list is faster than a map here, because there are few names.

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-use crate::picture::CatchingUp;
+use crate::live_state::CatchingUp;
 
 /// Time constant of the exponential weights, seconds.
 const MEMORY_S: f64 = 10.0;

@@ -7,7 +7,7 @@ use peernet_clock::{SharedClock, Span};
 use tokio::sync::{mpsc, watch};
 
 use super::{LiveEvent, LiveTracker};
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 
 /// Shortest interval between two snapshots: at most five a second.
 const BETWEEN: Span = Span::from_millis(200);
@@ -18,7 +18,7 @@ const AGE_EVERY: Duration = Duration::from_secs(1);
 pub(crate) async fn run(
     mut live: LiveTracker,
     mut events: mpsc::Receiver<LiveEvent>,
-    pictures: watch::Sender<Arc<Picture>>,
+    pictures: watch::Sender<Arc<LiveState>>,
     clock: SharedClock,
 ) {
     let mut ageing = tokio::time::interval(AGE_EVERY);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_aggregator::{Aggregator, AggregatorConfig, Picture, Running};
+use peernet_aggregator::{Aggregator, AggregatorConfig, LiveState, Running};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
@@ -68,7 +68,7 @@ impl Testbed {
     }
 
     /// Waits for a picture for which `is_it` is true.
-    pub(crate) async fn picture(&self, what: &str, is_it: impl Fn(&Picture) -> bool) -> Arc<Picture> {
+    pub(crate) async fn picture(&self, what: &str, is_it: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
         let mut live = self.aggregator().live();
         let wait = live.wait_for(|picture| is_it(picture));
         let picture = tokio::time::timeout(Duration::from_secs(30), wait).await;

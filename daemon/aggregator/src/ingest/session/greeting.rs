@@ -8,7 +8,7 @@ use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, ProofResult, Rec
 use super::IngestSession;
 use crate::ingest::queue::Incoming;
 use crate::live::{LiveEvent, bounds};
-use crate::picture::RefusedHost;
+use crate::live_state::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
 impl IngestSession {

@@ -1,10 +1,10 @@
 //! Tests of the durable lane's effect on the picture: it changes counts only.
 
 use super::*;
-use crate::picture::{Arrivals, Totals};
+use crate::live_state::{Arrivals, Totals};
 
 /// Applies 40 updates of a pipeline within ten seconds; with a `backlog`, also events of the durable lane between them.
-fn figures(testbed: &mut Testbed, backlog: bool) -> Picture {
+fn figures(testbed: &mut Testbed, backlog: bool) -> LiveState {
     for step in 0..40 {
         let at = 0.25 * f64::from(step);
         let second = second(at as i64, &[0.010 + 0.001 * f64::from(step % 7), 0.012], u64::from(step == 3));
@@ -42,8 +42,9 @@ fn backlog_changes_no_figure_of_picture() {
     busy.live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
     busy.live.apply(LiveEvent::Hello(Box::new(description(busy.host, "edge")), 1), now(0.0));
     let (calm, busy) = (figures(&mut calm, false), figures(&mut busy, true));
-    let text =
-        |picture: &Picture| serde_json::to_string(&(&picture.pipelines, &picture.links)).expect("plain data");
+    let text = |picture: &LiveState| {
+        serde_json::to_string(&(&picture.pipelines, &picture.links)).expect("plain data")
+    };
     assert_eq!(text(&calm), text(&busy));
     assert_eq!((calm.hosts[0].behind, calm.hosts[0].catching_up), (None, None));
     let host = &busy.hosts[0];

@@ -5,7 +5,7 @@ use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName
 
 use super::*;
 use crate::live::MOST_LINKS;
-use crate::picture::LinkPicture;
+use crate::live_state::LinkSnapshot;
 
 /// Returns a report of the second that ends `ends` seconds after the start.
 fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
@@ -46,7 +46,7 @@ fn report(testbed: &mut Testbed, at: f64, links: Vec<LinkLive>) {
     assert!(testbed.live.apply(LiveEvent::Update(event), now(at)));
 }
 
-fn seconds(link: &LinkPicture) -> Vec<(i64, u32)> {
+fn seconds(link: &LinkSnapshot) -> Vec<(i64, u32)> {
     link.history.iter().map(|point| (point.at.unix_seconds() - START, point.probes.lost)).collect()
 }
 
@@ -74,8 +74,8 @@ fn links_are_disconnected_with_edge_or_when_unreported() {
     let mut testbed = Testbed::new();
     let (one, two) = (HostId::random(), HostId::random());
     report(&mut testbed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
-    let names = |picture: &Picture| {
-        let name = |link: &Arc<LinkPicture>| (link.live.peer_name.to_string(), link.connected);
+    let names = |picture: &LiveState| {
+        let name = |link: &Arc<LinkSnapshot>| (link.live.peer_name.to_string(), link.connected);
         picture.links.iter().map(name).collect::<Vec<_>>()
     };
     assert_eq!(names(&testbed.picture(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);

@@ -18,7 +18,7 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{LiveEvent, LiveTracker, MOST_NAMES, MOST_PIPELINES, MOST_RUNS};
-use crate::picture::{Picture, RefusedFrames, RefusedHost};
+use crate::live_state::{LiveState, RefusedFrames, RefusedHost};
 use peernet_store::Stored;
 
 /// Wall time of the tests' start, Unix seconds.
@@ -124,7 +124,7 @@ impl Testbed {
         assert!(self.live.apply(event, now(at)));
     }
 
-    fn picture(&mut self, at: f64) -> Picture {
+    fn picture(&mut self, at: f64) -> LiveState {
         self.live.picture(now(at))
     }
 }

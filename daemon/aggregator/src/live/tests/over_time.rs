@@ -4,7 +4,7 @@ use peernet_logger::stage;
 use peernet_statistics::Summary;
 
 use super::{START, Testbed, second};
-use crate::picture::PercentileSeries;
+use crate::live_state::PercentileSeries;
 
 /// Returns the percentiles after these seconds, each reported at its end.
 fn series(seconds: &[Vec<f64>]) -> PercentileSeries {

@@ -16,7 +16,7 @@ use peernet_store::{Bound, ClockPoint, Figures, Stored, Transfers};
 
 /// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]
-pub struct Picture {
+pub struct LiveState {
     /// Time of the snapshot on the aggregator's wall clock.
     pub at: WallTime,
     /// Name of the aggregator.
@@ -24,11 +24,11 @@ pub struct Picture {
     /// Address that agents connect to, with the actual port.
     pub listening: String,
     /// All hosts that have sent a message, sorted by name.
-    pub hosts: Vec<Arc<HostPicture>>,
+    pub hosts: Vec<Arc<HostSnapshot>>,
     /// All pipelines, sorted by host name and name.
-    pub pipelines: Vec<Arc<PipelinePicture>>,
+    pub pipelines: Vec<Arc<PipelineSnapshot>>,
     /// All links, sorted by the edge's name, the cloud's name and the network.
-    pub links: Vec<Arc<LinkPicture>>,
+    pub links: Vec<Arc<LinkSnapshot>>,
     /// Hosts that were refused in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
     /// Number of hosts with stored events that are not in `hosts`, because they were silent for long or since the
@@ -80,7 +80,7 @@ pub struct CatchingUp {
 
 /// Snapshot of one link: an edge and a cloud over one network.
 #[derive(Clone, Debug, Serialize)]
-pub struct LinkPicture {
+pub struct LinkSnapshot {
     /// Host id of the edge.
     pub edge: HostId,
     /// Name of the edge.
@@ -111,7 +111,7 @@ pub struct RefusedHost {
 
 /// Snapshot of one host.
 #[derive(Clone, Debug, Serialize)]
-pub struct HostPicture {
+pub struct HostSnapshot {
     /// Host id, the identity of the host; names may change.
     pub id: HostId,
     /// Description that the host sent in its hello.
@@ -160,7 +160,7 @@ pub struct MetricsPoint {
 
 /// Snapshot of one pipeline.
 #[derive(Clone, Debug, Serialize)]
-pub struct PipelinePicture {
+pub struct PipelineSnapshot {
     /// Host id of the edge that the pipeline runs on.
     pub host: HostId,
     /// Name of that host.
@@ -268,7 +268,7 @@ impl Window {
     }
 }
 
-impl PipelinePicture {
+impl PipelineSnapshot {
     /// Returns the window of 1, 10 or 60 seconds.
     pub fn window(&self, seconds: u32) -> Option<&Window> {
         self.windows.iter().find(|window| window.seconds == seconds)
