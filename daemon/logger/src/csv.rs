@@ -128,6 +128,7 @@ impl Columns {
 
     /// Returns the unique names of the columns after `iteration`, each with its segment.
     fn headers(&self) -> Vec<(usize, String)> {
+        // Paths joined with `_` can be equal although their nodes differ; readers address columns by name.
         let mut taken = HashSet::from([ITERATION.to_owned()]);
         let with_value = self.order.iter().copied().filter(|at| self.segments[*at].has_value);
         with_value

@@ -104,6 +104,7 @@ impl Measure {
             Self::TokenRate(Some(rate)) if rate.is_nan() => Self::TokenRate(None),
             Self::Throughput(rate) => Self::Throughput(Rate {
                 value: rate.value.filter(|value| !value.is_nan()),
+                // The comparison is false for NaN, too.
                 bounds: rate.bounds.filter(|(lo, hi)| lo <= hi),
             }),
             other => other,

@@ -135,6 +135,7 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
+                // Refused and not cut, so that two names of a peer cannot become one.
                 if name.len() > MAX_NAME_BYTES {
                     return Err(E::custom(format_args!(
                         "a name of {} bytes, the limit is {MAX_NAME_BYTES}",

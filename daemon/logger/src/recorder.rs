@@ -78,6 +78,7 @@ impl Recorder {
         transit: NodeId,
         arrival: Stamp,
     ) -> Result<Self, TreeError> {
+        // Nodes from `base` on are sent back.
         let base = tree.nodes().len() as u32;
         if tree.anchors.len() >= MAX_ANCHORS {
             return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
@@ -86,6 +87,7 @@ impl Recorder {
             Some(Measure::Transit(open)) if open.received.is_none() => open.received = Some(arrival.wall),
             _ => return Err(TreeError::NotUnderWay(transit.index())),
         }
+        // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let received = Some(Received { base, closed: (transit, arrival.wall) });
@@ -210,6 +212,7 @@ impl Recorder {
     /// # Errors
     /// If this tree would exceed its limits, or the other one is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
+        // The same limit as for recorded nodes: the reserve is for values that are computed afterwards.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
@@ -229,6 +232,7 @@ impl Recorder {
         let Received { base, closed } = self.received?;
         self.note_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
+        // This host's anchor is the first of those that were added here.
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
         Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
@@ -238,6 +242,7 @@ impl Recorder {
     fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> Timing<'_> {
         let (outer, outer_level) = (self.open, self.level);
         let node = self.append_at(name, started, measure);
+        // Children of a node that was left out are added to the node that is open now.
         if node != NodeId::NOWHERE {
             self.open = node;
             self.level += 1;
@@ -248,6 +253,7 @@ impl Recorder {
     #[inline]
     fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
         if self.tree.nodes.len() >= MAX_NODES - RESERVED_NODES || self.level >= MAX_DEPTH {
+            // Counted and not refused: a measurement must not end because its tree is full.
             self.skipped += 1;
             return NodeId::NOWHERE;
         }

@@ -89,11 +89,13 @@ impl Transport {
     }
 
     fn sum(&self) -> Option<Span> {
+        // Without a reply to each upload the offset does not cancel.
         let paired = self.ups > 0 && self.ups == self.downs && !self.unfinished;
         Some(self.sum).filter(|sum| paired && !sum.is_negative())
     }
 
     fn round_trip(&self) -> Option<Span> {
+        // Both times are of the edge's clock. A negative difference means that the clock was set back meanwhile.
         let span = self.back? - self.left?;
         (self.ups == 1 && self.downs == 1 && !span.is_negative()).then_some(span)
     }
@@ -118,6 +120,7 @@ impl Stages {
             }
         }
         let transit = |at: usize| ORDER[at] == stage::UPLOAD || ORDER[at] == stage::DOWNLOAD;
+        // The exact sum of both directions replaces their separate delays, which depend on the offset.
         let exact = transport.sum();
         let mut stages_total = Some(exact.unwrap_or(Span::ZERO));
         for (at, stage) in stages.iter().enumerate() {

@@ -48,6 +48,7 @@ impl fmt::Display for Text<'_> {
                 children[parent.index()].push(id);
             }
         }
+        // A stack instead of recursion, so that a hostile tree cannot exhaust the call stack.
         let mut waiting = vec![(NodeId::ROOT, 0)];
         while let Some((id, depth)) = waiting.pop() {
             let Some(node) = tree.get(id) else { continue };

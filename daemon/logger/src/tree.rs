@@ -76,7 +76,7 @@ pub struct Tree {
 
 /// Additions of another host to a tree that was sent to it: the transit that it closed and the nodes that it appended.
 ///
-/// Only the growth is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it. It is
+/// Only the delta is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it. It is
 /// serialised like a [`Tree`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct TreeDelta {
@@ -84,7 +84,7 @@ pub struct TreeDelta {
     pub base: u32,
     /// Anchor of the host that added the nodes.
     pub anchor: Anchor,
-    /// Anchors of further hosts with nodes in the growth: those whose trees were inserted.
+    /// Anchors of further hosts with nodes in the delta: those whose trees were inserted.
     pub others: Vec<Anchor>,
     /// Transit that ended at this host, and the wall-clock time of its end.
     pub closed: (NodeId, WallTime),
@@ -95,6 +95,7 @@ pub struct TreeDelta {
 impl Tree {
     /// Creates a tree that contains a root container only.
     pub fn new(name: Name, anchor: Anchor) -> Self {
+        // Enough for the nodes of a usual iteration, so that recording does not reallocate.
         let mut nodes = Vec::with_capacity(24);
         nodes.push(Node {
             parent: None,
@@ -138,6 +139,7 @@ impl Tree {
 
     /// Returns the children of a node in the order in which they were opened.
     pub fn children(&self, of: NodeId) -> impl Iterator<Item = (NodeId, &Node)> {
+        // Parents precede their children, so the search begins behind the node.
         self.iter().skip(of.index() + 1).filter(move |(_, node)| node.parent == Some(of))
     }
 
@@ -166,6 +168,7 @@ impl Tree {
     /// Appends a node of the edge that is computed afterwards. If `parent` does not exist, the node becomes a child of
     /// the root.
     pub fn add(&mut self, parent: NodeId, name: Name, start: Span, measure: Measure) -> NodeId {
+        // `parent` may be `NodeId::NOWHERE`, if the recorder left that node out.
         let parent = if parent.index() < self.nodes.len() { parent } else { NodeId::ROOT };
         let measure = measure.without_nan();
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
@@ -179,18 +182,21 @@ impl Tree {
     /// Adds the nodes of another host, and closes the transit that ended there.
     ///
     /// # Errors
-    /// If the growth does not fit this tree. The tree is then unchanged.
+    /// If the delta does not fit this tree. The tree is then unchanged.
     pub fn absorb(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
+        // The delta's parents are positions in the tree that was sent, so its length must not have changed.
         if delta.base as usize != base {
             return Err(TreeError::OtherTree { expected: delta.base as usize, actual: base });
         }
         let (closed, at) = delta.closed;
+        // A peer may close only the transit with which it received the tree: it must still be open.
         match self.nodes.get(closed.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
             _ => return Err(TreeError::NotUnderWay(closed.index())),
         }
         let hosts = self.anchors.len();
+        // Appended before the check, because parents and hosts are checked against the whole tree.
         self.nodes.extend(delta.nodes);
         self.anchors.push(delta.anchor);
         self.anchors.extend(delta.others);
@@ -227,6 +233,7 @@ impl Tree {
 
     /// Returns the position of a host among the anchors, added if necessary, and how much later its own anchor is.
     fn join(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
+        // A host that is known already has one anchor only; the wall clock relates the two origins.
         if let Some(place) = self.anchors.iter().position(|known| known.host == anchor.host) {
             return (HostIndex(place as u8), anchor.wall - self.anchors[place].wall);
         }
@@ -252,6 +259,7 @@ impl Tree {
             if node.parent.is_none() != (index == 0) {
                 return Err(TreeError::Orphan(index));
             }
+            // This order excludes cycles, and lets readers process a tree in one pass.
             if node.parent.is_some_and(|parent| parent.index() >= index) {
                 return Err(TreeError::Order(index));
             }

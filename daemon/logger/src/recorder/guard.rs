@@ -40,6 +40,7 @@ impl Drop for Timing<'_> {
     #[inline]
     fn drop(&mut self) {
         let recorder = &mut *self.recorder;
+        // Guards are dropped innermost first, so the outer node is open again.
         (recorder.open, recorder.level) = (self.outer, self.outer_level);
         if let Some(node) = recorder.tree.nodes.get_mut(self.node.index())
             && let Measure::Timer(duration) = &mut node.measure

@@ -1,9 +1,9 @@
-//! The wire form of trees and growths: MessagePack, arrays by position, standard names as small numbers.
+//! The wire form of trees and tree deltas: MessagePack, arrays by position, standard names as small numbers.
 //!
 //! | | |
 //! | --- | --- |
 //! | tree | `[version, [anchor…], [node…]]` |
-//! | growth | `[version, base, anchor, [anchor…], closed node, closed at, [node…]]` |
+//! | tree delta | `[version, base, anchor, [anchor…], closed node, closed at, [node…]]` |
 //! | anchor | `[host (16 bytes), wall clock]` |
 //! | node | `[parent or nil, name, host, start, kind, …]`, the rest as below |
 //! | 0 container | |
@@ -106,7 +106,7 @@ pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
 /// Reads the wire form of a tree delta. [`Tree::absorb`] checks whether it fits a tree.
 ///
 /// # Errors
-/// Unless the bytes are exactly one growth within the limits.
+/// Unless the bytes are exactly one tree delta within the limits.
 pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let mut reader = Reader::begin(bytes, 7, "a growth")?;
     let base = reader.small("the length of the tree")?;
@@ -117,6 +117,7 @@ pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let nodes = reader.nodes()?;
     reader.end()?;
     for (index, node) in nodes.iter().enumerate() {
+        // The rest is checked by `Tree::absorb`, which knows the tree.
         node.measure.check(base as usize + index)?;
     }
     Ok(TreeDelta { base, anchor, others, closed: (closed, at), nodes })

@@ -20,7 +20,7 @@ pub(super) struct Reader<'a> {
 type Read<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
-    /// Reads the header that trees and growths share.
+    /// Reads the header that trees and tree deltas share.
     pub(super) fn begin(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
         if bytes.len() > MAX_BYTES {
             return Err(WireError::TooLong(bytes.len()));
@@ -82,6 +82,7 @@ impl<'a> Reader<'a> {
     }
 
     fn number(&mut self, expected: &'static str) -> Read<f64> {
+        // Whole numbers are written as integers, which are shorter.
         if self.marker() == Some(Marker::F64) {
             let error = self.malformed(expected);
             return decode::read_f64(&mut self.rest).map_err(|_| error);
@@ -139,6 +140,7 @@ impl<'a> Reader<'a> {
         if count > MAX_ANCHORS {
             return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
         }
+        // The stated number is not trusted: the capacity is limited by what the input can hold.
         let mut anchors = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_ANCHOR));
         for _ in 0..count {
             anchors.push(self.anchor()?);
@@ -166,6 +168,7 @@ impl<'a> Reader<'a> {
         let name = self.name()?;
         let host = u8::try_from(self.uint("a host")?).map(HostIndex).map_err(|_| error)?;
         let start = self.span("a start")?;
+        // The kind determines the number of fields; a mismatch is refused.
         let measure = match (self.uint("a kind")?, length) {
             (0, 5) => Measure::Container,
             (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),

@@ -1,4 +1,4 @@
-//! Serde implementations of trees and growths: bytes in binary formats, objects in human-readable ones.
+//! Serde implementations of trees and tree deltas: bytes in binary formats, objects in human-readable ones.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
