@@ -1,4 +1,4 @@
-//! Errors of trees and growths.
+//! Errors of trees and tree deltas.
 
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 
@@ -14,15 +14,15 @@ pub enum TreeError {
     /// A node refers to a host without an anchor.
     #[error("node {0} names a host without an anchor")]
     UnknownHost(usize),
-    /// The growth was made for another tree.
+    /// The delta was made for another tree.
     #[error("the growth continues a tree of {expected} nodes, this one has {actual}")]
     OtherTree {
-        /// Number of nodes of the tree that the growth was made for.
+        /// Number of nodes of the tree that the delta was made for.
         expected: usize,
         /// Number of nodes of the tree that it was applied to.
         actual: usize,
     },
-    /// The growth closes a node that is not an open transit.
+    /// The delta closes a node that is not an open transit.
     #[error("node {0} is not a transit under way")]
     NotUnderWay(usize),
     /// A node is deeper than the limit.

@@ -96,6 +96,7 @@ pub fn encode_packed(message: &impl Message) -> Vec<u8> {
         return plain;
     };
     let frame = [&[BATCH, PACKED][..], &length.to_be_bytes(), &packed].concat();
+    // A short message can grow when compressed.
     if frame.len() < plain.len() { frame } else { plain }
 }
 
@@ -194,6 +195,7 @@ pub fn batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
         }
         other => return Err(CodecError::Malformed(format!("no body has the form {other}"))),
     };
+    // The chain covers the body and all batches before it, so it also detects a batch of another history.
     if body.len() != length || batch.before.then(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
@@ -235,6 +237,7 @@ struct Head {
 fn read_head(frame: &[u8]) -> Option<Head> {
     let rest = frame.strip_prefix(&[BATCH])?;
     let (&[form], rest) = rest.split_first_chunk()?;
+    // These forms have other fields after the second byte.
     if form == PART || form == PACKED {
         return None;
     }

@@ -156,6 +156,7 @@ impl SpoolState {
         let full = self.unreported.len() >= MOST_UNREPORTED;
         match self.unreported.last_mut().filter(|_| full) {
             Some(gap) => {
+                // The merged gap covers several runs.
                 (gap.pipeline, gap.run) = (None, None);
                 merge(gap);
             }

@@ -72,6 +72,7 @@ impl UnresolvedBatches {
         while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
             told -= gap.count;
         }
+        // Gaps report losses in the order in which they happened.
         let of_before = told.min(*untold);
         *untold -= of_before;
         told -= of_before;

@@ -48,6 +48,7 @@ pub fn part(frame: &Bytes) -> Option<Part> {
     let (offset, total) = (u32::from_be_bytes(offset), u32::from_be_bytes(total));
     let mut bytes = frame.clone();
     bytes.advance(PART_HEAD_BYTES);
+    // The fields come from an untrusted peer.
     let end = (offset as usize).checked_add(bytes.len())?;
     let sound = !bytes.is_empty() && end <= total as usize && total as usize <= MAX_MESSAGE_BYTES;
     sound.then_some(Part { host: HostId::from_bytes(host), offset, total, bytes })

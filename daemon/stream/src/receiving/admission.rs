@@ -81,6 +81,8 @@ impl Receiving {
             ));
         }
         let named =
+            // The name belongs to the host that has been stored longer: a name taken by a newcomer must not lock out
+            // its owner.
             self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
         if let Some((other, _)) = named {
             let name = &hello.host.name;
@@ -88,6 +90,7 @@ impl Receiving {
                 "the name {name} is taken by the host with the id {other}: give one of the two another name"
             ));
         }
+        // Batches that wait to be stored decide as well, because their mark is not in the database yet.
         let here = self.streams.get(&hello.stream).map(|progress| progress.host);
         let owner = here.or(known.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
         Some(format!(
@@ -124,6 +127,7 @@ impl Receiving {
             return Admission::Granted;
         };
         match session.challenger {
+            // The old process sent something after the new one's first hello: both are alive.
             Some((process, since)) if process == hello.process && session.heard > since => {
                 session.challenger = None;
                 return Admission::Refused(format!(

@@ -69,6 +69,7 @@ impl<C: Eq + Hash> Challenges<C> {
     ) -> ToAgent {
         let claim = |hello: &Hello| (hello.host.id, hello.process, hello.stream);
         let before = self.pending.get(&connection);
+        // A proof for the previous challenge may be in flight; a new nonce would make it invalid.
         let before = before.filter(|it| claim(&it.hello) == claim(&hello) && it.enrol == enrol);
         let nonce = before.map_or(nonce, |before| before.nonce);
         let (aggregator, stream) = (self.aggregator.clone(), hello.stream);
@@ -91,9 +92,11 @@ impl<C: Eq + Hash> Challenges<C> {
         if !self.pending.get(connection).is_some_and(answered) {
             return ProofResult::Unasked;
         }
+        // Removed before the check, so that each nonce is answered at most once.
         let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
             return ProofResult::Unasked;
         };
+        // A secret that was not requested is ignored: it could replace the one that is known.
         let told = proof.secret.filter(|_| enrol);
         let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unasked };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {

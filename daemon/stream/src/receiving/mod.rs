@@ -221,6 +221,7 @@ impl Receiving {
 
     /// Removes all sessions and accepted batches after the marks have changed. Every agent must send a hello again.
     pub fn forget_sessions(&mut self) {
+        // Sessions rest on the marks of the previous database, and its writer drops the accepted batches.
         *self = Self::new(self.config.clone());
     }
 
@@ -252,6 +253,7 @@ impl Receiving {
         if self.has_too_much_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
             return Greeting::Wait;
         }
+        // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
         let is_new = !known.came && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
@@ -266,6 +268,8 @@ impl Receiving {
         });
         let displaced = self.take_back_name(hello, now);
         let left = self.hosts.insert(host, Session::of(hello, seniority, now));
+        // Another process may hold other batches with the same numbers, so what its predecessor sent is not confirmed
+        // for it.
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
         let missing = progress.greet(hello, mark, same);
@@ -296,6 +300,7 @@ impl Receiving {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
+            // A host that moved to another stream or process must not add batches to the old one.
             session.filter(|session| session.stream == head.stream && session.process == head.process);
         let (Some(session), Some(progress)) = (session, self.streams.get_mut(&head.stream)) else {
             return Arrival::Unknown(ToAgent::Unknown);
@@ -322,6 +327,7 @@ impl Receiving {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
+            // The batch may have been the answer to a request; without this it would never be requested again.
             progress.forget_asking();
             self.deferred.push(stream);
         }
@@ -400,6 +406,7 @@ impl Receiving {
     /// own batch length, so that a host with large batches, or one that claims so, does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
+        // An equal share of the memory for each connected host, so that all of them together stay within the budget.
         let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch;
         u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.most_window.max(1))
     }

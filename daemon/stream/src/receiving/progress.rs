@@ -54,6 +54,7 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
         let begin = Position {
             number: hello.first.saturating_sub(1),
+            // `hello.before` is the chain before the oldest batch, which is the first one only if none was deleted.
             chain: (hello.oldest == hello.first).then_some(hello.before),
             events: hello.events_before_first,
         };
@@ -77,6 +78,7 @@ impl Progress {
         if let Some(mark) = mark {
             self.take(mark);
         }
+        // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
         if self.mark.is_none() && self.is_settled() {
             *self = Self::new(hello, None);
         }
@@ -89,6 +91,7 @@ impl Progress {
             let (host, stream, from) = (self.host, hello.stream, self.next());
             let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
             let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
+            // The gap takes the place of the batches; the next batch follows it.
             self.accept(through, chain, events_through);
             MissingBatches { host, stream, from, through, chain, process, events, events_through }
         })
@@ -129,6 +132,7 @@ impl Progress {
         let Some((_, chain)) = known else {
             return Arrival::Pending;
         };
+        // The same number with other content: the spool is a copy or was restored. The hello compares both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
@@ -143,6 +147,7 @@ impl Progress {
 
     /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
     fn arrive_damaged(&mut self, head: &BatchHead) -> Arrival {
+        // Counted for the same head only: a damaged head names another batch.
         let before = self.damaged.filter(|(damaged, _)| damaged == head);
         let times = before.map_or(0, |(_, times)| times) + 1;
         if times < DAMAGED_TIMES {
@@ -188,6 +193,7 @@ impl Progress {
         self.mark = Some(mark);
         self.stored = mark.into();
         if mark.stored >= self.accepted.number {
+            // The database is ahead of this memory: the batch was stored before a restart of the aggregator.
             if mark.stored > self.accepted.number {
                 self.pending.push_back((mark.stored, mark.chain));
             }
@@ -199,6 +205,7 @@ impl Progress {
     /// Records that storing failed. Returns the request to send the batches again.
     pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
+        // Batches after the stored one have to be sent again, which confirms them again.
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
         self.damaged = None;
@@ -209,6 +216,7 @@ impl Progress {
     /// Requests the next batch; `None` if that was done before.
     pub(super) fn ask(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
+        // One request per hole: each later batch in flight would otherwise cause another one.
         let is_new = self.asked != Some(from);
         self.asked = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })

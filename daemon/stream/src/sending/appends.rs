@@ -106,6 +106,7 @@ impl Appends {
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn end(&mut self) -> Option<Appended> {
         let Appending { last, bytes, freed, totals, resolves } = self.job.end()?;
+        // A transaction without this record keeps the one that the file has.
         let reached = totals.reached.or(self.written.reached);
         self.written = Totals { reached, ..totals };
         Some(Appended { last, bytes, freed, resolves })
@@ -118,6 +119,7 @@ impl Appends {
 
     /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
+        // Only a transaction with batches is followed by one with the counts alone, which needs less space.
         self.refused = self.job.end()?.last.is_some();
         self.job.fail(now, pause);
         self.fails = true;

@@ -62,6 +62,7 @@ impl DurableLane {
         let part = self.flow.part();
         let fits = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
         if let Some(rest) = self.partial.as_ref().map(PartialBatch::len) {
+            // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
             let question = self.ask(host, !self.flow.has_room(fits(rest)), false, now);
             return only(question.or_else(|| self.part(host, part)));
         }
@@ -84,6 +85,7 @@ impl DurableLane {
         if let question @ Some(_) = self.ask(host, waits, !waits, now) {
             return only(question);
         }
+        // An echo request may go out although the batch has to wait: its answer frees the allowance.
         let sent = if waits { None } else { spooler.send(next, unspooled, host) };
         let Some((head, body)) = sent else { return only(None) };
         let frame = codec::batch_frame(&head, &body, self.pace.compresses());
@@ -147,6 +149,7 @@ impl DurableLane {
 
     /// Sets the window that the aggregator allows.
     pub(super) fn allowed(&mut self, window: u32) {
+        // At least one batch, or a window of 0 would end the stream for good.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 

@@ -26,6 +26,7 @@ impl InFlightBatches {
     /// Returns whether a batch with a body of `body` bytes must wait, if at most `window` may be in flight.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
         let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
+        // One batch may always be in flight, or a batch larger than the window would never be sent.
         too_much && !self.sent.is_empty()
     }
 

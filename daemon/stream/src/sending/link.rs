@@ -23,6 +23,7 @@ fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
 impl Sending {
     /// Records that the transport has a connection.
     pub fn connected(&mut self, now: MonoTime) {
+        // The new connection may use another path.
         self.lane.restart();
         self.lane.take_back();
         self.session.connect(now);
@@ -212,6 +213,7 @@ impl Sending {
             }
             _ => return,
         }
+        // The welcome states whether the batches of an earlier process are stored, also if the stream is left below.
         self.spooler.resolve_earlier(welcome.stored, welcome.process);
         if welcome.stored > self.spooler.backlog.newest() {
             return self.leave(&welcome, now);
@@ -254,6 +256,7 @@ impl Sending {
     /// Starts sending if the aggregator's last batch is the one with the chain `ours`, and leaves the stream otherwise.
     fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<ScanResult>, now: Stamp) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
+        // The aggregator has no batch of this stream, or no chain of the acknowledged one.
         let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
             || welcome.stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || ours.is_some() && ours == welcome.chain {
@@ -299,6 +302,7 @@ impl Sending {
         // An aggregator that has less than that, but a different batch, contradicts itself.
         let common =
             reached.filter(|reached| stored > reached.number).map_or(0, |reached| reached.number.min(newest));
+        // Nothing that the spool still holds is known to be stored.
         if common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);
         }

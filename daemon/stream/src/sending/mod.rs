@@ -76,6 +76,7 @@ impl Sending {
         process: u64,
         mut spool: SpoolState,
     ) -> Self {
+        // Twice the window: one part is in flight while the next is read from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
             renewal: StreamRenewal::new(std::mem::take(&mut spool.reached)),
@@ -156,6 +157,7 @@ impl Sending {
     /// Returns the goodbye frame; `None` if the aggregator has not accepted this host, so that a refused copy cannot
     /// end the host's session.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
+        // Determined before the connection's state is discarded.
         let known = self.is_up();
         self.disconnected();
         known.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))

@@ -83,6 +83,7 @@ impl Pace {
         if now - since > self.longest.0 {
             self.longest = (now - since, bytes);
         }
+        // Without the longest wait, which may be a pause of the store.
         let (observed, bytes) = (self.observed - self.longest.0, self.bytes - self.longest.1);
         if observed < OBSERVED {
             return;

@@ -97,6 +97,7 @@ impl Session {
             // The connection worked for long enough.
             self.greetings = 0;
         }
+        // Hellos without effect become rarer, so that agents which are refused do not load the aggregator.
         let idle = self.greetings.saturating_sub(PROMPT_GREETINGS);
         let wait = (0..idle.min(16)).fold(Span::ZERO, |wait, _| self.longer(wait.max(first)));
         self.greetings = self.greetings.saturating_add(1);
@@ -130,6 +131,7 @@ impl Session {
 
     /// Records an answer. Returns its round trip, if only one hello can have caused it.
     pub(super) fn answered(&mut self, now: MonoTime) -> Option<Span> {
+        // After several hellos it is unknown which of them was answered.
         (std::mem::take(&mut self.unanswered) == 1).then(|| now - self.greeted)
     }
 

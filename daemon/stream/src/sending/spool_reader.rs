@@ -100,6 +100,7 @@ impl SpoolReader {
         let part = backlog.part_bytes();
         let (loading, from, bytes) = match (link, self.gap) {
             (Link::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
+            // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Ends(..))) => return None,
             (Link::Down, None) => return None,
@@ -169,6 +170,7 @@ impl SpoolReader {
     /// the aggregator.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
         let Some(SpoolGap::Ends(resume, before)) = self.gap else { return None };
+        // Batches before the gap are still in memory and can be stored.
         if backlog.unknown() != backlog.oldest() {
             return None;
         }

@@ -69,6 +69,7 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
+        // Without batches nothing is held, whatever the counts state.
         let held = if newest.0 < oldest { Usage::default() } else { spool.held };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -201,7 +202,9 @@ impl Backlog {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
             self.settled = pending.totals;
             bytes += usage.bytes;
+            // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_room(usage.bytes) || batch.number <= self.sent.newest();
+            // Ready batches are contiguous; a batch after one that is in the file only is read from there later.
             if batch.number == self.unknown() && is_wanted {
                 self.ready.push(batch);
             }

@@ -58,6 +58,7 @@ impl PendingBatches {
         let chosen = self.batches.iter().take(most).take_while(|pending| {
             let first = bytes == 0;
             bytes += pending.batch.body.len() as u64;
+            // At least one batch, even if it alone exceeds the limit.
             first || bytes <= most_bytes
         });
         let mut totals = None;

@@ -70,6 +70,7 @@ impl Allowance {
 
     /// Updates the allowance after `bytes` and the answer to them took `took`; `shortest` is the shortest round trip.
     pub(super) fn observe(&mut self, bytes: u64, took: Span, shortest: Span, now: MonoTime) {
+        // The queue alone explains a delay up to this.
         let is_late = took > shortest + LONGEST_QUEUE;
         self.late = if is_late { self.late.saturating_add(1) } else { 0 };
         let rate = bytes as f64 / took.seconds();
@@ -82,6 +83,7 @@ impl Allowance {
         let fair = |rate: f64| (rate * aim.seconds()) as u64;
         if took > aim {
             let less = fair(best).max(self.bytes / 2).max(LEAST);
+            // At most halved at once: a single late echo may be due to a lost packet.
             self.bytes = self.bytes.min(less);
         } else {
             // An allowance that was used up to one part counts as fully used.
@@ -90,6 +92,7 @@ impl Allowance {
             let more = fair(full as f64 / took.seconds()).min(doubled).min(self.most);
             self.bytes = self.bytes.max(more);
         }
+        // Hysteresis: a link at the limit does not change between both states.
         self.is_slow = self.late >= LATE || self.is_slow && self.bytes < FAST;
     }
 }

@@ -51,6 +51,7 @@ impl InFlightBytes {
     /// Records that everything up to the position `bytes` has arrived. A position that was not handed over is ignored.
     pub(super) const fn acknowledge(&mut self, bytes: u64, now: MonoTime) {
         if bytes > self.arrived && bytes <= self.handed {
+            // Only then were bytes of the durable lane among those that arrived.
             if self.arrived < self.durable_end {
                 self.progress = now;
             }

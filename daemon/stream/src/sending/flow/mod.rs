@@ -90,6 +90,7 @@ impl FlowControl {
     /// Returns whether the durable lane may hand over `bytes`.
     pub(super) const fn has_room(&self, bytes: usize) -> bool {
         let on_the_way = self.in_flight.len();
+        // With nothing in flight one message is always allowed, however large.
         on_the_way == 0
             || !self.round_trip.is_draining() && on_the_way + bytes as u64 <= self.allowance.bytes()
     }
@@ -102,6 +103,7 @@ impl FlowControl {
     /// Records that the live lane handed over bytes.
     pub(super) const fn shown(&mut self, bytes: u64) {
         self.in_flight.add(bytes);
+        // The durable lane may now send as much before the next update.
         self.owed = bytes;
     }
 
@@ -161,6 +163,7 @@ impl FlowControl {
         let Some(EchoRequest { at, ahead, .. }) = answered else { return };
         let took = (now - at).max(Span::from_millis(1));
         self.round_trip.observe_echo(bytes, took, now);
+        // An echo with nothing before it measures the path, but no rate.
         if ahead > 0 {
             let shortest = self.round_trip.get().unwrap_or(took);
             self.allowance.observe(ahead, took, shortest, now);

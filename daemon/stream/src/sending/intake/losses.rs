@@ -47,6 +47,7 @@ impl Losses {
             return;
         }
         if self.known.len() >= MOST {
+            // Losses that are reported completely make room.
             self.known.retain(|loss| loss.gap.count > 0);
         }
         if self.known.len() < MOST {

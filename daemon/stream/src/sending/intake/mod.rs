@@ -109,6 +109,7 @@ impl Intake {
         match self.refusal(event, room) {
             None => {
                 self.report_losses(room, now);
+                // The run's losses are reported before its end, so that they belong to the run.
                 if let Event::RunEnded(ended) = event {
                     self.report_ended(Some(ended.run), room, now);
                 }
