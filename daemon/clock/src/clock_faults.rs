@@ -99,6 +99,7 @@ impl ClockFaults {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
         let mut begins: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
         begins.push(WallTime::from_unix_nanos(i64::MIN));
+        // From the last step back, because the last such time is wanted.
         begins.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
         for begin in begins {

@@ -29,6 +29,7 @@ impl Interval {
     /// Returns the value halfway between the ends, rounded down.
     pub const fn middle(self) -> Span {
         let (lo, hi) = (self.lo.nanos(), self.hi.nanos());
+        // The sum of both ends could overflow.
         Span::from_nanos((lo & hi) + ((lo ^ hi) >> 1))
     }
 

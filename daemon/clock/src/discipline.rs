@@ -19,6 +19,7 @@ impl Discipline {
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
         let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
         let source = if is_chrony { DelaySource::Chrony } else { edge.source };
+        // Offset = cloud's error − edge's error, so the bounds are the extreme differences.
         (source, Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo })
     }
 }

@@ -29,6 +29,7 @@ impl FaultyClock {
     pub fn new(inner: SharedClock, identity: ClockIdentity, description: ClockFaults) -> Self {
         let step_counts = Mutex::new(StepCounts { inner: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
+        // Faults start at the same moment on both clocks.
         let raw_since = now.raw - (now.wall - description.since);
         Self { inner, identity, description, raw_since, step_counts }
     }

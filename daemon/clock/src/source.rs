@@ -135,6 +135,7 @@ impl SystemClock {
     /// count from now on.
     pub fn new(identity: ClockIdentity) -> Self {
         let clock = Self { identity, steps: Arc::default(), sleeps: Arc::default() };
+        // The first reading is the reference of the detection.
         clock.epoch();
         clock.wall_epoch();
         clock
@@ -148,6 +149,7 @@ fn beside_mono(other: impl Fn() -> i64) -> Paired {
 }
 
 fn lock(watch: &Mutex<StepWatch>) -> MutexGuard<'_, StepWatch> {
+    // The state is valid after each assignment, so that a panic elsewhere does not invalidate it.
     watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

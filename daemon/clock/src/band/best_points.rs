@@ -41,6 +41,7 @@ impl BestPoints {
             _ => self.points.len(),
         };
         if let Some(known) = self.points.get(at).copied().filter(|known| stretch(known) == own) {
+            // Without the skew the earliest or latest point of a stretch would always be the lowest.
             let drifted = known.bound.saturating_add((slope * (point.x - known.x) as f64) as i64);
             if point.bound >= drifted {
                 return Placement::Worse;
@@ -49,6 +50,7 @@ impl BestPoints {
             return Placement::Better;
         }
         if self.points.len() >= self.most {
+            // The stretch is older than all that are kept.
             if at == 0 {
                 return Placement::Worse;
             }

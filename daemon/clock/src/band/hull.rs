@@ -50,6 +50,7 @@ pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
         count += 1;
     }
     let mean = sum / f64::from(count);
+    // The edge above the mean time minimises the sum of the distances.
     let edge = hull.windows(2).find(|edge| edge[1].0 >= mean)?;
     Some((edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0))
 }

@@ -126,6 +126,7 @@ impl Side {
 
     fn replace(&mut self, newest: Point, half: f64) {
         for (hull, half) in [(&mut self.raised, half), (&mut self.lowered, -half)] {
+            // The newest point changes with almost each exchange; the hull of the others is reused.
             hull.points.clone_from(&hull.others);
             hull::push(&mut hull.points, newest, half);
         }
@@ -135,6 +136,7 @@ impl Side {
 /// Returns the best bound of side `own` at `q` by two points.
 fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (raised, lowered, others) = (&own.raised.points, &own.lowered.points, &other.raised.points);
+    // Subtracted before the conversion to floating point, which would lose nanoseconds of large offsets.
     let origin = raised.first()?.bound;
     let half = change.half_per_nano();
     let mut best: Option<(f64, Pair)> = None;
@@ -198,6 +200,7 @@ fn share(part: u64, value: i128, whole: u64) -> Option<i64> {
     if whole == 0 || part > LONGEST || whole > LONGEST {
         return None;
     }
+    // Integers, because the bound must be rounded up and never down.
     let product = value.checked_mul(i128::from(part))?;
     let quotient = match i64::try_from(product) {
         // Most products fit 64 bits, for which the processor has a division instruction.

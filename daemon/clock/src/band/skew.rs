@@ -42,6 +42,7 @@ impl SkewProof {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
+        // Computed once per stretch, because it compares all pairs of points of the hulls.
         if placed.contains(&Placement::First) {
             self.proven = self.prove();
         }
@@ -70,6 +71,7 @@ impl SkewProof {
 /// the other allow.
 fn lowest_rate(earlier: &[Point], later: &[Point]) -> Option<f64> {
     let rates = later.iter().flat_map(|b| {
+        // Points too close in time prove no useful rate, because the delays dominate.
         let before = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > STRETCH / 8);
         before.map(|a| b.bound.saturating_add(a.bound) as f64 / (b.x - a.x) as f64)
     });

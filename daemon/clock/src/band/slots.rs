@@ -123,6 +123,7 @@ impl Slots {
         };
         match self.points.get_mut(at) {
             Some(known) if known.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
+                // Compared at the later time, because queries are mostly about times after the slot.
                 let later = known.x.max(point.x);
                 if point.carried(self.drift, later) >= known.carried(self.drift, later) {
                     return Insertion::Unchanged;

@@ -75,6 +75,7 @@ impl Trend {
         if placed != [Placement::Worse; 2] {
             self.newest_slope.take();
         }
+        // Once per second is enough, because the skew changes slowly.
         if placed.contains(&Placement::First) {
             self.slope = self.slope(lower.x, FOR_ESTIMATE, limit).unwrap_or(0.0);
         }
@@ -89,6 +90,7 @@ impl Trend {
             let slope = self.slope(x, seconds, limit)?;
             let above = lowest(&self.upper, x, seconds, slope)?;
             let below = lowest(&self.lower, x, seconds, -slope)?;
+            // Below 0 the narrow band is empty.
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
     }
@@ -129,6 +131,7 @@ impl Trend {
         } else {
             between()
         };
+        // A steeper slope is noise of the delays, because the clocks cannot drift as fast.
         Some(slope?.clamp(-limit, limit))
     }
 }

@@ -13,6 +13,8 @@ impl Relation {
     pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
+        // Learnt after the search for recent exchanges, in which this one must not count, and before the judgement,
+        // which it narrows.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(why) = learned {
@@ -74,6 +76,7 @@ impl Relation {
         let (lo, hi, value) = without_offset(direction, raw, &known);
         // Allowance for the drift of the two clocks during the difference, because it may be counted by either.
         let rate = Span::from_nanos(self.windows.limit().over(lo.abs().max(hi.abs()).nanos()));
+        // Two stamps of one clock differ by no drift.
         let is_exact = known.source == DelaySource::SameClock && known.agree;
         let bounds =
             if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
@@ -158,11 +161,13 @@ impl Relation {
             return OneWayDelay::same_clock(raw);
         }
         let (lo, hi, value) = without_offset(direction, raw, &known);
+        // No delay is negative, so a clock was stepped near this message.
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, known.source);
         }
         let rate = Span::from_nanos(self.windows.limit().over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
+        // The estimate assumes a symmetric path, so it may lie outside of what is proven.
         let value = value.clamp(lo.max(Span::ZERO), hi);
         self.judged(at, raw, (value, bounds), &known, company)
     }
@@ -181,6 +186,7 @@ impl Relation {
             Verdict::Ok if is_wide || self.windows.is_unsettled(at) => Verdict::Limited,
             verdict => verdict,
         };
+        // One of the sources is wrong and it is unknown which, so that no interval can be stated.
         let is_known = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,

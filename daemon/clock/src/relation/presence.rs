@@ -18,6 +18,7 @@ pub(super) struct Presence {
 
 impl Presence {
     pub(super) fn new(fresh: Span, window: Span) -> Self {
+        // A fraction of `fresh`, so that thinning hardly changes whether an exchange counts as recent.
         let gap = (fresh.nanos() / 8).max(window.nanos() / MOST).max(1);
         Self { times: VecDeque::new(), newest: None, gap: Span::from_nanos(gap), window }
     }
@@ -42,6 +43,7 @@ impl Presence {
     pub(super) fn near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
         let (from, to) = (from - within, to + within);
         let place = self.times.partition_point(|time| *time < from);
+        // The newest exchange may not be among the thinned times.
         [self.times.get(place).copied(), self.newest]
             .into_iter()
             .flatten()

@@ -65,6 +65,7 @@ impl Knowledge {
             (Some(in_band), Some(other)) => (in_band, other),
         };
         let Some(bounds) = band.intersection(other) else {
+            // Without an overlap at least one source is wrong; averaging them would hide that.
             let bounds = band.hull(other);
             return Some(Combined { bounds, estimate, source: DelaySource::InBand, agree: false });
         };

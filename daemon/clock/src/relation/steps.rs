@@ -75,6 +75,7 @@ impl StepTracker {
             self.barrier = Barrier::Before(returned, EDGE_REACH);
         }
         let cloud = observation.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
+        // Answers can overtake each other, so that a lower epoch is usually a late one.
         let is_overtaken = cloud.is_some_and(|(told, known)| told < known && !self.is_new_counter(told));
         let mut of_cloud = false;
         if let Some((told, known)) = cloud.filter(|_| !is_overtaken) {
@@ -105,6 +106,7 @@ impl StepTracker {
         match self.barrier {
             Barrier::Open => false,
             Barrier::Next(reach) => {
+                // The step was before this return; exchanges sent before it may have begun before the step.
                 self.barrier = Barrier::Before(exchange.returned, reach);
                 true
             }

@@ -92,6 +92,7 @@ impl Windows {
             // The edge's own clock may have jumped back.
             let (until, next_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, until, next_from, next_sent: exchange.sent });
+            // Older windows can answer no query any more.
             let start = exchange.returned - self.retention - LONGEST_MESSAGE;
             while self.past.len() > MAX_PAST || self.past.front().is_some_and(|past| past.next_from < start) {
                 self.past.pop_front();
@@ -106,6 +107,7 @@ impl Windows {
     /// Replaces all windows by one, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
+        // A step makes all earlier bounds invalid, unlike a suspected jump, whose time is known.
         self.past.clear();
         self.shortest_round_trips.clear();
     }

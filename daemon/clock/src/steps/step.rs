@@ -63,6 +63,7 @@ impl StepWatch {
     pub(crate) fn look(&mut self, now: Paired) -> u32 {
         let Some(last) = self.last.replace(now) else { return self.epoch };
         let moved = now.ahead() - last.ahead();
+        // Each reading is uncertain by half of its gap.
         let unsure = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
         if moved.abs() > LEAST_STEP + unsure + parts(Self::RATE_PPM, now.after - last.before) {
             self.epoch += 1;

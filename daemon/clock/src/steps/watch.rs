@@ -84,9 +84,11 @@ impl ClockWatch {
         }
         self.base = Some(now);
         let rate = ((now.wall - base.wall) - raw).seconds() / raw.seconds() * 1e6;
+        // Only a rate that a crystal can have may become the usual one.
         let crystal = rate.clamp(-Self::CRYSTAL_PPM, Self::CRYSTAL_PPM);
         let usual = self.usual.get_or_insert(crystal);
         if (rate - *usual).abs() <= self.max_drift_ppm {
+            // Follows slow changes, as with temperature.
             *usual += (crystal - *usual) / 16.0;
             self.other.1 = 0;
             return None;
@@ -94,6 +96,7 @@ impl ClockWatch {
         let slew = rate - *usual;
         let same = self.other.1 > 0 && (rate - self.other.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
         self.other = (rate, if same { self.other.1 + 1 } else { 1 });
+        // A lasting rate is the clock's new normal state and is not reported for ever.
         if self.other.1 >= Self::SETTLED {
             self.usual = Some(crystal);
             self.other.1 = 0;
