@@ -68,6 +68,7 @@ impl Aggregator {
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<Running, StartError> {
+        // Checked before anything is created, so that a wrong configuration leaves no files behind.
         if let Some(problem) = config.problems().into_iter().next() {
             return Err(problem.into());
         }
@@ -76,6 +77,7 @@ impl Aggregator {
             let no_folder = |error| OpenError::no_folder(&config.database, error);
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
+        // Before the database is opened: files of earlier releases may be readable by other users.
         peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
         let integrity = Integrity::of(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
@@ -85,6 +87,7 @@ impl Aggregator {
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
         let mut picture = LiveTracker::new(name.clone(), address.clone(), forget);
+        // The picture starts with what is stored, so that counts and run numbers are right from the first update on.
         for (host, run, number) in runs {
             picture.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
@@ -117,6 +120,7 @@ impl Aggregator {
             integrity.clone(),
         ));
 
+        // A child token, because a failed task stops the others and must not stop the rest of the program.
         let stop = stop.child_token();
         let mut running = Running {
             handle: Self {
@@ -261,6 +265,7 @@ impl Running {
                     Some(Failure::TaskDied { task: self.name(error.id()), reason: panic_message(error) })
                 }
             };
+            // Only the first failure is reported: the others follow from it.
             if let (Some(failure), Ok(())) = (failure, &first) {
                 first = Err(failure);
                 self.stop.cancel();

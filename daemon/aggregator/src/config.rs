@@ -128,6 +128,7 @@ fn wrong_address(address: &str) -> Option<String> {
 /// folder above it, must be writable.
 fn wrong_database(path: &Path) -> Option<String> {
     let text = path.to_string_lossy();
+    // SQLite would accept these and lose acknowledged data at the end of the program.
     if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
         return Some(format!(
             "{text:?} is not the path of a file; what is acknowledged must outlive this program: name a file, such as \

@@ -202,6 +202,7 @@ async fn serve(
 ) -> ServeEnd {
     let mut check_interval = tokio::time::interval(CHECK_EVERY);
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // Retention starts at once: limits may have changed while the aggregator was stopped.
     let (mut commits, mut more) = (0_u64, Step::More);
     let mut damaged = false;
     loop {
@@ -238,6 +239,7 @@ async fn serve(
             // Time in the queue counts towards the interval.
             let waited = (context.clock.mono() - first.since).to_duration();
             group = collect_group(first, &mut context.queue, waited, grouping).await;
+            // Dropped after grouping, so that a reopening needs no search through the queue.
             group.retain(|queued| state.is_current(queued));
         }
         let mut work: Vec<Work> = state.departed.drain(..).map(Work::Goodbye).collect();
@@ -250,11 +252,13 @@ async fn serve(
             Ok(true) => {}
             Ok(false) => return ServeEnd::Finished,
             Err(error) => {
+                // Agents send batches again, but not a goodbye, so it is kept for the reopened database.
                 let left = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
                 state.departed = work.into_iter().filter_map(left).collect();
                 return ServeEnd::Failed(error);
             }
         }
+        // Frees the room in the queue before retention, which may take a while.
         drop((work, room));
         commits += 1;
         more = Step::More;
@@ -342,6 +346,7 @@ async fn store(
         }
         state.record_failure(&error, context.clock.stamp());
         set_readiness(&context.ready, readiness_after(&error));
+        // Requests are answered during the pause, too.
         let again = tokio::time::sleep(state.backoff.next());
         tokio::pin!(again);
         loop {

@@ -107,6 +107,7 @@ impl Hosts {
     /// the host was stored by an earlier version.
     pub(super) fn enrol(&mut self, host: HostId, secret: &HostSecret) {
         if let Some(stored) = self.stored.get_mut(&host) {
+            // A known secret is never replaced; only an operator can clear it.
             stored.secret.get_or_insert_with(|| secret.clone());
         }
     }
@@ -142,6 +143,7 @@ impl Hosts {
         let before = self.newcomers.remove(&host);
         let mut gone = None;
         match before {
+            // Findings of the first hello would otherwise be lost: later hellos do not report them again.
             Some(before) if before.introduction.stream == newcomer.introduction.stream => {
                 let (new, old) = (&mut newcomer.introduction, before.introduction);
                 new.replaced = new.replaced.or(old.replaced);

@@ -94,6 +94,7 @@ impl Queue {
 
     /// Closes the queue: no further work is admitted.
     pub(super) fn close(&mut self) {
+        // Dropping the only sender ends the receiver's loop after the queued work.
         self.sender = None;
     }
 

@@ -65,6 +65,7 @@ impl IngestSession {
 
     /// Processes a frame of a connection.
     pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
+        // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
         if let Some(part) = codec::part(frame) {
             if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.part(&part, now.mono)
@@ -176,6 +177,7 @@ impl IngestSession {
         if body.is_err() {
             self.output.reject_damaged(head.host);
         }
+        // Room is reserved before: a batch that is accepted must not be lost afterwards.
         let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
@@ -263,6 +265,7 @@ impl IngestSession {
                 self.output.reply(route, reply);
             }
         }
+        // The commit has freed room in the queue.
         self.ask_for_deferred();
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
@@ -303,6 +306,7 @@ impl IngestSession {
         for host in silent {
             self.forget_newcomer(host);
         }
+        // Silent hosts count in the division of the windows, so they must not keep their share.
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
         let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
         let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();

@@ -38,6 +38,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
     let address: Address =
         listen.parse().map_err(|error| Problem { key: "listen", message: format!("{error}") })?;
     let limits = ListenerLimits {
+        // A share of the file descriptors, so that agents leave some to the database and the dashboard.
         max_connections: DescriptorShare::EventPort.connections(),
         max_message_bytes: MAX_MESSAGE_BYTES + FRAMING,
         max_unfinished_bytes: config.max_unfinished_bytes,
@@ -72,6 +73,7 @@ pub(crate) async fn run(
     let sender = listener.sender();
     let mut ageing = tokio::time::interval(AGE_EVERY);
     ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // One line per interval instead of one per message, which a hostile peer could use to fill the log.
     let mut reported = RejectedCounts::default();
     loop {
         tokio::select! {
@@ -105,6 +107,7 @@ pub(crate) async fn run(
         }
         deliver(&sender, &mut session, &context.live_events).await;
     }
+    // Closing the queue lets the writer finish; its acknowledgements arrive until it ends.
     session.close();
     while let Some(event) = context.stored.recv().await {
         session.store_event(event);

@@ -112,6 +112,7 @@ pub(super) fn text(text: &mut String) {
 /// Cuts a list.
 fn list<T>(items: &mut Vec<T>, most: usize, left_out: &mut u64) {
     *left_out += items.len().saturating_sub(most) as u64;
+    // Truncating keeps the capacity, so that memory is freed explicitly.
     items.truncate(most);
     items.shrink_to_fit();
 }

@@ -76,6 +76,7 @@ impl Host {
     pub(super) fn goodbye(&mut self) {
         let last = self.presence.sent_by_current();
         for pipeline in self.pipelines.values_mut() {
+            // Only the pipelines of the last update ended in order; others had disappeared before.
             if Some(pipeline.sent()) == last {
                 pipeline.end();
             } else {

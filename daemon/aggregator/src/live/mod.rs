@@ -122,6 +122,7 @@ impl LiveTracker {
             LiveEvent::Refused(refused) => self.refuse(refused, now),
             LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
             LiveEvent::Run(host, run, number) => {
+                // A hostile agent can start any number of runs.
                 if self.numbers.len() >= MOST_RUNS {
                     self.forget_numbers();
                 }
@@ -187,6 +188,7 @@ impl LiveTracker {
     /// Applies the database's counts of a host. Returns whether the host is in the picture.
     fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
         let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
+        // The increase is added, so that totals stay when a host leaves the picture.
         add(&mut self.totals.stored, before.unwrap_or_default(), stored);
         let known = self.with(id, |host| host.store(stored, newest));
         if !known {
@@ -232,6 +234,7 @@ impl LiveTracker {
         bounds::text(&mut refused.reason);
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
+        // The newest refusals are the relevant ones.
         self.refused.truncate(MOST_REFUSED - 1);
         self.refused.push_front((now, refused));
     }

@@ -60,6 +60,7 @@ impl Percentiles {
 
     /// Discards a second and all later ones, because a clock that was set back repeats them.
     pub(super) fn forget_from(&mut self, second: i64) {
+        // Their buckets have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());
         self.grown = true;
     }
@@ -86,6 +87,7 @@ impl Percentiles {
         let changed = std::mem::take(&mut self.changed);
         let Some(bucket_s) = self.bucket_s else { return PercentileSeries::default() };
         let length = i64::from(bucket_s);
+        // Only buckets with a changed second are merged, because merging sketches is the main cost of a snapshot.
         let buckets: BTreeSet<i64> = changed.into_iter().map(|at| at.div_euclid(length) * length).collect();
         for from in buckets {
             match self.merge(from, length) {

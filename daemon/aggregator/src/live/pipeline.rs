@@ -89,6 +89,7 @@ impl Pipeline {
             let second_figures = SecondFigures::of(second, left_out);
             self.series.insert(at, Arc::new(second_figures.draw(at)));
             self.percentiles.replace(at, second_figures.total());
+            // Sketches are large; older seconds are kept as points of the charts only.
             if at > newest - SKETCHES_S {
                 self.recent.replace(at, second_figures);
             }
@@ -154,6 +155,7 @@ impl Pipeline {
         number: impl Fn(RunId) -> Option<i64>,
         now: Stamp,
     ) -> Arc<PipelineSnapshot> {
+        // Unchanged pipelines share one snapshot between pictures.
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }

@@ -35,6 +35,7 @@ impl SecondFigures {
         limit(&mut bounds);
         let known =
             |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
+        // Verdicts of a later version are unknown here and left out.
         let verdicts = verdicts.into_iter().filter_map(known).take(MOST_NAMES).collect();
         Self { counts, values, bounds, verdicts }
     }

@@ -53,6 +53,7 @@ impl StorageLag {
     /// Returns the estimate; `None` if the lag does not fall or is small.
     pub(super) fn catching_up(&self) -> Option<CatchingUp> {
         let (_, behind, _) = self.last?;
+        // Extrapolating from little data or a small lag would make the displayed time jump.
         if self.observed_s < LEAST_S || behind < NEAR {
             return None;
         }

@@ -26,6 +26,7 @@ pub(crate) async fn run(
     let mut published = clock.mono();
     let mut changed = false;
     loop {
+        // Events are collected until the next snapshot is due, so that a burst costs one snapshot.
         let wait = (BETWEEN - (clock.mono() - published)).to_duration();
         tokio::select! {
             event = events.recv() => match event {

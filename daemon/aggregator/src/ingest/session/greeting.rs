@@ -57,6 +57,7 @@ impl IngestSession {
     /// Gives a session to a host that has proven its identity.
     fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
         let host = hello.host.id;
+        // Checked again, because other hosts may have been stored since the hello.
         if let Some(reason) = self.hosts.refuses(host) {
             self.refuse(from, &hello, reason, now);
             return;
@@ -129,6 +130,7 @@ impl IngestSession {
                 }
                 if let Some(displaced) = displaced {
                     tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    // The displaced host sends its hello again and is refused with the reason.
                     self.routes.leave(displaced);
                     self.forget_newcomer(displaced);
                 }
