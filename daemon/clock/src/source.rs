@@ -185,7 +185,7 @@ impl Clock for SystemClock {
 
     fn epoch(&self) -> u32 {
         // Both clocks run at the same rate, so that any change between them is sleep.
-        lock(&self.sleeps).look(beside_mono(|| read(BOOT)))
+        lock(&self.sleeps).compare(beside_mono(|| read(BOOT)))
     }
 
     fn begin_epoch(&self) {
@@ -193,7 +193,7 @@ impl Clock for SystemClock {
     }
 
     fn wall_epoch(&self) -> u32 {
-        lock(&self.steps).look(beside_mono(|| read(WALL)))
+        lock(&self.steps).compare(beside_mono(|| read(WALL)))
     }
 
     fn begin_wall_epoch(&self) {

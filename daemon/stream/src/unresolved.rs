@@ -65,16 +65,21 @@ impl UnresolvedBatches {
         }
     }
 
-    /// Updates the losses that no gap reports yet: those in `owed`, `untold` earlier ones, and those of the process
+    /// Updates the losses that no gap reports yet: those in `owed`, `earlier_drops` events that earlier processes dropped, and those of the process
     /// itself. Losses that its stored gaps reported are removed, the oldest first.
-    pub(super) fn unreported(&self, resolved: &ResolvedBatches, owed: &mut VecDeque<Gap>, untold: &mut u64) {
+    pub(super) fn unreported(
+        &self,
+        resolved: &ResolvedBatches,
+        owed: &mut VecDeque<Gap>,
+        earlier_drops: &mut u64,
+    ) {
         let mut told = resolved.told;
         while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
             told -= gap.count;
         }
         // Gaps report losses in the order in which they happened.
-        let of_before = told.min(*untold);
-        *untold -= of_before;
+        let of_before = told.min(*earlier_drops);
+        *earlier_drops -= of_before;
         told -= of_before;
         let of_lost = told.min(resolved.lost);
         told -= of_lost;
@@ -131,13 +136,17 @@ mod tests {
     }
 
     /// Returns the counts of the gaps with a run and of those without one.
-    fn gaps(unresolved: &UnresolvedBatches, resolved: &ResolvedBatches, mut untold: u64) -> (u64, u64) {
+    fn gaps(
+        unresolved: &UnresolvedBatches,
+        resolved: &ResolvedBatches,
+        mut earlier_drops: u64,
+    ) -> (u64, u64) {
         let mut owed = VecDeque::new();
-        unresolved.unreported(resolved, &mut owed, &mut untold);
+        unresolved.unreported(resolved, &mut owed, &mut earlier_drops);
         assert!(owed.iter().all(|gap| gap.reason == KILLED));
         let (named, unnamed): (Vec<_>, Vec<_>) = owed.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
-        (sum(named), untold + sum(unnamed))
+        (sum(named), earlier_drops + sum(unnamed))
     }
 
     #[test]
@@ -173,8 +182,8 @@ mod tests {
             count,
             reason: "full".to_owned(),
         };
-        let (mut owed, mut untold) = (VecDeque::from([gap(1), gap(4)]), 0);
-        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut untold);
+        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(1), gap(4)]), 0);
+        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut earlier_drops);
         assert_eq!(owed.front().map(|gap| gap.count), Some(4));
         assert_eq!(owed.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
     }
@@ -185,10 +194,14 @@ mod tests {
         let resolved = ResolvedBatches { lost: 1, told: 4, ..ResolvedBatches::default() };
         let gap =
             |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
-        let (mut owed, mut untold) = (VecDeque::from([gap(5)]), 1);
-        unresolved.unreported(&resolved, &mut owed, &mut untold);
+        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);
+        unresolved.unreported(&resolved, &mut owed, &mut earlier_drops);
         let counts: Vec<u64> = owed.iter().map(|gap| gap.count).collect();
-        assert_eq!((counts, untold), (vec![3], 0), "5 owed, 1 untold and 1 lost, of which 4 were told");
+        assert_eq!(
+            (counts, earlier_drops),
+            (vec![3], 0),
+            "5 owed, 1 untold and 1 lost, of which 4 were told"
+        );
     }
 
     #[test]

@@ -59,7 +59,7 @@ impl HostClockMonitor {
     /// [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running one was.
     pub(super) fn look(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
-        let disturbances = self.watch.look(readings);
+        let disturbances = self.watch.compare(readings);
         // The clock itself notices a step, but no slew. After a sleep, claims from before it no longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();

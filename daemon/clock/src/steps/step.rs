@@ -60,7 +60,7 @@ impl StepWatch {
     const RATE_PPM: f64 = 200.0;
 
     /// Compares a new reading with the last one. Returns the number of steps so far.
-    pub(crate) fn look(&mut self, now: Paired) -> u32 {
+    pub(crate) fn compare(&mut self, now: Paired) -> u32 {
         let Some(last) = self.last.replace(now) else { return self.epoch };
         let moved = now.ahead() - last.ahead();
         // Each reading is uncertain by half of its gap.

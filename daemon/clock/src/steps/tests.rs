@@ -21,19 +21,20 @@ fn pair(at: Span, ahead: Span, gap: Span) -> Paired {
 fn only_what_reading_cannot_explain_is_a_step() {
     let calm = Span::from_nanos(80);
     let mut steps = StepWatch::default();
-    let look =
-        |steps: &mut StepWatch, millis, ahead, gap| steps.look(pair(Span::from_millis(millis), ahead, gap));
-    assert_eq!(look(&mut steps, 0, Span::ZERO, calm), 0);
-    assert_eq!(look(&mut steps, 10, micros(15), calm), 0);
-    assert_eq!(look(&mut steps, 20, micros(50), calm), 1);
+    let compare = |steps: &mut StepWatch, millis, ahead, gap| {
+        steps.compare(pair(Span::from_millis(millis), ahead, gap))
+    };
+    assert_eq!(compare(&mut steps, 0, Span::ZERO, calm), 0);
+    assert_eq!(compare(&mut steps, 10, micros(15), calm), 0);
+    assert_eq!(compare(&mut steps, 20, micros(50), calm), 1);
     assert_eq!(steps.last_step(), Some(micros(35)));
-    assert_eq!(look(&mut steps, 30, micros(-3_000_000), calm), 2);
+    assert_eq!(compare(&mut steps, 30, micros(-3_000_000), calm), 2);
     // The reading was interrupted, so that a step of 40 µs cannot be told from the gap.
-    assert_eq!(look(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
+    assert_eq!(compare(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
     // An uninterrupted reading shows the same difference, which is now certain.
-    assert_eq!(look(&mut steps, 41, micros(-3_000_040), calm), 3);
+    assert_eq!(compare(&mut steps, 41, micros(-3_000_040), calm), 3);
     steps.begin();
-    assert_eq!(look(&mut steps, 42, micros(-3_000_040), calm), 4);
+    assert_eq!(compare(&mut steps, 42, micros(-3_000_040), calm), 4);
 }
 
 #[test]
@@ -41,7 +42,7 @@ fn constant_drift_is_no_step() {
     let mut steps = StepWatch::default();
     for second in 0..600 {
         let at = Span::from_seconds(second);
-        assert_eq!(steps.look(pair(at, Span::from_micros(100 * second), Span::from_nanos(80))), 0);
+        assert_eq!(steps.compare(pair(at, Span::from_micros(100 * second), Span::from_nanos(80))), 0);
     }
 }
 
@@ -59,7 +60,7 @@ fn an_interrupted_read_is_repeated() {
 /// Returns the disturbances that a watch reports in ten readings per second.
 fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
     let mut watch = ClockWatch::new(ppm);
-    (0..seconds * 10).flat_map(|tenth| watch.look(ahead(tenth))).collect()
+    (0..seconds * 10).flat_map(|tenth| watch.compare(ahead(tenth))).collect()
 }
 
 #[test]

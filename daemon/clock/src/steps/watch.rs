@@ -52,7 +52,7 @@ impl ClockWatch {
     }
 
     /// Compares a new reading with the last one. Returns the disturbances in between.
-    pub fn look(&mut self, now: Readings) -> Vec<Disturbance> {
+    pub fn compare(&mut self, now: Readings) -> Vec<Disturbance> {
         let mut odd = Vec::new();
         let Some(last) = self.last.replace(now) else {
             self.base = Some(now);

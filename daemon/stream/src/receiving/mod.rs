@@ -328,7 +328,7 @@ impl Receiving {
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
             // The batch may have been the answer to a request; without this it would never be requested again.
-            progress.forget_asking();
+            progress.forget_request();
             self.deferred.push(stream);
         }
     }
@@ -336,15 +336,15 @@ impl Receiving {
     /// Returns the requests for deferred batches when there is room for `batches` of them: one per stream, the longest
     /// waiting first.
     pub fn room(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
-        let mut asked = Vec::new();
-        while asked.len() < batches
+        let mut requested = Vec::new();
+        while requested.len() < batches
             && let Some(stream) = self.deferred.pop()
         {
             let Some(host) = self.listener(stream) else { continue };
-            let request = self.streams.get_mut(&stream).and_then(|progress| progress.ask(stream));
-            asked.extend(request.map(|request| (host, request)));
+            let request = self.streams.get_mut(&stream).and_then(|progress| progress.request_next(stream));
+            requested.extend(request.map(|request| (host, request)));
         }
-        asked
+        requested
     }
 
     /// Records the arrival of a live update. Returns the message to a host without a session.

@@ -45,7 +45,7 @@ pub(super) struct Progress {
     /// Batches that are accepted and not both stored and confirmed, in ascending order; of a gap only the last number.
     pending: VecDeque<(u64, Chain)>,
     /// Number from which batches were requested again, until the first of them arrives.
-    asked: Option<u64>,
+    requested: Option<u64>,
     /// A batch that arrived damaged, and how often in a row.
     damaged: Option<(BatchHead, u32)>,
 }
@@ -67,7 +67,7 @@ impl Progress {
             accepted: stored,
             confirmed: stored.number,
             pending: VecDeque::new(),
-            asked: None,
+            requested: None,
             damaged: None,
         }
     }
@@ -76,7 +76,7 @@ impl Progress {
     /// before. Returns the batches that neither end has.
     pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<MissingBatches> {
         if let Some(mark) = mark {
-            self.take(mark);
+            self.apply_mark(mark);
         }
         // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
         if self.mark.is_none() && self.is_settled() {
@@ -85,7 +85,7 @@ impl Progress {
         if !same {
             self.confirmed = self.stored.number;
         }
-        (self.asked, self.process) = (None, hello.process);
+        (self.requested, self.process) = (None, hello.process);
         let through = hello.oldest.saturating_sub(1);
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
@@ -109,12 +109,12 @@ impl Progress {
         if number <= self.settled() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
         } else if number <= self.accepted.number {
-            self.again(head, window)
+            self.arrive_again(head, window)
         } else if number > LAST_BATCH || self.is_full() {
             // Only an agent that ignores its window sends such a batch.
             Arrival::Hole(None)
         } else if number > self.next() {
-            Arrival::Hole(self.ask(head.stream))
+            Arrival::Hole(self.request_next(head.stream))
         } else if !intact {
             self.arrive_damaged(head)
         } else if self.follows(head) {
@@ -126,7 +126,7 @@ impl Progress {
     }
 
     /// Handles a batch whose number was accepted before.
-    fn again(&mut self, head: &BatchHead, window: u32) -> Arrival {
+    fn arrive_again(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let known = self.pending.iter().find(|(pending, _)| *pending == number);
         let Some((_, chain)) = known else {
@@ -153,8 +153,8 @@ impl Progress {
         if times < DAMAGED_TIMES {
             self.damaged = Some((*head, times));
             // The batch answered the last request, so that a new request is needed.
-            self.asked = None;
-            return Arrival::Hole(self.ask(head.stream));
+            self.requested = None;
+            return Arrival::Hole(self.request_next(head.stream));
         }
         self.damaged = None;
         if self.follows(head) {
@@ -174,19 +174,19 @@ impl Progress {
         self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
         self.pending.push_back((number, chain));
-        (self.asked, self.damaged) = (None, None);
+        (self.requested, self.damaged) = (None, None);
         self.drop_settled();
     }
 
     /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
     pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
         let before = self.settled();
-        self.take(mark);
+        self.apply_mark(mark);
         (self.settled() > before).then(|| self.acknowledgement(stream, window))
     }
 
     /// Applies a mark of the database.
-    fn take(&mut self, mark: Mark) {
+    fn apply_mark(&mut self, mark: Mark) {
         if self.mark.is_some() && mark.stored <= self.stored.number {
             return;
         }
@@ -209,22 +209,22 @@ impl Progress {
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
         self.damaged = None;
-        self.asked = Some(self.next());
+        self.requested = Some(self.next());
         ToAgent::Resend { stream, from: self.next() }
     }
 
     /// Requests the next batch; `None` if that was done before.
-    pub(super) fn ask(&mut self, stream: StreamId) -> Option<ToAgent> {
+    pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
         // One request per hole: each later batch in flight would otherwise cause another one.
-        let is_new = self.asked != Some(from);
-        self.asked = Some(from);
+        let is_new = self.requested != Some(from);
+        self.requested = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })
     }
 
     /// Forgets the last request, because its answer could not be stored.
-    pub(super) const fn forget_asking(&mut self) {
-        self.asked = None;
+    pub(super) const fn forget_request(&mut self) {
+        self.requested = None;
     }
 
     /// Returns whether no batch waits to be stored.

@@ -63,27 +63,27 @@ impl DurableLane {
         let fits = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
         if let Some(rest) = self.partial.as_ref().map(PartialBatch::len) {
             // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
-            let question = self.ask(host, !self.flow.has_room(fits(rest)), false, now);
-            return only(question.or_else(|| self.part(host, part)));
+            let echo_request = self.request_echo(host, !self.flow.has_room(fits(rest)), false, now);
+            return only(echo_request.or_else(|| self.part(host, part)));
         }
         let (through, unspooled) = spooler.sendable();
         let batch = spooler.backlog.get(next, unspooled).filter(|_| next <= through);
         let Some(body) = batch.map(|batch| batch.body.len()) else {
             self.pace.is_idle(self.flow.is_slow(), now);
-            self.flow.is_spared();
-            return only(self.ask(host, false, false, now));
+            self.flow.yield_turn();
+            return only(self.request_echo(host, false, false, now));
         };
         if self.in_flight.is_full(body, self.allowance()) {
             self.pace.is_full(now);
-            self.flow.is_spared();
-            return only(self.ask(host, false, false, now));
+            self.flow.yield_turn();
+            return only(self.request_echo(host, false, false, now));
         }
         let waits = !self.flow.has_room(fits(body));
         if waits {
             self.pace.is_full(now);
         }
-        if let question @ Some(_) = self.ask(host, waits, !waits, now) {
-            return only(question);
+        if let echo_request @ Some(_) = self.request_echo(host, waits, !waits, now) {
+            return only(echo_request);
         }
         // An echo request may go out although the batch has to wait: its answer frees the allowance.
         let sent = if waits { None } else { spooler.send(next, unspooled, host) };
@@ -109,8 +109,8 @@ impl DurableLane {
     }
 
     /// Returns a request for an echo if one is due.
-    fn ask(&mut self, host: HostId, waits: bool, begins: bool, now: MonoTime) -> Option<Vec<u8>> {
-        let bytes = self.flow.ask(waits, begins, now)?;
+    fn request_echo(&mut self, host: HostId, waits: bool, begins: bool, now: MonoTime) -> Option<Vec<u8>> {
+        let bytes = self.flow.request_echo(waits, begins, now)?;
         Some(codec::encode(&ToAggregator::Echo { host, bytes }))
     }
 

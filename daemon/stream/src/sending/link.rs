@@ -61,12 +61,12 @@ impl Sending {
                 self.lane.allowed(*window);
                 self.acknowledged_through(*through, now);
             }
-            ToAgent::Resend { from, .. } => self.asked_again(*from, now.mono),
+            ToAgent::Resend { from, .. } => self.resend_from(*from, now.mono),
             ToAgent::Echo { bytes } => {
                 self.lane.echoed(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.refused(reason, now.mono),
-            ToAgent::Unknown if self.is_up() => self.greet_again(now.mono),
+            ToAgent::Unknown if self.is_up() => self.schedule_hello(now.mono),
             ToAgent::Unknown => {}
         }
         self.notice()
@@ -107,9 +107,9 @@ impl Sending {
     }
 
     /// Sends a hello again if nothing was acknowledged for too long.
-    pub(super) fn lose_patience(&mut self, now: MonoTime) {
+    pub(super) fn check_patience(&mut self, now: MonoTime) {
         if self.patience_ends().is_some_and(|limit| now >= limit) {
-            self.greet_again(now);
+            self.schedule_hello(now);
         }
     }
 
@@ -118,9 +118,9 @@ impl Sending {
     }
 
     /// Schedules a hello: at once, unless several had no effect.
-    pub(super) fn greet_again(&mut self, now: MonoTime) {
+    pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         self.lane.take_back();
-        self.session.greet_again(now);
+        self.session.schedule_hello(now);
     }
 
     fn hello(&self) -> Hello {
@@ -173,12 +173,12 @@ impl Sending {
         self.notices.push_back(Notice::Refused(reason.to_owned()));
     }
 
-    fn asked_again(&mut self, from: u64, now: MonoTime) {
+    fn resend_from(&mut self, from: u64, now: MonoTime) {
         let Link::Up { next, heard } = self.session.link else { return };
         if from < self.spooler.backlog.oldest() {
             // The aggregator lacks batches that are no longer here. The hello states so, and the aggregator records the
             // gap.
-            self.greet_again(now);
+            self.schedule_hello(now);
         } else {
             self.session.link = Link::Up { next: next.min(from), heard };
             self.lane.lost(from);
@@ -189,7 +189,7 @@ impl Sending {
         let Link::Up { next, .. } = self.session.link else { return };
         if through > self.spooler.backlog.sent() {
             // Batches that were not sent cannot be stored. The hello finds out what the aggregator has.
-            self.greet_again(now.mono);
+            self.schedule_hello(now.mono);
         } else if through >= self.spooler.backlog.oldest() {
             self.session.progressed(next.max(through + 1), now.mono);
             self.acknowledged(through, None, now);
@@ -208,7 +208,7 @@ impl Sending {
             Link::Up { .. } if welcome.stored > acknowledged => {
                 return match self.spooler.backlog.chain(welcome.stored) {
                     ours if ours == welcome.chain => self.acknowledged_through(welcome.stored, now),
-                    _ => self.greet_again(now.mono),
+                    _ => self.schedule_hello(now.mono),
                 };
             }
             _ => return,
@@ -216,16 +216,16 @@ impl Sending {
         // The welcome states whether the batches of an earlier process are stored, also if the stream is left below.
         self.spooler.resolve_earlier(welcome.stored, welcome.process);
         if welcome.stored > self.spooler.backlog.newest() {
-            return self.leave(&welcome, now);
+            return self.leave_stream(&welcome, now);
         }
         if welcome.stored < acknowledged {
             return match self.has_sent(&welcome) {
-                true => self.taken_in(welcome, true, now),
-                false => self.leave(&welcome, now),
+                true => self.begin_sending(welcome, true, now),
+                false => self.leave_stream(&welcome, now),
             };
         }
         match self.spooler.backlog.known(welcome.stored) {
-            Some((chain, scanned)) => self.judge(welcome, Some(chain), scanned, now),
+            Some((chain, scanned)) => self.compare_chains(welcome, Some(chain), scanned, now),
             None => {
                 let scan = self.spooler.backlog.scan_to(welcome.stored);
                 self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
@@ -242,7 +242,7 @@ impl Sending {
                     Some(_) => self.spooler.backlog.chain(welcome.stored),
                     None => None,
                 };
-                self.judge(welcome, chain, scanned, now);
+                self.compare_chains(welcome, chain, scanned, now);
             }
             ScanPurpose::Leave => {
                 if scanned.is_some() {
@@ -254,7 +254,13 @@ impl Sending {
     }
 
     /// Starts sending if the aggregator's last batch is the one with the chain `ours`, and leaves the stream otherwise.
-    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<ScanResult>, now: Stamp) {
+    fn compare_chains(
+        &mut self,
+        welcome: Welcome,
+        ours: Option<Chain>,
+        scanned: Option<ScanResult>,
+        now: Stamp,
+    ) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         // The aggregator has no batch of this stream, or no chain of the acknowledged one.
         let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
@@ -263,9 +269,9 @@ impl Sending {
             if welcome.stored > acknowledged {
                 self.acknowledged(welcome.stored, scanned, now);
             }
-            self.taken_in(welcome, false, now);
+            self.begin_sending(welcome, false, now);
         } else {
-            self.leave(&welcome, now);
+            self.leave_stream(&welcome, now);
         }
     }
 
@@ -280,7 +286,7 @@ impl Sending {
             || self.renewal.reached_before().iter().any(by)
     }
 
-    fn taken_in(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
+    fn begin_sending(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
         self.spooler.meet();
         self.session.link = Link::Up { next: self.spooler.backlog.oldest(), heard: now.mono };
         let Welcome { aggregator, stored, .. } = welcome;
@@ -294,7 +300,7 @@ impl Sending {
     /// from that process is stored ([`NewestSentBatch`]): the spool lost its end, or is a copy that the process continued from.
     /// Later batches of the spool were never stored. If the batch came from another process, the spool is a copy of
     /// unknown age, and everything in it is sent: it is better to store events twice, in two streams, than not at all.
-    fn leave(&mut self, welcome: &Welcome, now: Stamp) {
+    fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });
         let reached =
@@ -320,7 +326,7 @@ impl Sending {
 
     fn renew_stream(&mut self, now: MonoTime) {
         self.renewal.want();
-        self.greet_again(now);
+        self.schedule_hello(now);
     }
 
     /// Handles batches that were read from the spool.
@@ -371,7 +377,7 @@ impl Sending {
         let Some((resume, before)) = self.reader.pass_gap(&self.spooler.backlog) else { return };
         self.spooler.skip_to(resume, before, now.mono);
         if self.is_up() {
-            self.greet_again(now.mono);
+            self.schedule_hello(now.mono);
         }
         self.spooler.settle(now);
     }

@@ -107,7 +107,7 @@ impl Sending {
     /// acknowledgement came for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
-        self.lose_patience(now.mono);
+        self.check_patience(now.mono);
     }
 
     /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called without an event.
@@ -288,7 +288,7 @@ impl Sending {
         let Some(stream) = self.renewal.end() else { return };
         self.spooler.renew(stream);
         self.recovered(SpoolWork::Renew);
-        self.greet_again(now.mono);
+        self.schedule_hello(now.mono);
     }
 
     /// Records that the spool could not be moved to the new stream.

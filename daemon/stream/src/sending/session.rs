@@ -80,7 +80,7 @@ impl Session {
     /// Starts a connection; a hello is due at once.
     pub(super) fn connect(&mut self, now: MonoTime) {
         (self.greetings, self.unanswered) = (0, 0);
-        self.greet_again(now);
+        self.schedule_hello(now);
     }
 
     /// Ends the connection.
@@ -89,7 +89,7 @@ impl Session {
     }
 
     /// Schedules a hello: at once, unless several had no effect.
-    pub(super) fn greet_again(&mut self, now: MonoTime) {
+    pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         let first = self.config.first_pause;
         if let Link::Up { heard, .. } = self.link
             && now - heard > self.config.longest_pause

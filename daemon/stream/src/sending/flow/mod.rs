@@ -89,10 +89,10 @@ impl FlowControl {
 
     /// Returns whether the durable lane may hand over `bytes`.
     pub(super) const fn has_room(&self, bytes: usize) -> bool {
-        let on_the_way = self.in_flight.len();
+        let bytes_in_flight = self.in_flight.len();
         // With nothing in flight one message is always allowed, however large.
-        on_the_way == 0
-            || !self.round_trip.is_draining() && on_the_way + bytes as u64 <= self.allowance.bytes()
+        bytes_in_flight == 0
+            || !self.round_trip.is_draining() && bytes_in_flight + bytes as u64 <= self.allowance.bytes()
     }
 
     /// Returns whether the live lane may hand over an update.
@@ -114,14 +114,14 @@ impl FlowControl {
     }
 
     /// Records that the durable lane has nothing to hand over, so that the live lane need not wait for it.
-    pub(super) const fn is_spared(&mut self) {
+    pub(super) const fn yield_turn(&mut self) {
         self.owed = 0;
     }
 
     /// Returns the position of an echo that is to be requested now. `waits` tells whether a frame waits for room in the
     /// allowance, and `begins` whether a batch is about to be handed over.
-    pub(super) fn ask(&mut self, waits: bool, begins: bool, now: MonoTime) -> Option<u64> {
-        let on_the_way = self.in_flight.len();
+    pub(super) fn request_echo(&mut self, waits: bool, begins: bool, now: MonoTime) -> Option<u64> {
+        let bytes_in_flight = self.in_flight.len();
         let unasked = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
         let is_old = self.round_trip.is_due(now);
         if is_old && waits && !self.round_trip.is_draining() {
@@ -130,10 +130,10 @@ impl FlowControl {
         }
         self.round_trip.set_draining(is_old && (waits || self.round_trip.is_draining()));
         let is_wanted = self.round_trip.is_draining() || begins && is_old;
-        let probes = is_wanted && on_the_way <= self.allowance() / 3;
+        let probes = is_wanted && bytes_in_flight <= self.allowance() / 3;
         let due = probes
             || unasked >= self.allowance() / 4
-            || waits && self.echoes.is_empty() && on_the_way > 0
+            || waits && self.echoes.is_empty() && bytes_in_flight > 0
             || self.remind_at().is_some_and(|at| now >= at);
         if !due {
             return None;
@@ -142,7 +142,7 @@ impl FlowControl {
         if probes {
             self.round_trip.begin_probe(bytes);
         }
-        self.echoes.push(EchoRequest { bytes, at: now, ahead: on_the_way });
+        self.echoes.push(EchoRequest { bytes, at: now, ahead: bytes_in_flight });
         Some(bytes)
     }
 

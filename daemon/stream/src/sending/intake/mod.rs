@@ -102,7 +102,7 @@ impl Intake {
     }
 
     pub(super) fn offer(&mut self, event: &Event, room: &EventCapacity, now: Stamp) {
-        self.losses.add_untold(now);
+        self.losses.add_earlier_drops(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
         let run = event.run();
@@ -265,7 +265,7 @@ impl Intake {
     }
 
     pub(super) fn tick(&mut self, room: &EventCapacity, now: Stamp) {
-        self.losses.add_untold(now);
+        self.losses.add_earlier_drops(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
             self.cut();
         }

@@ -16,14 +16,14 @@ pub(super) struct UnreportedLosses {
     /// Losses of earlier processes, to be reported before all others.
     owed: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
-    untold: u64,
+    earlier_drops: u64,
     /// `true` until the result for an earlier process is known. No loss is reported before.
     is_unresolved: bool,
 }
 
 impl UnreportedLosses {
-    pub(super) fn new(owed: Vec<Gap>, untold: u64, is_unresolved: bool) -> Self {
-        Self { losses: Losses::default(), owed: owed.into(), untold, is_unresolved }
+    pub(super) fn new(owed: Vec<Gap>, earlier_drops: u64, is_unresolved: bool) -> Self {
+        Self { losses: Losses::default(), owed: owed.into(), earlier_drops, is_unresolved }
     }
 
     /// Adds events that are lost now.
@@ -43,11 +43,11 @@ impl UnreportedLosses {
     }
 
     /// Adds the events that were dropped before the start; once, with the first event after it.
-    pub(super) fn add_untold(&mut self, now: Stamp) {
+    pub(super) fn add_earlier_drops(&mut self, now: Stamp) {
         if self.is_unresolved {
             return;
         }
-        let count = std::mem::take(&mut self.untold);
+        let count = std::mem::take(&mut self.earlier_drops);
         if count > 0 {
             let reason = "dropped before the agent last ended, for want of room in its spool";
             self.losses.add(None, None, now, count, reason.to_owned());
@@ -86,7 +86,7 @@ impl UnreportedLosses {
 
     /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports.
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
+        unresolved.unreported(resolved, &mut self.owed, &mut self.earlier_drops);
         self.owed.iter().cloned().collect()
     }
 
@@ -98,6 +98,6 @@ impl UnreportedLosses {
     /// Returns whether no loss is to be reported, now or later.
     #[cfg(test)]
     pub(super) fn is_empty(&self) -> bool {
-        self.len() == 0 && self.untold == 0
+        self.len() == 0 && self.earlier_drops == 0
     }
 }
