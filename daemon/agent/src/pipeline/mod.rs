@@ -9,6 +9,7 @@ mod backoff;
 mod context;
 mod deadline;
 mod drive;
+mod failure_log;
 mod in_flight;
 mod iteration;
 mod load;

@@ -8,6 +8,7 @@ use peernet_stream::{
 
 use super::context::PipelineContext;
 use super::deadline;
+use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
@@ -25,6 +26,7 @@ pub(super) struct Run {
     placement: Description,
     deadline: Option<Span>,
     progress: Progress,
+    failures: FailureLog,
 }
 
 impl Run {
@@ -61,6 +63,7 @@ impl Run {
             placement,
             deadline: config.deadline().map(Span::from),
             progress: Progress::new(config, warm),
+            failures: FailureLog::default(),
         }
     }
 
@@ -99,7 +102,7 @@ impl Run {
 
     /// Hands a finished iteration to the live statistics and to the outbox.
     pub(super) fn record(
-        &self,
+        &mut self,
         position: Position,
         outcome: Outcome,
         mut tree: Tree,
@@ -114,12 +117,18 @@ impl Run {
             display.record(ended.wall.unix_seconds(), &outcome, &tree);
         }
         let Position { number, episode, step, warm_up } = position;
+        for line in self.failures.record(number, &outcome, ended.mono) {
+            tracing::warn!(pipeline = %self.pipeline, "{line}");
+        }
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
         context.events.event_queue.iteration(&self.pipeline, iteration);
     }
 
     /// Reports the end.
-    pub(super) fn end(&self, reason: EndReason, context: &PipelineContext) {
+    pub(super) fn end(&mut self, reason: EndReason, context: &PipelineContext) {
+        for line in self.failures.finish(context.host.clock.mono()) {
+            tracing::warn!(pipeline = %self.pipeline, "{line}");
+        }
         end(&self.pipeline, self.id, reason, context);
     }
 }

@@ -113,12 +113,12 @@ impl Runner {
         let mut run: Option<Run> = None;
         loop {
             let Some(placement) = self.connect(&mut resources, run.as_ref().map(Run::id)).await? else {
-                self.end(run.as_ref(), EndReason::Stopped);
+                self.end(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
             // A peer that came back as something else, on another device say, is another configuration.
-            if let Some(other) = run.take_if(|run| !run.is_at(&placement.describe())) {
-                self.end(Some(&other), EndReason::Failed("the peer changed".to_owned()));
+            if let Some(mut other) = run.take_if(|run| !run.is_at(&placement.describe())) {
+                self.end(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
             }
             let current = match &mut run {
                 Some(run) => run,
@@ -139,7 +139,7 @@ impl Runner {
                 LoopEnd::Stopped => (EndReason::Stopped, Ok(())),
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
-            self.end(run.as_ref(), reason);
+            self.end(run.as_mut(), reason);
             if resources.schedule.unreported_skips() > 0 {
                 let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
@@ -207,7 +207,7 @@ impl Runner {
         Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
     }
 
-    fn end(&self, run: Option<&Run>, reason: EndReason) {
+    fn end(&self, run: Option<&mut Run>, reason: EndReason) {
         if let Some(run) = run {
             run.end(reason, &self.context);
         }

@@ -284,11 +284,11 @@ async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
     }
 }
 
-fn record(SettledPair { position, tree, ended }: SettledPair, run: &Run, runner: &Runner) {
+fn record(SettledPair { position, tree, ended }: SettledPair, run: &mut Run, runner: &Runner) {
     run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
 }
 
-fn record_lost(input: &Input, reason: String, run: &Run, runner: &Runner) {
+fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
     let tree = trees::unanswered(&host.clock, host.id, input.position, &input.received, ended);
