@@ -233,7 +233,7 @@ impl<'a> Observation<'a> {
         }
     }
 
-    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &Run, runner: &Runner) {
+    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
                 let uncounted = std::mem::take(&mut self.uncounted);
