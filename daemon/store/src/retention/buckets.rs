@@ -1,4 +1,4 @@
-//! Roll-ups of a run and width.
+//! Deletion of roll-ups of a run and width.
 
 use sqlx::SqliteConnection;
 
@@ -7,16 +7,16 @@ use super::{Deleted, Kind};
 use crate::column::column;
 use crate::extent::Extent;
 
-/// What a row costs, in nodes: it is some times as long.
+/// Cost of a row in nodes: it is several times as long.
 const ROW: u64 = 3;
 
 /// The oldest bucket: ?1 run, ?2 width, ?3 and ?4 first and last.
 const OLDEST: &str =
     "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The last bucket: the same.
+/// The last bucket; parameters as above.
 const LAST: &str =
     "SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The bucket after so many rows: the same, ?5 rows.
+/// The bucket after a number of rows; parameters as above, ?5 rows.
 const AFTER: &str = "SELECT bucket_s FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4 \
      ORDER BY bucket_s LIMIT 1 OFFSET ?5";
 /// ?1 run, ?2 width, ?3 and ?4 first and last.
@@ -26,7 +26,7 @@ const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AN
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets by rising begin, of about so many rows.
+/// Deletes buckets by rising begin, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
@@ -42,7 +42,7 @@ pub(super) async fn delete(
     let after: Option<Option<i64>> =
         of(AFTER).bind(first).bind(seconds.last).bind(most).fetch_optional(&mut *connection).await?;
     let after = after.flatten();
-    // A bucket goes whole, however many rows it has.
+    // A bucket is deleted as a whole, however many rows it has.
     let through = after.map_or(seconds.last, |after| (after - 1).max(first));
     let newest: Option<i64> = of(LAST).bind(first).bind(through).fetch_one(&mut *connection).await?;
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(first).bind(through);

@@ -8,23 +8,23 @@ use super::arrivals::{self, Trimmed};
 use super::deletions::{Cause, Deletion};
 use crate::column::{column, count};
 
-/// What goes, in this order. Hours and whole runs stay.
+/// Kinds that may be deleted, in this order. Statistics of hours and whole runs stay.
 const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
-/// When there is nothing left to delete, it is not looked again for so long.
+/// Pause after nothing was left to delete.
 const PAUSE: Span = Span::from_seconds(60);
 
-/// Bytes in use; free pages are used again before the file grows.
+/// Bytes in use. Free pages do not count: they are used again before the file grows.
 const USED: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
-/// Keeps what the file uses below a limit.
+/// The limit of the bytes that the file uses.
 #[derive(Debug)]
 pub(super) struct SizeLimit {
-    /// Bytes; 0 for none.
+    /// The limit in bytes; 0 for none.
     limit: u64,
     told: bool,
     told_in_vain: bool,
-    /// When nothing was found to delete.
+    /// Time at which nothing was left to delete.
     in_vain: Option<MonoTime>,
 }
 
@@ -33,7 +33,7 @@ impl SizeLimit {
         Self { limit, told: false, told_in_vain: false, in_vain: None }
     }
 
-    /// Whether something has to go.
+    /// Returns whether something has to be deleted.
     pub(super) async fn exceeded(
         &self,
         connection: &mut SqliteConnection,
@@ -43,8 +43,7 @@ impl SizeLimit {
         Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes what arrived first of what may go, of all runs, whatever its age. Returns whether something is left that
-    /// may go.
+    /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs, at any age. Returns whether more may remain.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -75,7 +74,7 @@ impl SizeLimit {
         Ok(false)
     }
 
-    /// There is nothing that may go.
+    /// Logs that nothing may be deleted, and pauses.
     pub(super) fn give_up(&mut self, now: MonoTime) {
         if !self.told_in_vain {
             tracing::warn!(
@@ -89,13 +88,13 @@ impl SizeLimit {
     }
 }
 
-/// Bytes that the file uses, free pages left out.
+/// Returns the bytes that the file uses, without free pages.
 async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
     let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
     Ok(count(bytes))
 }
 
-/// For `peernetd doctor`.
+/// Notes the deletion for `peernetd doctor`.
 async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \

@@ -1,4 +1,4 @@
-//! Runs that were declared together, and what comparing and judging runs needs of their course.
+//! Experiments, and the series over time that comparing and judging runs needs.
 
 use peernet_clock::WallTime;
 use peernet_logger::Name;
@@ -8,23 +8,23 @@ use serde::Serialize;
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ExperimentSummary {
-    /// Random, the same for all runs of one execution.
+    /// Random identifier, the same for all runs of one execution.
     pub id: String,
     /// The name in its file.
     pub name: String,
-    /// Runs that began.
+    /// Number of runs that began.
     pub runs: u64,
-    /// Of them those that have not ended.
+    /// Number of these runs that have not ended.
     pub open: u64,
     /// The number of its first run.
     pub oldest: i64,
     /// The number of its last run.
     pub newest: i64,
-    /// When the first began, on its edge's wall clock.
+    /// Start of the first run on its edge's wall clock.
     pub started: WallTime,
 }
 
-/// One node name over the time of a run, summed up in buckets.
+/// One node name over the time of a run, summarised in buckets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageCourse {
     /// The node's name.
@@ -44,13 +44,13 @@ pub struct StageMeans {
     pub buckets: Vec<MeanBucket>,
 }
 
-/// What is known of one bucket without its sketch.
+/// Statistics of one bucket without its sketch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanBucket {
-    /// Its begin, on the edge's wall clock; a multiple of the bucket's width.
+    /// Begin of the bucket on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Samples.
+    /// Number of samples.
     pub count: u64,
-    /// Their mean.
+    /// Mean of the samples.
     pub mean: f64,
 }

@@ -1,4 +1,4 @@
-//! Batches that are put aside: kept as they came, and what is missing because of it.
+//! Quarantine of batches that cannot be stored: they are kept as they arrived, and their events are recorded as missing.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use super::prepared::Prepared;
 use super::{Aside, Refusal, records};
 use crate::stored::Stored;
 
-/// A batch to be put aside.
+/// A batch to be quarantined.
 pub(super) struct Rejected<'a> {
     pub(super) head: BatchHead,
     frame: Bytes,
@@ -22,26 +22,26 @@ pub(super) struct Rejected<'a> {
 }
 
 impl<'a> Rejected<'a> {
-    /// One that was found bad before it reached the database.
+    /// Makes it of a batch that was found invalid before it reached the database.
     pub(super) fn aside(aside: &'a Aside) -> Self {
         let events = aside.body.as_ref().and_then(|body| codec::events(body, aside.head.events).ok());
         Self { head: aside.head, frame: aside.frame.clone(), events, reason: &aside.reason }
     }
 
-    /// One that the database refused.
+    /// Makes it of a batch that the database refused.
     pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         let frame = Bytes::from(codec::batch_frame(&head, body, false));
         Self { head, frame, events: codec::events(body, head.events).ok(), reason }
     }
 
-    /// Why it cannot be stored.
+    /// Returns the reason why it cannot be stored.
     pub(super) fn reason(&self) -> &str {
         self.reason
     }
 
-    /// Keeps it and records its events as missing: by run where they can be read, else as many as its head claims, if
-    /// it can hold so many. Returns what that adds to the counters of its host.
+    /// Stores the frame and records its events as missing: by run if they can be decoded, otherwise as many as its head claims,
+    /// if it is long enough for them. Returns the additions to the counters of its host.
     pub(super) async fn put(
         self,
         connection: &mut SqliteConnection,
@@ -77,7 +77,7 @@ impl<'a> Rejected<'a> {
             }
             None => {
                 let claimed = self.head.events as usize;
-                // Each takes a byte at least.
+                // An event takes at least one byte.
                 let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
                 vec![gap(None, now, count)]
             }
@@ -90,7 +90,7 @@ impl<'a> Rejected<'a> {
     }
 }
 
-/// When an event happened, on its host's clock.
+/// Returns the time of an event on its host's clock.
 fn happened(event: &Event) -> Option<WallTime> {
     match event {
         Event::RunStarted(run) => Some(run.started),

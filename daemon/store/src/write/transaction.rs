@@ -21,7 +21,7 @@ use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
 
-/// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
+/// State that transactions share: memory of the small tables, and additions that are written at the end.
 #[derive(Debug, Default)]
 pub(super) struct Staging {
     pub(super) names: Names,
@@ -40,7 +40,8 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. With `aside` its batches go to the quarantine for that reason. `marks` are as committed.
+    /// Stores all of `work`, and advances the storage clock. With `aside` its batches are quarantined for that reason. `marks` are
+    /// the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -63,20 +64,20 @@ impl Staging {
                 (Work::Missing(missing), _) => {
                     let Missing { host, stream, through: number, chain, process, events_through, .. } =
                         *missing;
-                    // Only who it is, and what it is marked with.
+                    // Only the fields that identify it and its mark are used.
                     let (before, events, events_before) = (chain, 0, events_through);
                     let head =
                         BatchHead { host, stream, process, number, before, chain, events, events_before };
                     (head, None)
                 }
-                // Nothing of a greeting can be put aside: the batches that follow bring the host's row.
+                // Greetings cannot be quarantined: the batches that follow create the host's row.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
                 (Work::Hello(came), None) => {
                     self.introduce(connection, came, now).await?;
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
-                    // Unknown to a database that has taken the place of another.
+                    // The host is unknown to a database that has taken the place of another.
                     if let Some(id) = self.entities.known_host(connection, *host).await? {
                         self.ends.left(connection, id).await?;
                     }
@@ -93,7 +94,7 @@ impl Staging {
             };
             let mark = self.moved.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
             if let Some(mark) = mark.filter(|mark| head.number <= mark.stored) {
-                // Came again before its acknowledgement: stored once.
+                // It was sent again before its acknowledgement: it is already stored.
                 committed.marks.insert(head.stream, mark);
                 continue;
             }
@@ -119,7 +120,7 @@ impl Staging {
             self.moved.mark(host, head);
         }
         committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
-        // Rows of one run stand beside each other in the tables.
+        // Rows of one run are adjacent in the tables.
         batches.sort_by_key(|batch| batch.runs.first().copied());
         self.inserts.run(connection, &batches, &mut self.rollups).await?;
         self.rollups.write(connection).await?;
@@ -150,7 +151,7 @@ impl Staging {
         Ok(())
     }
 
-    /// Does what a batch wants to have done one by one, and finds the numbers of what its rows refer to.
+    /// Stores the events of a batch that are no iterations, and looks up the numbers to which its rows refer.
     async fn resolve<'a>(
         &mut self,
         connection: &mut SqliteConnection,
@@ -158,7 +159,7 @@ impl Staging {
         reporter: Reporter,
         now: WallTime,
     ) -> Result<Resolved<'a>, Refusal> {
-        // Before anything of it is done.
+        // Checked before anything of the batch is stored.
         self.trespasses.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
@@ -205,12 +206,12 @@ impl Staging {
             Event::Clock(sample) => {
                 self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
             }
-            // Has become rows.
+            // Iterations were made into rows before.
             Event::Iteration(_) => Ok(()),
         }
     }
 
-    /// Forgets what is only in memory: the transaction did not end well. The names are to be read again.
+    /// Forgets what is only in memory: the transaction did not end well. The names have to be read again.
     pub(super) fn forget(&mut self) {
         self.entities.forget();
         self.rollups.forget();
