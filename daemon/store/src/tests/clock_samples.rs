@@ -1,4 +1,4 @@
-//! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
+//! Storing and reading of clock samples, by the second and by the bucket.
 
 use peernet_clock::{DelaySource, RawTime, RelatedClocks, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
@@ -61,7 +61,7 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
     assert_eq!((link.edge, link.cloud), (bed.edge, bed.cloud));
     assert_eq!((link.edge_name.as_str(), link.cloud_name.as_str()), ("edge", "cloud"));
     assert_eq!((link.first, link.last), (generate::at(1.0), generate::at(3.0)));
-    // What a later judgement needs is there too.
+    // The values that a later judgement needs are stored, too.
     assert_eq!(
         bed.count(
             "SELECT count(*) FROM clock_sample WHERE max_drift_ppm = 50 AND upper_received_ns - upper_sent_ns = 250040000 \
@@ -125,7 +125,7 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
     store(&mut bed, samples.clone()).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(bed.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
-    // The same batch once more is no second that comes again.
+    // The same batch sent again replaces nothing.
     let work = bed.batch_numbered(1, samples.map(event));
     bed.commit(&[work]).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
@@ -136,7 +136,7 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
 async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
-    // The free-running clock goes on, and the wall clock shows seconds 6 to 10 three times.
+    // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
     let raw = |raw: i64, second: i64| {
         let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
         let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };
@@ -146,7 +146,7 @@ async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
     let samples: Vec<_> = shown.zip(1..).map(|(second, at)| raw(at, second)).collect();
     store(&mut bed, samples.clone()).await;
     assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
-    // A second that comes again replaces itself alone.
+    // A second that arrives again replaces only itself.
     store(&mut bed, samples).await;
     assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 20);
@@ -157,19 +157,19 @@ async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
 
 #[tokio::test]
 async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
-    // Numbers of windows are random: whichever is greater, the one that came later is the later one.
+    // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
     for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut bed = Bed::new().await;
         let cloud = bed.cloud;
         let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
         store(&mut bed, (1..=10).map(|second| of(before, second, 90))).await;
-        // Set back by five seconds.
+        // The clock was set back by five seconds.
         let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
         store(&mut bed, set_back.clone()).await;
         let told = series(&bed, 1_000).await.points;
         let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
         assert_eq!(told, expected.map(point).collect::<Vec<_>>());
-        // A bucket that holds the step tells what holds after it.
+        // A bucket with the step shows the time after it.
         for point in series(&bed, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
             let own = if point.window == before { 90 } else { 40 };
@@ -183,7 +183,7 @@ async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
-    // A host without a battery: its clock begins far back, and is set when it finds a time server.
+    // The clock of a host without a battery begins far back, and is set when the host finds a time server.
     for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
         store(&mut bed, seconds.map(|second| of(window, second))).await;
     }
@@ -292,7 +292,7 @@ async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
     assert_eq!(known(3).expect("known").sources.len(), 2);
     assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
     assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
-    // The whole range of time is answered too, in few points.
+    // The whole range of time is also answered in few points.
     assert!(series(&bed, 1_000).await.points.len() <= 1_000);
     assert_eq!(bed.store.links().await.expect("answers").len(), 1);
 }

@@ -1,4 +1,4 @@
-//! Statistics of connections: stored within the time of their link's clock samples, and deleted with these.
+//! Statistics of connections: their times are limited to those of their link's clock samples, and both are deleted together.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
@@ -132,7 +132,7 @@ async fn writing_goes_on_after_sqlite_has_undone_a_transaction() {
     bed.commit(&[work]).await;
     let samples = [told(&bed, bed.cloud, generate::at(2.0), 2)];
 
-    // A full disk does the same.
+    // A full disk has the same effect.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
     let mut other = bed.other().await;

@@ -1,4 +1,4 @@
-//! Runs whose agent was killed, runs known by their iterations only, and what a batch put aside leaves behind.
+//! Runs whose agent was killed, runs known by their iterations only, and gaps left by quarantined batches.
 
 use peernet_logger::RunId;
 use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
@@ -35,7 +35,7 @@ async fn another_process_ends_the_runs_of_the_one_before_and_not_its_own() {
     bed.commit(&[after_restart]).await;
     assert_eq!(ends(&bed).await, [None]);
 
-    // The greeting of the next process and its first run in one transaction.
+    // The hello of the next process and its first run are in one transaction.
     let (greeting, run) = (hello(&bed, u64::MAX), RunId::random());
     let begun = bed.batch(vec![generate::run_started(run, "other", NOW)]);
     bed.commit(&[greeting, begun]).await;
@@ -68,7 +68,7 @@ async fn a_new_run_of_the_pipeline_ends_the_one_before() {
     bed.commit(&[begun]).await;
     assert_eq!(ends(&bed).await, [Some((2.0, LEFT.to_owned())), None, None]);
 
-    // What comes late is stored and moves the end; the real end counts.
+    // Late iterations are stored and move the end; the reported end replaces it.
     let late = iterations(&bed, first, 11..=15);
     let late = bed.batch(late);
     bed.commit(&[late]).await;
@@ -116,7 +116,7 @@ async fn the_live_lane_names_a_run_known_by_its_iterations_once() {
 async fn events_of_batches_put_aside_count_as_missing() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(5).await;
-    // An iteration more than once; a batch that is cut off; one whose head claims more events than it has bytes.
+    // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has bytes.
     let twice = [6, 6, 6].map(|n| iterations(&bed, run, n..=n)).concat();
     let twice = bed.batch(twice);
     let mut unreadable = |events: u32| {

@@ -1,4 +1,4 @@
-//! Where the episodes of a run begin, and what stands beside them.
+//! Episodes of a run, its warm-up, and iterations without an answer.
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -7,13 +7,13 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{Bed, generate};
 use crate::types::Episodes;
 
-/// Numbers an iteration as an agent does.
+/// Sets episode and step as an agent does.
 fn placed(iteration: &mut Iteration, steps: u64) {
     let before = iteration.number - 1;
     (iteration.episode, iteration.step) = ((before / steps) as u32, (before % steps) as u32);
 }
 
-/// Stores a run of so many iterations, five a second, each changed by `change`; those it refuses never arrive.
+/// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it out.
 async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
     let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
@@ -60,7 +60,7 @@ async fn a_run_of_one_episode_has_no_border() {
     stored(&mut bed, 40, |_| true).await;
     let known = bed.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders.len(), known.warm_up_until), (1, None, 0, None));
-    // All of it is warm-up still.
+    // The whole run is warm-up.
     stored(&mut bed, 5, |iteration| {
         iteration.warm_up = true;
         true

@@ -1,4 +1,4 @@
-//! Logs beside a database that are its own, and one that is not.
+//! Logs beside a database that belong to it or to another file.
 
 use std::fs;
 use std::os::unix::fs::FileExt;
@@ -35,7 +35,7 @@ async fn iterations(path: &Path) -> i64 {
     number(path, "SELECT count(*) FROM iteration").await
 }
 
-/// What stands in the file itself.
+/// Returns the number in the file itself.
 fn id(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }
@@ -44,7 +44,7 @@ fn log_of(path: &Path) -> PathBuf {
     PathBuf::from(format!("{}-wal", path.display()))
 }
 
-/// The files as a process that is killed leaves them.
+/// Copies the files in the state in which a killed process leaves them.
 fn killed(bed: &Bed) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
@@ -123,7 +123,7 @@ async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
-    // SQLite does not apply a log whose sums are wrong.
+    // SQLite does not apply a log with wrong checksums.
     let log = fs::File::options().write(true).open(log_of(&path)).expect("opens");
     log.write_all_at(&[0xa5; 4], 100).expect("writes");
     start(&path).await.expect("opens");
@@ -147,7 +147,7 @@ async fn a_database_whose_process_was_killed_opens_with_its_log() {
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
-    // One of an earlier version, where the log is the first to have a number.
+    // A database of an earlier version, whose log has the number first.
     bed.writer.close().await.1.expect("closes");
     bed.store.close().await;
     fs::File::options()

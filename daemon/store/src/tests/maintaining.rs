@@ -1,4 +1,4 @@
-//! Copies of the database and looks at its health, beside the writer.
+//! Backups and examinations of a database that is being written.
 
 use std::os::unix::fs::FileExt;
 use std::path::Path;
@@ -31,7 +31,7 @@ async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_plac
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     let target = bed.path.with_file_name("copy.sqlite");
-    // What a backup that was killed left behind is in nobody's way.
+    // A file that a killed backup left behind does not matter.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
     let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);
@@ -49,7 +49,7 @@ async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_plac
 
     let again = Backup::prepare(&bed.path, &target).await.expect_err("it exists");
     assert!(matches!(again, BackupError::Exists(_)), "{again}");
-    // A name that was taken meanwhile is left to who took it.
+    // A file that was created under the name meanwhile is not replaced.
     let other = bed.path.with_file_name("other.sqlite");
     let backup = Backup::prepare(&bed.path, &other).await.expect("can be read");
     std::fs::write(&other, b"theirs").expect("writable");
@@ -151,7 +151,7 @@ async fn a_damaged_page_is_found_and_named() {
     assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
     assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
 
-    // And one that is no database at all, and one that is another program's.
+    // Also a file that is no database, and the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("no database")), "{report:?}");

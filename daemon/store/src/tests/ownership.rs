@@ -1,4 +1,4 @@
-//! Whose data it is: what hosts say of the runs of others, and their secrets.
+//! Reports of hosts on the runs of others, and the hosts' secrets.
 
 use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
@@ -20,7 +20,7 @@ fn ended(run: RunId) -> Event {
     Event::RunEnded(RunEnded { run, ended: NOW, reason: "taken".into() })
 }
 
-/// Goes on as the other host, in a stream of its own.
+/// Continues as the other host, in another stream.
 fn as_other(bed: &mut Bed) {
     (bed.edge, bed.cloud) = (bed.cloud, bed.edge);
     (bed.stream, bed.next) = (StreamId::random(), 1);
@@ -69,7 +69,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
     assert_eq!(committed.runs, [(bed.edge, run, 2)]);
     assert_eq!(bed.count("SELECT ok FROM run WHERE number = 2").await, 5);
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE run IS NOT NULL").await, 0);
-    // It is found again by another writer, and its iterations are known when they come again.
+    // Another writer finds it again, and its iterations are known when they arrive again.
     bed.writer = open(&bed.path).await;
     bed.stream = StreamId::random();
     bed.next = 1;
@@ -112,7 +112,7 @@ async fn secret_is_kept_once_and_cleared_beside_the_writer() {
 #[tokio::test]
 async fn hosts_that_only_others_name_are_not_known() {
     let mut bed = Bed::new().await;
-    // Agents that serve an experiment never meet this aggregator: iterations name them.
+    // Agents that serve an experiment do not report to this aggregator: only iterations name them.
     for seed in 1..=5 {
         let (run, cloud) = (RunId::random(), HostId::random());
         let mut numbers = generate::Numbers::new(seed);

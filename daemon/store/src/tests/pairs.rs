@@ -1,4 +1,4 @@
-//! Two values of single iterations: which are looked at, and what an iteration with several nodes has.
+//! Pairs of values: which iterations are read, and the value of an iteration with several nodes of a name.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -9,11 +9,11 @@ use super::{Bed, NOW, generate};
 use crate::retention::Retention;
 use crate::types::Pairs;
 
-/// Milliseconds of inference that each of these iterations has beside what the generator gives it.
+/// Duration in milliseconds of an additional inference node.
 const SLOW: f64 = 1_000.0;
 
 impl Bed {
-    /// An iteration whose answer has ten bytes and two tokens for each of its number, and takes as many seconds.
+    /// Makes an iteration whose answer has ten bytes and two tokens times its number, and takes as many seconds.
     fn talking(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -100,7 +100,7 @@ async fn several_nodes_are_one_number_as_in_the_results() {
     let (model, _) = twice.tree.find(&["inference"]).expect("a stage");
     let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
     twice.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
-    // A part of the model that is called as the whole counts once.
+    // A child of the stage with the same name counts once.
     twice.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
     for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
         twice.tree.add(parent, "completion-tokens".into(), Span::ZERO, Measure::Value(value, Unit::NONE));

@@ -1,4 +1,4 @@
-//! What readers are told.
+//! Answers of the store to its readers.
 
 use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
@@ -10,7 +10,7 @@ use super::{Bed, generate};
 use crate::figures::Figures;
 use crate::types::{IterationFilter, RunFilter, RunStatistics};
 
-/// The values of one name in the iterations of [`Bed::run_of`].
+/// Returns the values of one name in the iterations of [`Bed::run_of`].
 fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
     let mut numbers = generate::Numbers::new(7);
     (1..=iterations)
@@ -178,7 +178,7 @@ async fn the_slowest_come_first_and_name_their_culprit() {
     assert_eq!((first.rank, tenth.rank), (Some(1), Some(10)));
     assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
     assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
-    // Those that took equally long have an order, too.
+    // Iterations with equal totals have a defined order, too.
     let mut other = bed.other().await;
     sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
         .bind(numbers[3].cast_signed())
@@ -226,7 +226,7 @@ async fn a_histogram_counts_every_sample_once() {
         assert_eq!(histogram.counts.iter().sum::<u64>() + histogram.beyond, 500, "{stage}");
         assert!(histogram.edges.windows(2).all(|pair| pair[0] < pair[1]));
     }
-    // The middle of the axis lies where the samples' middle lies, within the sketch's 1 %.
+    // The border of the two bins divides the samples correctly, within the sketch's 1 %.
     let histogram = bed.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
     let exact =
         values(&bed, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count() as u64;

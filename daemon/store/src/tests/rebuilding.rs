@@ -1,4 +1,4 @@
-//! Roll-ups made from the nodes are those that grew with them.
+//! Rebuilt roll-ups are equal to those that grew with the nodes.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -10,7 +10,7 @@ use super::rollups::{assert_same, table};
 use super::{Bed, NOW};
 use crate::rebuild::{Rebuilt, rebuild};
 
-/// Iterations over some hours in any order, some of the warm-up, some without an answer.
+/// Makes iterations over some hours in random order, some of the warm-up, some without an answer.
 fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
     let mut all: Vec<Iteration> = (1..=count)
         .map(|number| {
@@ -32,7 +32,7 @@ fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<E
     all.into_iter().map(Event::Iteration).collect()
 }
 
-/// A database with two runs whose iterations came in any order, in commits of any size.
+/// Makes a database with two runs whose iterations arrived in random order, in commits of random sizes.
 async fn mixed(seed: u64) -> Bed {
     let mut bed = Bed::new().await;
     let mut numbers = Numbers::new(seed);
@@ -68,7 +68,7 @@ async fn a_rebuild_equals_what_grew() {
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         let grown = table(&mut connection).await;
         assert!(grown.len() > 10_000 && judged.len() == 4, "{} {judged:?}", grown.len());
-        // Something is wrong with all of them, and one is too many.
+        // All of them are wrong, and there is one too many.
         sqlx::raw_sql("UPDATE rollup SET count = count + 1, mean = 7; UPDATE verdict_count SET count = 1")
             .execute(&mut connection)
             .await
@@ -110,7 +110,7 @@ async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
     bed.commit(&[work]).await;
-    // What drivers give for "nothing there", among readings.
+    // Numbers that drivers report for "nothing there", among readings.
     for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
         let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
@@ -128,7 +128,7 @@ async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
     assert_same(&grown, &table(&mut connection).await);
 }
 
-/// A version before counted readings as good as infinite in.
+/// An earlier version counted readings close to infinity.
 #[tokio::test]
 async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
     let mut bed = Bed::new().await;

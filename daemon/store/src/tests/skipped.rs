@@ -1,4 +1,4 @@
-//! Starts that were skipped count whatever became of the iterations that tell of them.
+//! Counting of skipped starts, whatever the outcome of the iterations that report them.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
@@ -7,11 +7,11 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{Bed, NOW, generate};
 use crate::rebuild::rebuild;
 
-/// Starts that were skipped in [`Bed::run_that_skips`].
+/// Number of starts that were skipped in [`Bed::run_that_skips`].
 pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
 impl Bed {
-    /// An iteration before which so many starts were skipped.
+    /// Makes an iteration before which `skipped` starts were skipped.
     fn late(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -67,7 +67,7 @@ async fn a_rebuild_counts_skipped_starts_again() {
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
 
-    // Of a part of the iterations nobody can count them.
+    // If a part of the iterations is deleted, they cannot be counted again.
     sqlx::query("INSERT INTO trimmed (run, kind, before_s) VALUES (1, 0, 9000000000)")
         .execute(&mut connection)
         .await

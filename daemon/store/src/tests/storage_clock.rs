@@ -11,7 +11,7 @@ use crate::{IncidentRow, RetentionConfig};
 
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
-/// So long after the test began.
+/// Returns the clocks' readings some seconds after the begin of the test.
 fn after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }
@@ -29,20 +29,20 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     }
     let elapsed = bed.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
-    // A transaction stores it as well.
+    // Other transactions store it as well.
     let work = [hello(generate::host(bed.edge, "edge"), 1)];
     bed.writer.commit(&work, after(100)).await.expect("commits");
     assert_eq!(bed.count(ELAPSED_S).await, 100);
-    // The wall clock alone moves.
+    // Only the wall clock moves.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [after(101).wall + month, after(101).wall - month] {
         bed.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
     }
     assert_eq!(bed.count(ELAPSED_S).await, 101);
-    // Nobody was storing for a day.
+    // The aggregator did not store for a day.
     bed.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
     assert_eq!(bed.count(ELAPSED_S).await, 161);
-    // Another process, on a machine that booted later: it goes on from there, with its first transaction.
+    // Another process, on a machine that booted later: the clock continues with its first transaction.
     bed.writer = open(&bed.path).await;
     for seconds in [0, 40] {
         bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
@@ -69,7 +69,7 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
     assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
     assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
 
-    // It starts again after the clock was set back.
+    // The aggregator starts again after the clock was set back.
     let connection = database::open(&bed.path).await.expect("opens");
     let config = RetentionConfig::default();
     bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
@@ -118,7 +118,7 @@ async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
     assert_eq!(incidents(&bed).await[0].text, "new");
 }
 
-/// Seconds that really pass, one look each minute: from the first commit to the deletion by an aggregator's writer.
+/// Simulates real time, with one check each minute, from the first commit to the deletion by an aggregator's writer.
 #[tokio::test]
 async fn data_goes_after_its_period_of_running_time() {
     let mut bed = Bed::new().await;
@@ -138,7 +138,7 @@ async fn data_goes_after_its_period_of_running_time() {
     look(&mut bed, 1..24 * 60).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
     let seconds = bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
-    // What arrives within a sixty-fourth of the period goes together.
+    // Data that arrives within a sixty-fourth of the period is deleted together.
     look(&mut bed, 24 * 60..24 * 60 + 26).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);

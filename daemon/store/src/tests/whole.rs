@@ -1,4 +1,4 @@
-//! Iterations are read back as they were sent.
+//! Reading of iterations as they were sent.
 
 use peernet_clock::Span;
 use peernet_logger::{HostId, Measure, NodeId, RunId};
@@ -11,7 +11,7 @@ async fn run(bed: &Bed) -> RunSummary {
     bed.store.run(1).await.expect("answers").expect("exists").summary
 }
 
-/// Stores a run of so many, then one that was lost and one with a part more; returns them all.
+/// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
 async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
     let run = bed.run_of(iterations).await;
     let mut numbers = generate::Numbers::new(7);
@@ -52,7 +52,7 @@ async fn each_shape_of_a_tree_is_found_once_on_a_page() {
     assert_eq!(bed.store.whole(&run, 43).await.expect("answers"), None);
 }
 
-/// A published server reports to no aggregator: it is known by what the edge calls it.
+/// A published server reports to no aggregator: it has the name that the edge gives it.
 #[tokio::test]
 async fn a_server_that_never_reported_has_the_name_of_the_run() {
     let mut bed = Bed::new().await;

@@ -1,4 +1,4 @@
-//! What the writer promises: each batch exactly once, a bad one aside, nothing half done.
+//! Promises of the writer: each batch is stored exactly once, an invalid one is quarantined, and nothing is half stored.
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
@@ -16,7 +16,7 @@ fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> 
     numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
 }
 
-/// How many iterations are in the statistics of whole runs.
+/// Number of iterations in the statistics of whole runs.
 const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
      WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'";
 
@@ -122,7 +122,7 @@ async fn iterations_that_come_again_in_another_stream_are_left_out() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(20).await;
     let stranger = RunId::random();
-    // A copy of the spool goes on by itself: half of what it sends is known, some of it of a run that is not.
+    // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown run.
     bed.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     events.extend(iterations(&bed, run, 11..=30));
@@ -163,16 +163,16 @@ async fn nothing_is_acknowledged_without_the_log() {
     for _ in 0..2 {
         let refused = bed.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
         assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
-        // As another program would that opens the database.
+        // Another program that opens the database would create it.
         std::fs::write(&log, "").expect("writes");
     }
     assert!(bed.writer.check_file().is_err());
-    // A restart goes on with what is in the main file.
+    // After a restart, the contents of the main file count.
     let Bed { _folder, path, writer, store, stream, .. } = bed;
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has carried over what it still had open; what was refused is not stored.
+    // SQLite has carried over the log that it had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -273,7 +273,7 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     );
     bed.commit(&[first, renewed]).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    // Handed in twice, as after a commit that was not told of.
+    // Handed in twice, as after a commit whose result was lost.
     bed.commit(std::slice::from_ref(&replaced)).await;
     let committed = bed.commit(&[replaced]).await;
     assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);

@@ -1,4 +1,4 @@
-//! Experiments, and the series over time that comparing and judging runs needs.
+//! Runs that were declared together, and what comparing and judging runs needs of their course.
 
 use peernet_clock::WallTime;
 use peernet_logger::Name;
@@ -8,23 +8,23 @@ use serde::Serialize;
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ExperimentSummary {
-    /// Random identifier, the same for all runs of one execution.
+    /// Random, the same for all runs of one execution.
     pub id: String,
     /// The name in its file.
     pub name: String,
-    /// Number of runs that began.
+    /// Runs that began.
     pub runs: u64,
-    /// Number of these runs that have not ended.
+    /// Of them those that have not ended.
     pub open: u64,
     /// The number of its first run.
     pub oldest: i64,
     /// The number of its last run.
     pub newest: i64,
-    /// Start of the first run on its edge's wall clock.
+    /// When the first began, on its edge's wall clock.
     pub started: WallTime,
 }
 
-/// One node name over the time of a run, summarised in buckets.
+/// One node name over the time of a run, summed up in buckets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageCourse {
     /// The node's name.
@@ -44,13 +44,13 @@ pub struct StageMeans {
     pub buckets: Vec<MeanBucket>,
 }
 
-/// Statistics of one bucket without its sketch.
+/// What is known of one bucket without its sketch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanBucket {
-    /// Begin of the bucket on the edge's wall clock; a multiple of the bucket's width.
+    /// Its begin, on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Number of samples.
+    /// Samples.
     pub count: u64,
-    /// Mean of the samples.
+    /// Their mean.
     pub mean: f64,
 }
