@@ -44,7 +44,7 @@ pub enum OpenError {
     NotADatabase {
         /// The configured file.
         path: PathBuf,
-        /// What the file is.
+        /// Kind of the file.
         what: &'static str,
     },
     /// Another process has locked the database.
@@ -106,7 +106,7 @@ pub enum StoreError {
     /// SQLite reported an error.
     #[error("cannot read {what} from the database: {source}")]
     Database {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
         /// SQLite's error.
         source: DatabaseError,
@@ -114,7 +114,7 @@ pub enum StoreError {
     /// The database is damaged.
     #[error("cannot read or write {what}: {refusal}")]
     Damaged {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
         /// Description of the damage and of what to do.
         refusal: String,
@@ -124,7 +124,7 @@ pub enum StoreError {
         "cannot write {what} to the database: {source}; the aggregator's log tells whether it stores at all"
     )]
     Write {
-        /// What was to be written.
+        /// Data that was to be written.
         what: &'static str,
         /// SQLite's error.
         source: DatabaseError,
@@ -135,7 +135,7 @@ pub enum StoreError {
         limit.as_secs_f64()
     )]
     TooLong {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
         /// The time limit of a statement.
         limit: Duration,
@@ -145,19 +145,19 @@ pub enum StoreError {
         "cannot read {what} from the database: all connections of [aggregator] readers are busy; ask again, or raise their number"
     )]
     Busy {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
     },
     /// The database is closed at present.
     #[error("cannot read {what}: the database is not open now; /readyz says why")]
     Closed {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
     },
     /// The database holds a value that this version cannot have written.
     #[error("cannot make sense of {what} in the database: {detail}")]
     Corrupt {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
         /// Description of the invalid value.
         detail: String,

@@ -186,7 +186,7 @@ impl Store {
         read::pairs::pairs(&self.readers, run, names, most).await
     }
 
-    /// Returns one iteration with its tree.
+    /// One iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
         read::iterations::iteration(&self.readers, run, number).await
     }

@@ -36,7 +36,7 @@ pub enum BackupError {
     NotADatabase {
         /// The file.
         path: PathBuf,
-        /// What the file is.
+        /// Kind of the file.
         what: &'static str,
     },
     /// The log of another database lies beside the file.

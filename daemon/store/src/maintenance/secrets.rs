@@ -22,7 +22,7 @@ pub enum ClearSecretError {
     NotADatabase {
         /// The file.
         path: PathBuf,
-        /// What the file is instead.
+        /// Kind of the file.
         what: &'static str,
     },
     /// The log of another database lies beside the file.

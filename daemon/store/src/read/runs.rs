@@ -1,4 +1,4 @@
-//! Runs.
+//! Runs and experiments.
 
 use std::collections::HashMap;
 
@@ -79,7 +79,7 @@ pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<Ru
     summaries(readers, &rows).await
 }
 
-/// The runs of an experiment, oldest first.
+/// Returns the runs of an experiment, oldest first.
 pub(crate) async fn runs_of_experiment(
     readers: &Readers,
     id: &str,
@@ -94,7 +94,7 @@ pub(crate) async fn runs_of_experiment(
     summaries(readers, &rows).await
 }
 
-/// Experiments, the one with the newest run first.
+/// Returns experiments, the one with the newest run first.
 pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
     let rows: Vec<ExperimentRow> = sqlx::query_as(sql::EXPERIMENTS)
         .bind(limit.clamp(1, 1_000))
@@ -120,7 +120,7 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
     rows.iter().map(|row| summary(row, totals.get(&row.number), late.get(&row.number))).collect()
 }
 
-/// Whether answered iterations missed their deadline, of the runs that have one.
+/// Returns the missed deadlines among answered iterations, for the runs with a deadline.
 async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
@@ -130,7 +130,7 @@ async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>,
     statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
 }
 
-/// The deadline in the pipeline's table as the agent writes it, seconds: its plain keys stand before its tables.
+/// Reads the deadline in seconds from the pipeline's table as the agent writes it: its plain keys precede its tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
     let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
@@ -150,14 +150,14 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         summary: summary(&row, totals.get(&number), late.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
-        // Earlier builds stored the arguments of programs.
+        // Earlier versions stored the arguments of programs.
         configuration: hide_arguments(&row.configuration),
         version: row.version,
         gaps: gaps(readers, number).await?,
     }))
 }
 
-/// What is missing of a run, oldest first.
+/// Returns the gaps of a run, oldest first.
 pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
     let rows: Vec<(i64, i64, i64, String)> = sqlx::query_as(sql::GAPS)
         .bind(run)
@@ -189,7 +189,7 @@ fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<
         .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
-    // The sum of ones and zeros.
+    // Sum of ones and zeros.
     let late = late.map_or(0.0, |known| known.summary.moments.mean * known.summary.moments.count as f64);
     let unanswered = count(row.failed) + count(row.lost) + count(row.timeout);
     Ok(RunSummary {
@@ -221,7 +221,7 @@ fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
         total: total.and_then(Known::figures),
-        // Of the edge itself, and of each cloud by its name.
+        // A fact about the edge itself, or about a cloud with its name.
         rehearsed: facts(row)?
             .iter()
             .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),

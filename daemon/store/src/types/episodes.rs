@@ -27,7 +27,7 @@ pub struct Episodes {
 impl Episodes {
     /// Most episodes whose borders are shown: more would cover the chart.
     pub const MOST_BORDERS: u32 = 30;
-    /// Most unanswered iterations in a chart: nobody could distinguish more.
+    /// Most unanswered iterations in a chart: more could not be distinguished.
     pub const MOST_UNANSWERED: usize = 300;
     /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.
     pub const MOST_COUNTED: u64 = 10_000;

@@ -18,7 +18,7 @@ const STORED: &str = "SELECT iteration.number FROM run \
      CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = asked.value \
      WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
-/// Returns the iterations of a batch that are already stored in runs of its own host.
+/// Returns the iterations of a batch that are already stored in runs of the same host.
 pub(super) async fn stored(
     connection: &mut SqliteConnection,
     batch: &Prepared,

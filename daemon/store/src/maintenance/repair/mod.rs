@@ -53,7 +53,7 @@ pub enum RepairError {
     Unreadable {
         /// The database.
         path: PathBuf,
-        /// What cannot be read.
+        /// Part that cannot be read.
         what: &'static str,
     },
     /// The database was written by a newer version.
