@@ -43,8 +43,8 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Id under which it is stored. It differs from the reported id if another host used that one first, so that no host can take an id before its
-    /// owner comes.
+    /// Id under which it is stored. It differs from the reported id if another host used that one first, so that no host can
+    /// take an id before its owner comes.
     uuid: RunId,
 }
 
