@@ -8,7 +8,7 @@ use clap_complete::Shell;
 
 use crate::Line;
 
-/// What `peernet completions` can be told.
+/// Arguments of `peernet completions`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Which shell.
@@ -18,7 +18,7 @@ pub(crate) struct Arguments {
 /// Prints the script.
 ///
 /// # Errors
-/// Never, as long as the program's own words are text (70).
+/// When the script is not UTF-8 (70), which does not happen.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Line::command(), "peernet", &mut script);

@@ -1,12 +1,12 @@
-//! Errors about values of a configuration, without the names that Rust has for types.
+//! Errors about values of a configuration, without names of Rust types.
 
 use toml::de::Error;
 
-/// A number's range is told by the check that follows; what serde says of its type is for programmers.
+/// Words for serde's names of types. The range of a number is reported by a later check.
 const WORDS: [(&str, &str); 3] =
     [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
 
-/// What the error says, for people.
+/// Returns the text of the error in words for users.
 pub fn told(error: &Error) -> String {
     let text = error.message();
     let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
@@ -21,7 +21,7 @@ pub fn told(error: &Error) -> String {
     if matches!(kind, "f32" | "f64") { format!("{wrong}, expected a number") } else { text.to_owned() }
 }
 
-/// `64` of `u64`, `size` of `usize`, or, after `a nonzero`, all of it.
+/// Returns whether `rest` is the `64` of `u64`, the `size` of `usize`, or the whole type after `a nonzero`.
 fn is_size_or_type(rest: &str) -> bool {
     let size = rest.strip_prefix(['u', 'i']).unwrap_or(rest);
     matches!(size, "8" | "16" | "32" | "64" | "128" | "size")

@@ -1,5 +1,5 @@
-//! The command `peernet`, and what it shares with the daemon's: clocks, exit codes, what is wrong with a value, the
-//! terminal and what it is told of long texts, the log's form, what is a wish to end, the version.
+//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, errors about values, output to the
+//! terminal and shortening of long texts, the form of log lines, requests to end, and the version.
 
 mod address;
 mod api;
@@ -34,7 +34,7 @@ use crate::exit::Failure;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
-/// Version with the commit it was built from.
+/// Version of the program with the commit that it was built from.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
 
 /// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
@@ -99,7 +99,7 @@ impl Command {
 /// Subcommands that only `peernetd` has.
 const OF_DAEMON: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
 
-/// Adds to the error about an unknown subcommand which program has it.
+/// Adds the name of the program with the command to an error about an unknown subcommand.
 fn with_program(mut error: clap::Error) -> clap::Error {
     let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
     if OF_DAEMON.contains(&wanted.as_str()) {
@@ -109,7 +109,7 @@ fn with_program(mut error: clap::Error) -> clap::Error {
     error
 }
 
-/// The program `peernet`: carries out what its command line asks for.
+/// Runs the program `peernet`: parses the command line and executes the command.
 pub fn main() -> ExitCode {
     let line = match Line::try_parse() {
         Ok(line) => line,
@@ -118,7 +118,7 @@ pub fn main() -> ExitCode {
     let done = match line {
         Line { command: Some(command), .. } => command.run(),
         Line { published: Some(published), .. } => published::run(&published),
-        // The parser lets neither through: one of both is required.
+        // The parser requires one of the two.
         Line { .. } => Ok(()),
     };
     output::end(done).into()

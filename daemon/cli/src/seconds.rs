@@ -1,25 +1,25 @@
-//! Times of the command line, in seconds.
+//! Durations on the command line, in seconds.
 
 use std::num::ParseFloatError;
 
-/// Seconds of the longest time: a day.
+/// Longest duration in seconds: a day.
 const MOST: f64 = 86_400.0;
 
-/// A text that is no time within its limits.
+/// A text that is no duration within its limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum SecondsError {
-    /// It is no number.
+    /// It is not a number.
     #[error(transparent)]
     NotANumber(#[from] ParseFloatError),
     /// It is too short or too long.
     #[error("from {least} to {MOST}")]
     OutOfRange {
-        /// The shortest time; seconds.
+        /// Shortest duration in seconds.
         least: f64,
     },
 }
 
-/// Reads a time from `least` seconds to a day.
+/// Reads a duration between `least` seconds and a day.
 pub(crate) fn seconds(text: &str, least: f64) -> Result<f64, SecondsError> {
     let seconds = text.parse::<f64>()?;
     if (least..=MOST).contains(&seconds) { Ok(seconds) } else { Err(SecondsError::OutOfRange { least }) }

@@ -1,15 +1,15 @@
-//! Texts that hold a value of the user's, which may have thousands of characters and lines.
+//! Shortening of texts with a value of the user's, which may have thousands of characters and lines.
 
 use std::borrow::Cow;
 
 use peernet_sample::printable_line;
 
-/// Characters of the longest line that is told whole.
+/// Length in characters of the longest line that is not shortened.
 const LINE: usize = 600;
-/// Characters of the longest value of a command line that is told whole.
+/// Length in characters of the longest value that is not shortened.
 const VALUE: usize = 200;
 
-/// A text with the middle of its overlong lines left out.
+/// Shortens the overlong lines of a text in their middle.
 pub fn lines(text: &str) -> Cow<'_, str> {
     if text.lines().all(|line| line.len() <= LINE) {
         return Cow::Borrowed(text);
@@ -18,7 +18,7 @@ pub fn lines(text: &str) -> Cow<'_, str> {
     Cow::Owned(lines.join("\n"))
 }
 
-/// A value of a command line, in one line, without its middle when it is overlong.
+/// Converts a value of a command line to one line, shortened in its middle if it is overlong.
 pub fn value(text: &str) -> Cow<'_, str> {
     match printable_line(text) {
         Cow::Borrowed(text) => cut(text, VALUE),
@@ -26,7 +26,7 @@ pub fn value(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// What it is about stands in front, what was expected at its end.
+/// Shortens a text in its middle: the subject is at its begin, the expected value at its end.
 fn cut(text: &str, most: usize) -> Cow<'_, str> {
     let all = text.chars().count();
     if all <= most {

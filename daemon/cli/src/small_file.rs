@@ -1,21 +1,22 @@
-//! Small text files: those that the command line names, and those that are found in folders.
+//! Reading of small text files: those that the command line names, and those that are found in folders.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
-/// Bytes of the largest file that people write by hand.
+/// Size in bytes of the largest file that people write by hand.
 pub const LARGEST: u64 = 1 << 20;
 
-/// The text of a regular file or a pipe of at most `largest` bytes: a device, a terminal or a recording given by mistake
-/// would be read, or waited for, without an end. A pipe is `<(…)` or `/dev/stdin` of a shell; it can be read once, and
-/// is waited for until its writer has closed it.
+/// Reads a regular file or a pipe of at most `largest` bytes.
+///
+/// A device, a terminal or a recording that is given by mistake could be read without an end. A pipe is `<(…)` or
+/// `/dev/stdin` of a shell; it can be read once, and is read until its writer has closed it.
 ///
 /// # Errors
-/// When it cannot be read, is neither file nor pipe, is larger, or is no UTF-8.
+/// When it cannot be read, is neither file nor pipe, is larger, or is not UTF-8.
 pub fn read(path: &Path, largest: u64) -> io::Result<String> {
-    // Before it is opened: to open some devices does something.
+    // Checked before it is opened: opening some devices has an effect.
     let kind = path.metadata()?.file_type();
     if !kind.is_file() && !kind.is_fifo() {
         return Err(io::Error::other("it is neither a regular file nor a pipe: is this the right file?"));
@@ -23,11 +24,11 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     text(path, largest)
 }
 
-/// The text of a regular file that was found in a folder, of at most `largest` bytes. Nobody has promised to write into a
-/// pipe there.
+/// Reads a regular file of at most `largest` bytes that was found in a folder. A pipe found there is refused: there may be no
+/// writer, and reading would wait for ever.
 ///
 /// # Errors
-/// When it cannot be read, is no regular file, is larger, or is no UTF-8.
+/// When it cannot be read, is no regular file, is larger, or is not UTF-8.
 pub fn read_found(path: &Path, largest: u64) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file"));

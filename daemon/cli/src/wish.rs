@@ -1,22 +1,22 @@
-//! Wishes to end, of which one may come as two signals.
+//! Requests to end the program by signals. One request may arrive as two signals.
 
 use std::time::Duration;
 
 use tokio::signal::unix::SignalKind;
 use tokio::time::Instant;
 
-/// Signals of one kind within this time are one wish: `timeout` signals a process and then its group, of which the process
-/// is a part.
+/// Time within which signals of one kind are one request: `timeout` signals a process and then its group, to which the process
+/// belongs.
 const ONE_WISH: Duration = Duration::from_millis(500);
 
-/// Tells signals that repeat a wish from those that are another.
+/// Detection of signals that repeat a request.
 #[derive(Debug, Default)]
 pub struct Wishes {
     last: Option<(SignalKind, Instant)>,
 }
 
 impl Wishes {
-    /// Whether a signal that has come now is a wish of its own.
+    /// Returns whether a signal that arrives at `now` is another request.
     pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
         let repeats = |(before, at): (SignalKind, Instant)| before == kind && now - at < ONE_WISH;
         if self.last.is_some_and(repeats) {

@@ -1,14 +1,15 @@
-//! Where a run that was streamed can be seen.
+//! Hint at the dashboard on which a streamed run can be seen.
 
 use std::fmt::Display;
 
 use peernet_networks::Address;
 
-/// The port that a dashboard has unless its `[web] listen` says otherwise.
+/// Port of a dashboard unless its `[web] listen` sets another.
 const PORT: u16 = 8040;
 
-/// A sentence that says where to look for what was streamed to an aggregator, once that has all of it. Of the aggregator
-/// only the event port is known here.
+/// Returns a sentence about the dashboard that shows `what`. `has_all` is `false` while events wait for delivery.
+///
+/// Only the event port of the aggregator is known here, so the port of the dashboard is the usual one.
 pub(crate) fn where_seen(what: impl Display, aggregator: &Address, has_all: bool) -> String {
     if !has_all {
         let at = aggregator.authority();

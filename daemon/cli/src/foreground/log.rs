@@ -1,7 +1,7 @@
-//! What users' own code prints, what makes connections worse than they could be, and with `PEERNET_LOG` the log.
+//! Output of users' code, remarks on connections, and with `PEERNET_LOG` the log.
 //!
-//! On a terminal it stands above the progress. A run that is one of an experiment's hands it to the program that shows
-//! the progress: on standard output, each line a text of JSON.
+//! On a terminal it is printed above the progress. A run of an experiment passes it to the program that shows the progress: on
+//! standard output, each line as a JSON text.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, Write};
@@ -20,19 +20,19 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use super::progress::above_the_bar;
 
-/// Where users' lines come from.
+/// Log targets of the lines of users' code.
 const USERS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
-/// Who shows the lines.
+/// The process that shows the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shows {
-    /// This program, on standard error.
+    /// This process, on standard error.
     Itself,
-    /// The one that started it and reads its standard output.
+    /// The process that started it and reads its standard output.
     Parent,
 }
 
-/// Passes on what users' code prints and remarks on connections; the log itself only as far as `PEERNET_LOG` says.
+/// Installs the log: it passes output of users' code and remarks on connections, and other lines only as `PEERNET_LOG` says.
 ///
 /// # Errors
 /// When the variable holds no level (78).
@@ -47,12 +47,12 @@ pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
     })?;
     let log =
         tracing_subscriber::fmt().with_env_filter(filter).with_writer(move || To(shows)).with_ansi(false);
-    // It would print them to standard error itself, through the bar.
+    // It would print its own errors to standard error, through the bar.
     let log = log.log_internal_errors(false).event_format(Form { other: Line::default() }).finish();
     log.try_init().map_err(|error| wrong(error.into()))
 }
 
-/// Takes the log, one whole line at a time.
+/// Writer of the log, which gets one whole line at a time.
 struct To(Shows);
 
 impl Write for To {
@@ -75,7 +75,7 @@ impl Write for To {
     }
 }
 
-/// `model my_model-Net: the line` for users, `warning: the text` for remarks, the form of the log for the rest.
+/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for remarks, the log's form for the rest.
 struct Form {
     other: Line,
 }
@@ -104,7 +104,7 @@ where
     }
 }
 
-/// Who said what.
+/// Name and text of a log event.
 #[derive(Default)]
 struct Said {
     name: String,
@@ -120,7 +120,7 @@ impl Visit for Said {
 
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            // A text takes all that is written to it.
+            // Writing to a string cannot fail.
             let _ = write!(self.line, "{value:?}");
         }
     }

@@ -12,9 +12,9 @@ const UNKNOWN: &str = "neither a refusal nor a word of PEERNet's protocol has co
 /// Current activity of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum PipelineActivity {
-    /// Its sensor has been set up since this time.
+    /// The sensor has been in preparation since this time.
     Preparing(MonoTime),
-    /// Its sensor has been asked for a sample at this time.
+    /// The sensor was asked for a sample at this time.
     Sensing(MonoTime),
     /// Its peer is away; the text is the reason, once it is known.
     Away(Option<String>),

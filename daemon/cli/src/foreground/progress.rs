@@ -1,4 +1,4 @@
-//! How far it is: a bar on a terminal, now and then a line elsewhere.
+//! Display of progress: a bar on a terminal, otherwise a line every few seconds.
 
 use std::fmt::Display;
 use std::io::IsTerminal;
@@ -8,15 +8,15 @@ use crate::output::complain;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_clock::{MonoTime, Span};
 
-/// Between two lines where there is no terminal.
+/// Time between two lines without a terminal.
 const LINE: Span = Span::from_seconds(5);
-/// Steps of the bar.
+/// Number of steps of the bar.
 const STEPS: u64 = 1000;
 
-/// The bar on the terminal, for those who write there without knowing of it: the log is one for the whole program.
+/// The bar on the terminal, for writers that do not know of it: the whole program has one log.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// Writes to standard error with the bar out of the way, if there is one.
+/// Writes to standard error with the bar hidden, if there is one.
 pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
     let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match bar {
@@ -25,13 +25,13 @@ pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
     }
 }
 
-/// Shows how far something is on standard error.
+/// Display of progress on standard error.
 pub(crate) struct Progress {
     shown: Shown,
     said: MonoTime,
-    /// Whether there was trouble at the last look.
+    /// `true` if there was trouble at the last update.
     troubled: bool,
-    /// The reason of trouble that was printed last.
+    /// Reason of trouble that was printed last.
     told: Option<String>,
 }
 
@@ -42,7 +42,7 @@ enum Shown {
 }
 
 impl Progress {
-    /// Nothing is done yet.
+    /// Makes a display in which nothing is done yet.
     pub(crate) fn new(quiet: bool, now: MonoTime) -> Self {
         let shown = match (quiet, std::io::stderr().is_terminal()) {
             (true, _) => Shown::Nothing,
@@ -58,7 +58,7 @@ impl Progress {
         Self { shown, said: now, troubled: false, told: None }
     }
 
-    /// Shows the state at `now` and how much of the whole is done, 0 to 1, or in the state's place what it waits for.
+    /// Shows the state at `now` and the share that is done, 0 to 1, or in its place what is waited for.
     pub(crate) fn show(
         &mut self,
         now: MonoTime,
@@ -83,7 +83,7 @@ impl Progress {
         }
     }
 
-    /// Says something that stays, above the bar.
+    /// Prints a line that stays, above the bar.
     pub(crate) fn say(&self, text: impl Display) {
         match &self.shown {
             Shown::Bar(bar) => bar.suspend(|| complain(text)),
@@ -91,7 +91,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(crate) fn end(&self) {
         if let Shown::Bar(bar) = &self.shown {
             bar.finish_and_clear();
@@ -100,7 +100,7 @@ impl Progress {
     }
 }
 
-/// The text without the reason that stands in it in brackets, if that was printed before: lines stay where they were printed.
+/// Removes the reason in brackets from the text if it was printed before: printed lines stay visible.
 fn without_told_reason(trouble: String, told: &mut Option<String>) -> String {
     let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };

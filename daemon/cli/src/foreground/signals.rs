@@ -1,4 +1,4 @@
-//! Being told to end.
+//! Signals that request the end.
 
 use std::io;
 
@@ -6,12 +6,12 @@ use crate::wish::Wishes;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::Instant;
 
-/// Ctrl-C, what service managers send, and the end of the terminal's session.
+/// Listener for Ctrl-C, for the signal of service managers, and for the end of the terminal's session.
 pub(crate) struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// `None` when it is not listened to: it was switched off, as `nohup` does, or has come. A shell and the system both
-    /// send it when a session ends, which is one wish to end and not two.
+    /// `None` if it is not listened to: it is ignored, as with `nohup`, or has arrived. A shell and the system both send it at the
+    /// end of a session, which is one request and not two.
     hang_up: Option<Signal>,
     wishes: Wishes,
 }
@@ -28,7 +28,7 @@ impl Signals {
         })
     }
 
-    /// Waits for the next wish to end.
+    /// Waits for the next request to end.
     pub(crate) async fn next(&mut self) {
         loop {
             let kind = tokio::select! {
@@ -55,9 +55,9 @@ async fn hung_up(signal: &mut Option<Signal>) {
     }
 }
 
-/// Whether whoever started this program wants it not to mind a signal.
+/// Returns whether the process was started with this signal ignored.
 fn is_ignored(signal: SignalKind) -> bool {
-    // Without the file the system's usual way stands: a signal is minded.
+    // Without the file the signal counts as not ignored, which is the default.
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! What a foreground run takes from an agent's configuration file.
+//! Parts of an agent's configuration file that a foreground run uses.
 
 use std::path::Path;
 
@@ -8,11 +8,11 @@ use crate::small_file;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 
-/// The tables that hold here, too.
+/// Tables that are used.
 const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
 
-/// The tables of an agent's configuration that relate the clocks and name the library, with its name and clock.
-/// Nothing without a file.
+/// Reads the tables of an agent's configuration that relate the clocks and name the library, with the agent's name and clock.
+/// Returns the defaults without a file.
 ///
 /// # Errors
 /// When the file cannot be read (66) or its tables are wrong (78).

@@ -1,8 +1,8 @@
-//! Earlier results, while it is not sure yet that there will be others.
+//! Safe replacement of earlier results: they are kept until new ones are complete.
 //!
-//! A run can be killed at any moment. So that what it leaves can be told apart, `run.json` is the first file that is moved
-//! aside, the last that comes back, and the last of a new run's that matters: where there is one in the folder, the results
-//! there are whole, and what was put aside is of no use any more.
+//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last that is
+//! restored, and the last important file that a new run writes. If it is in the folder, the results there are complete and the
+//! moved ones are obsolete.
 
 use std::fs::{File, read_dir, remove_file, rename};
 use std::io::{BufRead, BufReader, ErrorKind};
@@ -14,26 +14,26 @@ use anyhow::Context;
 use peernet_results::ResultFolder;
 use tempfile::TempDir;
 
-/// How folders begin that hold results which were moved out of the way.
+/// Prefix of the folders that hold moved results.
 const PREFIX: &str = ".replaced-";
-/// The file that makes results whole.
+/// The file that makes results complete.
 const RECORD: &str = "run.json";
 const DATA: &str = "data.csv";
-/// What the rows are called of runs that came to nothing: killed, or without room for their results.
+/// Names of the rows of runs without results: killed ones, and ones whose results did not fit on the disk.
 const NOTHING: [&str; 2] = [KILLED, UNFINISHED];
 const KILLED: &str = "killed";
 const UNFINISHED: &str = "unfinished";
 
-/// Results that were moved out of the way. Dropping it puts them back.
+/// Results that were moved away. Dropping it restores them.
 #[derive(Debug)]
 pub(super) struct Aside {
     home: PathBuf,
-    /// A folder in it; `None` when there is nothing to put back.
+    /// Folder in `home` that holds them; `None` if there is nothing to restore.
     kept: Option<TempDir>,
 }
 
 impl Aside {
-    /// Moves the results in a folder aside.
+    /// Moves the results of a folder away.
     ///
     /// # Errors
     /// When they cannot be moved (73).
@@ -54,13 +54,13 @@ impl Aside {
         Ok(aside)
     }
 
-    /// Whether a run was killed here that had moved results aside, or is under way.
+    /// Returns whether a run that has moved results here was killed, or is still running.
     pub(super) fn is_left(home: &Path) -> bool {
         left(home).next().is_some()
     }
 
-    /// Puts results back that a killed run had moved aside, or takes them away where it was done but for that. What it had
-    /// measured until then stays beside them. Nobody else may write to the folder meanwhile.
+    /// Restores results that a killed run had moved away, or removes them if its new results are complete. The rows of the killed
+    /// run are kept under another name. No other program may write to the folder meanwhile.
     ///
     /// # Errors
     /// When they cannot be moved (73).
@@ -94,8 +94,8 @@ impl Aside {
         Ok(())
     }
 
-    /// The rows that stand in their place are nowhere else: gives them a name under which they stay when the earlier ones
-    /// come back. `None` when there are none, or nothing comes back.
+    /// Renames the new rows, which exist nowhere else, so that they stay when the earlier results are restored. Returns the new
+    /// name; `None` if there are no rows or nothing will be restored.
     pub(super) fn keep_rows(&self) -> Option<String> {
         self.kept.as_ref()?;
         keep_measured(&self.home, UNFINISHED).unwrap_or_else(|error| {
@@ -104,8 +104,8 @@ impl Aside {
         })
     }
 
-    /// The new ones could not all be written: the earlier ones come back, and what there is of the new ones goes. Says so,
-    /// to be put behind a message; empty when there were none.
+    /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
+    /// if there were no earlier results.
     pub(super) fn give_back(mut self) -> String {
         let Some(kept) = self.kept.take() else { return String::new() };
         let removed =
@@ -119,7 +119,7 @@ impl Aside {
         }
     }
 
-    /// There are others in their place: they are removed, and with them the rows of runs that came to nothing here.
+    /// Removes the earlier results because new ones are complete, and the rows of runs without results.
     pub(super) fn remove(&mut self) {
         let closed = self.kept.take().map_or(Ok(()), TempDir::close);
         let removed = of_nothing(&self.home).into_iter().try_for_each(remove_file);
@@ -133,7 +133,7 @@ impl Drop for Aside {
     fn drop(&mut self) {
         let Some(kept) = self.kept.take() else { return };
         if std::thread::panicking() {
-            // Rows may stand in their place by now.
+            // New rows may be in their place by now.
             let folder = kept.keep();
             return complain(format_args!("the earlier results are in {}", folder.display()));
         }
@@ -148,12 +148,12 @@ fn unwritten(error: anyhow::Error) -> Failure {
     Failure::new(Exit::Unwritten, error)
 }
 
-/// Where the results of a folder are, as long as the run that is to replace them is under way or was killed.
+/// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
 pub(crate) fn put_aside(home: &Path) -> Option<PathBuf> {
     left(home).find(|kept| kept.join(RECORD).is_file() && !home.join(RECORD).is_file())
 }
 
-/// Files with the rows of runs that came to nothing.
+/// Returns files with the rows of runs without results.
 fn of_nothing(home: &Path) -> Vec<PathBuf> {
     let is_one = |path: &PathBuf| {
         let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
@@ -166,14 +166,14 @@ fn of_nothing(home: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).filter(is_one).collect()
 }
 
-/// Folders in it with results that were moved aside.
+/// Returns the folders in `home` with moved results.
 fn left(home: &Path) -> impl Iterator<Item = PathBuf> {
     let entries = read_dir(home).into_iter().flatten().filter_map(Result::ok);
     let is_aside = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(PREFIX);
     entries.filter(move |entry| is_aside(&entry.file_name())).map(|entry| entry.path())
 }
 
-/// The names of what is replaced in a folder, in the order in which it is moved aside.
+/// Returns the names of the replaced files in a folder, in the order in which they are moved away.
 fn record_first(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = ResultFolder::replaced(dir).collect();
     names.sort_by_key(|name| name != RECORD);
@@ -184,7 +184,7 @@ fn put_back(kept: &Path, home: &Path) -> std::io::Result<()> {
     record_first(kept).iter().rev().try_for_each(|name| moved(&kept.join(name), &home.join(name)))
 }
 
-/// Moves a file if it is there.
+/// Moves a file if it exists.
 fn moved(from: &Path, to: &Path) -> std::io::Result<()> {
     match rename(from, to) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
@@ -192,7 +192,7 @@ fn moved(from: &Path, to: &Path) -> std::io::Result<()> {
     }
 }
 
-/// Gives the rows of a run that has no results another name, `killed.csv` for `killed`, if there are any.
+/// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
 fn keep_measured(home: &Path, stem: &str) -> std::io::Result<Option<String>> {
     let data = home.join(DATA);
     let rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
@@ -261,7 +261,7 @@ mod tests {
         assert_eq!(names(empty.path()), [DATA], "there were none");
     }
 
-    /// What a run leaves in a folder when it is killed: nobody drops anything.
+    /// Leaves a folder as a killed run does: without dropping anything.
     fn killed(home: &Path, measured: &str) {
         let mut aside = Aside::put(home).expect("moved");
         let _ = aside.kept.take().map(TempDir::keep);

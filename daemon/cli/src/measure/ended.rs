@@ -1,4 +1,4 @@
-//! How a run ended, and what a script is told of it.
+//! End of a run and its report to the caller.
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
@@ -10,7 +10,7 @@ use super::unavailable;
 use crate::foreground::Ended;
 
 impl Ended {
-    /// As it stands in `run.json`.
+    /// Returns the reason as written to `run.json`.
     pub(super) fn reason(&self) -> EndReason {
         match self {
             Self::Finished => EndReason::Finished,
@@ -20,7 +20,7 @@ impl Ended {
         }
     }
 
-    /// What is told when there is nothing to write.
+    /// Returns the failure of a run without any rows.
     pub(super) fn without_rows(self) -> Failure {
         match self {
             Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
@@ -31,7 +31,7 @@ impl Ended {
         }
     }
 
-    /// Why the program is not to end well, although there are results; `unseen` iterations have no row.
+    /// Returns the failure of a run with results, if any; `unseen` is the number of iterations without a row.
     pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
         let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
         match self {
@@ -68,10 +68,10 @@ impl Ended {
     }
 }
 
-/// What stands between an exception and where it was raised.
+/// Separator between an exception and its traceback.
 const TRACEBACK: &str = " Traceback (most recent call last):";
 
-/// A traceback ends with the exception that it begins with here.
+/// Removes the repetition of the exception at the end of its traceback.
 fn once(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
     reason.strip_suffix(exception).map_or(reason, str::trim_end)

@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! Order ── Ready ── agent ── events ── Taking ─┬─ data.csv, row by row
-//!                                    │         └─ Seen, for whoever shows the progress (Watcher)
+//!                                    │         └─ Seen, for the display of the progress (Watcher)
 //!                                    └─ record ── run.json, summary.*
 //! ```
 //!
 //! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
-//! (`peernet measure --order FILE`), so that a crash is one run's.
+//! (`peernet measure --order FILE`), so that a crash affects one run only.
 
 mod aside;
 mod command;
@@ -44,24 +44,24 @@ use crate::foreground::{Ended, Ready, Watched};
 use results::{Results, Written};
 use taking::Taking;
 
-/// A run that has rows.
+/// A run with rows.
 pub(crate) struct Measured {
-    /// How it ended.
+    /// Reason for its end.
     pub(crate) ended: Ended,
-    /// One per iteration.
+    /// Rows, one per iteration.
     pub(crate) rows: Rows,
-    /// Everything else about it.
+    /// Everything else about the run.
     pub(crate) record: RunRecord,
-    /// The folder of its results: the one that was ordered, or a temporary one when that could not be written.
+    /// Folder of its results: the ordered one, or a temporary one if that could not be written.
     pub(crate) folder: PathBuf,
-    /// The files in it.
+    /// Files in the folder.
     pub(crate) files: Vec<PathBuf>,
-    /// Why the results are not where they were to be.
+    /// Reason for which the results are not in the ordered folder.
     trouble: Option<String>,
 }
 
 impl Measured {
-    /// Why the program is not to end well, although there are results.
+    /// Returns the failure of a run with results, if any.
     pub(crate) fn failure(&self) -> Option<Failure> {
         let unwritten = |trouble: &String| Failure::new(Exit::Unwritten, anyhow!("{trouble}"));
         self.trouble
@@ -74,8 +74,8 @@ impl Measured {
 /// Executes an order and writes its results.
 ///
 /// # Errors
-/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the
-/// agent did not take part (69) or the user ended it before (130), or the folder for the results cannot be had (64, 73).
+/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the agent
+/// failed (69) or the user ended it before (130), or the folder for the results cannot be used (64, 73).
 pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measured, Failure> {
     let pipeline = order.pipeline()?;
     let home = Home::of(&order.agent.agent)?;
@@ -105,13 +105,13 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     record.trust = Some(Report::of(&TrustInput::of_run(&record, &taken.rows)));
     let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
     let is_written = !files.is_empty();
-    // Where the rows found no room, the folder may hold earlier results again.
+    // If the rows did not fit on the disk, the folder may hold earlier results again.
     match is_written.then(|| study(&record, &taken.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
     if order.plots && !is_written {
-        // They would take the room that rows did not get.
+        // Figures would use the space that the rows did not get.
         trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
     } else if order.plots {
         match figures::of_run(&record, &taken.rows, &folder) {
@@ -122,7 +122,7 @@ pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measur
     Ok(Measured { ended, rows: taken.rows, record, folder, files, trouble })
 }
 
-/// Writes what a sensor alone showed of itself.
+/// Writes the study of a run of a sensor alone.
 fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
     if !record.is_sensor_alone() {
         return Ok(None);

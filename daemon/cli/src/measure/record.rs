@@ -1,4 +1,4 @@
-//! `run.json`: everything that is needed to do the run again.
+//! `run.json`: everything that is needed to repeat the run.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ use super::Order;
 use super::taking::Taken;
 use crate::foreground::Ended;
 
-/// The record of a run that has rows.
+/// Makes the record of a run with rows.
 pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, missed: u64) -> RunRecord {
     let description = taken.description.as_ref();
     let facts = description.map(|run| run.facts.clone()).unwrap_or_default();
@@ -94,13 +94,13 @@ fn where_it_computed(told: &Told) -> Placement {
     }
 }
 
-/// The hash of the model's file, as its host tells it.
+/// Returns the hash of the model's file as reported by its host.
 fn sha256(facts: &[(String, String)]) -> Option<String> {
     let told = facts.iter().find(|(name, _)| name == MODEL_HASH);
     told.map(|(_, hash)| hash.clone())
 }
 
-/// The agent's tables without the pipeline, which stands beside them, and without where this one run kept its state.
+/// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this run's state.
 fn agent(config: &AgentConfig) -> Value {
     let mut tables = json(config);
     if let Value::Object(tables) = &mut tables {
@@ -112,7 +112,7 @@ fn agent(config: &AgentConfig) -> Value {
     tables
 }
 
-/// Every number called `seed`, by the path of its table.
+/// Collects every number called `seed`, by the path of its table.
 fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
     fn gather(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
         for (key, value) in table {
@@ -132,7 +132,7 @@ fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
     seeds
 }
 
-/// The arguments of programs are in it: the file is not readable by others.
+/// Serialises with the arguments of programs: other users cannot read the file.
 fn json(what: &impl serde::Serialize) -> Value {
     with_arguments(|| serde_json::to_value(what))
         .unwrap_or_else(|error| Value::String(format!("cannot be written down: {error}")))
