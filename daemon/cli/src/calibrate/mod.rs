@@ -1,7 +1,7 @@
 //! `peernet calibrate`: the published study of a link as a command.
 //!
-//! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a
-//! peer's model `calibration`, which answers with what it was given, and [`peernet_analysis`] makes a study of it.
+//! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a peer's model
+//! `calibration`, which returns them, and [`peernet_analysis`] makes a study of the delays.
 
 mod arguments;
 mod folder;
@@ -31,8 +31,8 @@ use plan::Plan;
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or does not take part (69), the study has no result (69), the configuration is wrong
-/// (78), the results cannot be written (73), or the user ended it early (130).
+/// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the results
+/// cannot be written (73), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     listen(Shows::Itself)?;
@@ -85,7 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         rehearsed: observed.rehearsed,
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
-    // Said first: a disk that is full must not take the result away.
+    // Printed first: a full disk must not prevent the result from being shown.
     say(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
         let told = "the result is above, but not all of its files are written";

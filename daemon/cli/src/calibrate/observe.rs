@@ -1,4 +1,4 @@
-//! Watching the sweep: what the agent measures, until it ends.
+//! Observation of the sweep until it ends.
 
 use std::collections::BTreeSet;
 
@@ -13,23 +13,23 @@ use super::plan::Plan;
 use super::sweep::Sweep;
 use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver};
 
-/// How long a peer that went away is waited for once the time for the sweep is over.
+/// Wait for an absent peer after the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
 
-/// The peer cannot answer a payload of one of the sizes; the text says which and why.
+/// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Unfit(pub(super) String);
 
-/// What was seen.
+/// Measurements of the sweep.
 #[derive(Default)]
 pub(super) struct Observed {
     pub(super) samples: Vec<Sample>,
     pub(super) clocks: Vec<ClockSample>,
-    /// The peer, as it calls itself.
+    /// The peer's own name.
     pub(super) cloud: Option<String>,
-    /// Whether the clock of either host was made wrong on purpose.
+    /// `true` if the clock of either host was made wrong on purpose.
     pub(super) rehearsed: bool,
-    /// How often the peer was away and came back with the same clock.
+    /// Number of times that the peer returned with the same clock after an absence.
     pub(super) reconnections: u64,
 }
 
@@ -41,13 +41,13 @@ pub(super) struct Watch<'a> {
     pub(super) seen: Observed,
     began: MonoTime,
     peer_wait: PeerWait,
-    /// The peer was not there, or refused, at the first try.
+    /// The peer was absent, or refused, at the first attempt.
     turned_away: Option<IncidentKind>,
-    /// The sizes of which one payload at least was sent.
+    /// Sizes of which at least one payload was sent.
     tried: BTreeSet<u64>,
-    /// The peer's clock, as it was told last.
+    /// The peer's clock as last reported.
     cloud_clock: Option<HostClock>,
-    /// What comes now is another clock's and no part of the study.
+    /// `true` if later measurements are those of another clock and no part of the study.
     over: bool,
 }
 
@@ -68,12 +68,12 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// There is a session again. What was measured with another clock is another study.
+    /// Handles a new session. Measurements with another clock would be another study.
     fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<Unfit>> {
         self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let how = match (&before, &self.cloud_clock) {
-            // A program that was started anew rehearses anew, and counts the steps of its clock anew.
+            // A restarted program begins its artificial clock error and its count of steps again.
             (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
                 self.seen.reconnections += 1;
                 return None;
@@ -82,7 +82,7 @@ impl<'a> Watch<'a> {
                 format!("another clock, which is made wrong on purpose ({how})")
             }
             (_, Some(_)) => "another clock".to_owned(),
-            // It went again before anybody could look.
+            // The peer left again before its clock could be read.
             (_, None) => "a clock of which nothing is known".to_owned(),
         };
         self.over = true;
@@ -103,7 +103,7 @@ impl RunObserver for Watch<'_> {
         }
         match event {
             Event::RunStarted(run) => {
-                // One fact for each end whose clock is rehearsed.
+                // There is one fact for each host with an artificial clock error.
                 self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
                 self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
@@ -117,7 +117,7 @@ impl RunObserver for Watch<'_> {
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
                 self.seen.samples.push(sample);
-                // What a peer cannot do the first time it will not do later either.
+                // A failure at the first payload of a size would repeat.
                 if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
                     return Some(Ended::Own(Unfit(unfit(payload, reason))));
                 }
@@ -145,7 +145,7 @@ impl RunObserver for Watch<'_> {
         let activity = PipelineActivity::of(running);
         let waits_for = activity.waits_for();
         if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
-            // There is no configuration here, and the model is a mere echo.
+            // The advice concerns a configuration, which does not exist here, and the model needs no loading.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
@@ -157,7 +157,7 @@ impl RunObserver for Watch<'_> {
         }
         let now = self.clock.mono();
         self.peer_wait.update(&activity, now);
-        // Who set an early end does not wait long after it for a peer that is away.
+        // A user who limits the time does not want to wait much longer for an absent peer.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
         let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, PeerWait::USUAL);
         let name = self.seen.cloud.as_deref();
@@ -171,7 +171,7 @@ impl RunObserver for Watch<'_> {
     }
 }
 
-/// What is known of the peer's clock now.
+/// Returns the peer's clock as reported now.
 fn cloud_clock(running: &Running) -> Option<HostClock> {
     running.live().links.into_iter().next()?.cloud
 }

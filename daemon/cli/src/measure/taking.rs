@@ -1,4 +1,4 @@
-//! Taking down what the agent measures, until it ends.
+//! Recording of a run's measurements from the agent's events.
 
 use std::convert::Infallible;
 
@@ -23,23 +23,23 @@ pub(super) struct Taking<'a> {
     most: Span,
     progress: RunProgress,
     pipeline: Slug,
-    /// The peer's address, then its name; `None` for a run on board.
+    /// Address of the peer, then its name; `None` for a run without a peer.
     peer: Option<String>,
-    /// Why the peer did not want at the first try.
+    /// `true` if the peer refused the first attempt.
     refused: bool,
     taken: Taken,
     writer: RowWriter,
 }
 
-/// How far a run is, by its limit.
+/// Progress of a run towards its limit.
 struct RunProgress {
     limit: Limit,
-    /// Warm-up iterations at the least.
+    /// Minimum number of warm-up iterations.
     warm_up: u64,
     began: Option<MonoTime>,
-    /// Iterations that ended.
+    /// Number of finished iterations.
     done: u64,
-    /// Totals of those that count, seconds.
+    /// Totals of the iterations that count, seconds.
     totals: Summary,
 }
 
@@ -55,7 +55,7 @@ impl RunProgress {
         }
     }
 
-    /// Returns the number of iterations that there will be, where it sets the end.
+    /// Returns the number of iterations, if it limits the run.
     fn iterations(&self) -> Option<u64> {
         let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
         let total = self.limit.total.map(std::num::NonZero::get);
@@ -66,7 +66,7 @@ impl RunProgress {
         self.limit.total.is_some_and(|total| self.done >= total.get())
     }
 
-    /// Returns what is shown of it in this phase.
+    /// Returns the state to be shown in this phase.
     fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> Seen {
         let (done, of) = (self.done, self.iterations());
         let elapsed = self.began.map_or(0.0, |began| (now - began).seconds());
@@ -87,25 +87,25 @@ impl RunProgress {
     }
 }
 
-/// What was seen.
+/// Recorded measurements.
 #[derive(Default)]
 pub(super) struct Taken {
     pub(super) rows: Rows,
-    /// Of the columns that the run logs itself.
+    /// Units of the columns that the run logs itself.
     pub(super) units: Units,
-    /// What was told when the run began.
+    /// Description of the run from its start.
     pub(super) description: Option<RunDescription>,
-    /// When it ended, by the edge's wall clock.
+    /// Time of its end by the edge's wall clock.
     pub(super) ended: Option<WallTime>,
-    /// Who sensed.
+    /// Host that sensed.
     pub(super) edge: Option<HostDescription>,
-    /// Who served.
+    /// Host that served.
     pub(super) cloud: Option<Cloud>,
-    /// What disciplines the edge's clock, in words.
+    /// Description of the edge's clock discipline.
     pub(super) edge_clock: Option<String>,
-    /// The same of the cloud's.
+    /// Description of the cloud's clock discipline.
     pub(super) cloud_clock: Option<String>,
-    /// Rows that are not in the file, and why.
+    /// Error because of which some rows are not in the file.
     pub(super) unwritten: Option<String>,
 }
 
@@ -135,7 +135,7 @@ impl<'a> Taking<'a> {
         }
     }
 
-    /// What was seen, all of it in the file where there was room.
+    /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
     pub(super) fn finish(self) -> Taken {
         let mut taken = self.taken;
         taken.unwritten = self.writer.end().err().map(|error| error.to_string());
@@ -153,7 +153,7 @@ impl<'a> Taking<'a> {
         self.taken.description = Some(run);
     }
 
-    /// Who serves may be another program after it was away.
+    /// Notes who serves: it may be another program after an absence.
     fn meet(&mut self, running: Option<&Running>) {
         let cloud = running.and_then(|running| running.served_by(&self.pipeline));
         self.taken.cloud = cloud.or(self.taken.cloud.take());
@@ -203,12 +203,12 @@ impl RunObserver for Taking<'_> {
             }
             Event::RunEnded(run) => {
                 self.taken.ended = Some(run.ended);
-                // A time daemon may have been heard only since the run began.
+                // The claim of a time daemon may have arrived only since the run began.
                 self.meet(running);
                 return Some(Ended::of_run(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
-                // Later ones are told by the end of the run, or passed over.
+                // Later ones are part of the run's end, or ignored.
                 IncidentKind::PipelineFailed if self.taken.description.is_none() => {
                     return Some(Ended::Failed(incident.text));
                 }
@@ -228,12 +228,12 @@ impl RunObserver for Taking<'_> {
 
     fn look(&mut self, running: &Running) -> Option<Ended> {
         self.writer.flush();
-        // The peer may leave with the last answer: there is nothing to come back for.
+        // The peer may leave with the last answer: there is no need for it to return.
         if self.progress.is_complete() {
             return Some(Ended::Finished);
         }
         let pipelines = running.live().pipelines;
-        // Its last events are on their way by then, if there was room for them.
+        // Its last events were sent before, if there was room for them.
         match pipelines.into_iter().next().map(|one| one.state) {
             Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
             Some(PipelineState::Finished) => return Some(Ended::Finished),
@@ -244,7 +244,7 @@ impl RunObserver for Taking<'_> {
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
-        // There is no configuration here to change.
+        // The advice concerns a configuration, which does not exist here.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
         let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
         let now = self.clock.mono();

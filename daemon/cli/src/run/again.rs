@@ -1,4 +1,4 @@
-//! Runs that are finished by the record, and are to be done again all the same.
+//! Check of finished runs: those whose results are unusable are measured again.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ use super::plan::Run;
 use super::state::Record;
 use crate::experiment::Stage;
 
-/// What was taken away is to be done again; what was measured with another file of devices is told.
+/// Marks finished runs without usable results as not done, and reports changes of the file of devices since they were measured.
 pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
@@ -33,7 +33,7 @@ pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
     changed.iter().for_each(complain);
 }
 
-/// A sentence when an experiment that this build has not begun is gone on with.
+/// Returns a note if an experiment was begun by another version and runs remain.
 pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
     let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
     (goes_on && record.version != version).then(|| {
@@ -44,7 +44,7 @@ pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Optio
     })
 }
 
-/// The reason why the results of a run that was finished cannot be used.
+/// The reason why the results of a finished run cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnusableResults {
     #[error("its results are gone")]
@@ -57,7 +57,7 @@ pub(super) enum UnusableResults {
     Mismatched { folder: PathBuf, mismatch: Mismatch },
 }
 
-/// What a finished run says of itself in `run.json`, and this one does not.
+/// Difference between `run.json` and that of a finished run.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Mismatch {
     #[error("run.json does not say that the run was finished")]
@@ -68,10 +68,10 @@ pub(super) enum Mismatch {
     OtherRun,
 }
 
-/// What a run's results say of themselves, for each user.
+/// Returns the records of a run's results, one for each user.
 ///
 /// # Errors
-/// When they are gone, cannot be read, are not whole, or are those of another run.
+/// When they are missing, cannot be read, are incomplete, or belong to another run.
 pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, UnusableResults> {
     let of_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {

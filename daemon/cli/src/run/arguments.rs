@@ -1,4 +1,4 @@
-//! What `peernet run` can be told.
+//! Arguments of `peernet run`.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use crate::short::value;
 use super::file::Set;
 use super::plan::{Plan, Run};
 
-/// What `peernet run` can be told.
+/// Arguments of `peernet run`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. A pipe is read, too:
@@ -48,16 +48,16 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// Which runs are wanted.
+/// Selection of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Only {
-    /// Those with this label of this axis.
+    /// Runs with this label on this axis.
     Label(String, String),
-    /// The one of this number.
+    /// The run of this number.
     Number(usize),
 }
 
-/// A text that names no runs.
+/// A text that selects no runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write AXIS=LABEL or the number of a run")]
 pub(super) struct InvalidOnly;
@@ -71,7 +71,7 @@ impl Only {
         }
     }
 
-    /// Whether a run is one of those that are wanted; without any wishes all are.
+    /// Returns whether a run is selected; without selections all are.
     pub(super) fn wants(these: &[Self], plan: &Plan, run: &Run) -> bool {
         let numbers: Vec<usize> = these
             .iter()
@@ -92,7 +92,7 @@ impl Only {
         all && (numbers.is_empty() || numbers.contains(&run.number))
     }
 
-    /// The first wish that no run can fulfil, in words.
+    /// Describes the first selection that fits no run.
     pub(super) fn unknown(these: &[Self], plan: &Plan) -> Option<String> {
         these.iter().find_map(|only| match only {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,

@@ -1,24 +1,24 @@
-//! What the file of an experiment says and its plan does not hold, so that it may change while the experiment lasts.
+//! Settings from an experiment's file that are not in its plan, so that they may change while the experiment lasts.
 
 use peernet_analysis::record::{NetworkConfig, RunRecord};
 
 use super::plan::Run;
 
-/// Goes with the plan.
+/// Settings besides the plan.
 pub(super) struct Beside {
-    /// Whether each run draws its figures.
+    /// `true` if each run draws its figures.
     pub(super) plots: bool,
-    /// The file of devices of each configuration: the plan has the address in the place of the device's name.
+    /// File of devices of each configuration: the plan holds the address in place of the device's name.
     pub(super) networks: Vec<Option<NetworkConfig>>,
 }
 
 impl Beside {
-    /// The file that names a run's peer.
+    /// Returns the file that names a run's peer.
     pub(super) fn network(&self, run: &Run) -> Option<&NetworkConfig> {
         self.networks.get(run.configuration)?.as_ref()
     }
 
-    /// A sentence when a run was measured with another text of that file.
+    /// Returns a note if a run was measured with another text of that file.
     pub(super) fn changed_since(&self, told: &RunRecord, run: &Run) -> Option<String> {
         let (now, then) = (self.network(run)?, told.network_config.as_ref()?);
         (now.text != then.text).then(|| {
@@ -47,7 +47,7 @@ mod tests {
         let text = told(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
         assert!(text.starts_with("net.yaml has changed"), "{text}");
         assert_eq!(told(network("other.yaml", "devices: {a: b}"), 1), None);
-        // As an earlier build left it, or as a peer is named by its address.
+        // An earlier version recorded no file, and a peer with an address needs none.
         assert_eq!((told(None, 1), told(network("net.yaml", "x"), 0)), (None, None));
     }
 }

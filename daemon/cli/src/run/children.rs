@@ -1,4 +1,4 @@
-//! Runs as processes of their own, so that a crash is one run's.
+//! Separate processes for the runs, so that a crash affects one run only.
 
 use std::collections::VecDeque;
 use std::os::unix::process::ExitStatusExt;
@@ -23,30 +23,30 @@ use super::ending::Ending;
 use crate::foreground::Signals;
 use crate::measure::{Order, Seen};
 
-/// This program, even when its file was replaced in the meantime: all runs are measured by one version.
+/// Path of this program, even if its file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
-/// What processes told that may wait for the one who shows it. Later looks are left out; later lines hold the process up
-/// that wants to say them, as a slow terminal would.
+/// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the process, as
+/// a slow terminal would.
 const TOLD: usize = 64;
-/// Last lines of a process that are kept.
+/// Number of a process's last lines that are kept.
 const LINES: usize = 20;
-/// How long the rest of what a process said is waited for after its end: its own children may hold the pipe open.
+/// Wait for the rest of a process's output after its end: its own children may hold the pipe open.
 const REST: Duration = Duration::from_secs(2);
 
-/// How several processes at once ended.
+/// Result of several concurrent processes.
 pub(super) struct Ended {
-    /// One for each order.
+    /// Results, one for each order.
     pub(super) exits: Vec<Exited>,
-    /// Whether the user wanted the end.
+    /// `true` if the user requested the end.
     pub(super) interrupted: bool,
 }
 
-/// How a process ended.
+/// Result of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Exited {
-    /// Its exit code; `None` when a signal ended it or it never was.
+    /// Exit code; `None` if a signal ended it or it did not start.
     pub(super) code: Option<i32>,
-    /// The last it said, or what ended it.
+    /// Last line of its error output, or the signal that ended it.
     pub(super) reason: Option<String>,
 }
 
@@ -56,13 +56,13 @@ impl Exited {
     }
 }
 
-/// What there is to show.
+/// Output to be shown.
 pub(super) enum News<'a> {
-    /// How far each of the processes is, once it has told.
+    /// Progress of each process, once it has reported.
     Seen(&'a [Option<Seen>]),
-    /// What users' own code printed in the process at this place, or its log.
+    /// Output of users' code in the process of this index, or its log.
     Line(usize, &'a str),
-    /// How long the processes that were asked to end still may take.
+    /// Announcement of how long the processes may still take to end.
     Ending(&'a str),
 }
 
@@ -74,9 +74,10 @@ enum Told {
     Line(String),
 }
 
-/// Executes orders, all at once, and shows what they tell. A signal to this program goes to all of them: at the
-/// first they end early with their results, at the second they wait for nothing, at the third, or when they took too
-/// long, they are killed with what they started.
+/// Executes orders concurrently and shows their output.
+///
+/// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
+/// do not wait for work in progress. After the third, or after a time limit, they are killed together with their children.
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
@@ -136,11 +137,11 @@ pub(super) async fn execute(
     }
 }
 
-/// Signals the processes; a kill goes to all that they started as well.
+/// Sends a signal to the processes. SIGKILL also goes to all processes that they started.
 fn send(processes: &[Option<Pid>], signal: Signal) {
     let each = if signal == Signal::KILL { kill_process_group } else { kill_process };
     for pid in processes.iter().flatten() {
-        // One that has just ended needs none.
+        // Sending fails for a process that has just ended.
         let _ = each(*pid, signal);
     }
 }
@@ -161,14 +162,14 @@ impl Child {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A terminal's Ctrl-C is for this program, which passes it on once.
+            // Its own process group: a Ctrl-C on the terminal reaches this program only, which passes it on once.
             .process_group(0)
             .kill_on_drop(true)
             .spawn()
             .context("cannot start the process of the run")?;
         let (input, output, errors) = (process.stdin.take(), process.stdout.take(), process.stderr.take());
         if let Some(mut input) = input {
-            // A process that ends before it has read its order says why.
+            // A process that ends before it has read its order reports the reason.
             let _ = input.write_all(&order).await;
         }
         let said = Arc::new(Mutex::new(VecDeque::new()));
@@ -194,7 +195,7 @@ impl Child {
     async fn ended(mut self) -> Exited {
         let status = self.process.wait().await;
         for reader in self.readers {
-            // What came until now is kept.
+            // Output that arrived until now is kept.
             let _ = tokio::time::timeout(REST, reader).await;
         }
         let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
@@ -218,12 +219,12 @@ fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
     }
 }
 
-/// Hands on what the process at this place tells on its standard output.
+/// Passes on the standard output of the process of this index.
 async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, Told)>) {
     let Some(output) = output else { return };
     let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        // What is neither a look nor a text is nobody's: libraries print to standard output as well.
+        // Other lines are ignored: libraries print to standard output as well.
         match serde_json::from_str(&line) {
             Ok(look @ Told::Seen(_)) => drop(to.try_send((index, look))),
             Ok(text @ Told::Line(_)) => drop(to.send((index, text)).await),

@@ -1,11 +1,11 @@
-//! What differs between two plans, in words.
+//! Differences between two plans.
 
 use serde_json::Value;
 
-/// Most differences that are told.
+/// Maximum number of reported differences.
 const MOST: usize = 8;
 
-/// One line for each difference: the path, what was there, what is there.
+/// Returns one line for each difference: the path, the earlier value, the present value.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
     let mut found = Vec::new();
     compare("", before, now, &mut found);

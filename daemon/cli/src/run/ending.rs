@@ -1,4 +1,4 @@
-//! How long processes that were asked to end may take: one that is suspended hears of nothing but its end.
+//! Time limits for processes that were asked to end. A suspended process reacts to SIGKILL only.
 
 use std::time::Duration;
 
@@ -7,12 +7,12 @@ use tokio::time::Instant;
 
 use crate::foreground::duration;
 
-/// After the first wish: what is under way is waited for, and the results are written.
+/// Limit after the first request: work in progress is finished, and the results are written.
 const ORDERLY: Duration = Duration::from_secs(60);
-/// After the second: the results alone are written.
+/// Limit after the second request: only the results are written.
 const HASTY: Duration = Duration::from_secs(10);
 
-/// The user's wishes to end, and what follows from them.
+/// The user's requests to end and their deadlines.
 #[derive(Debug, Default)]
 pub(super) struct Ending {
     wishes: u32,
@@ -20,7 +20,7 @@ pub(super) struct Ending {
 }
 
 impl Ending {
-    /// Takes a wish: what the processes are to be sent, and what the user is to know.
+    /// Handles a request. Returns the signal for the processes and a text for the user.
     pub(super) fn wish(&mut self, now: Instant) -> (Signal, String) {
         self.wishes += 1;
         let mut within = |time: Duration| {
@@ -28,7 +28,7 @@ impl Ending {
             self.until = Some(until);
             duration((until - now).as_secs_f64())
         };
-        // Of another kind each, so that a process cannot take the second for the first.
+        // The signals differ, so that a process cannot take the second one for a repetition of the first.
         match self.wishes {
             1 => (
                 Signal::INT,
@@ -48,7 +48,7 @@ impl Ending {
         }
     }
 
-    /// Waits until the time is over; for ever where there is none.
+    /// Waits until the deadline; for ever if there is none.
     pub(super) async fn over(&self) {
         match self.until {
             Some(until) => tokio::time::sleep_until(until).await,
@@ -56,13 +56,13 @@ impl Ending {
         }
     }
 
-    /// What ends even a process that is suspended.
+    /// Returns the signal that ends even a suspended process.
     pub(super) const fn kill(&mut self) -> Signal {
         self.until = None;
         Signal::KILL
     }
 
-    /// Whether the user wanted the end.
+    /// Returns whether the user requested the end.
     pub(super) const fn is_wanted(&self) -> bool {
         self.wishes > 0
     }

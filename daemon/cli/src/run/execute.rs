@@ -1,4 +1,4 @@
-//! Run after run.
+//! Execution of the runs, one after the other.
 
 use crate::exit::{Exit, Failure};
 use peernet_analysis::record::User;
@@ -16,7 +16,7 @@ use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, duration, typed};
 use crate::measure::{Order, Seen};
 
-/// Everything that the runs need.
+/// Everything that the execution needs.
 pub(super) struct Execution<'a> {
     pub(super) folder: &'a Folder,
     pub(super) record: &'a mut Record,
@@ -27,10 +27,10 @@ pub(super) struct Execution<'a> {
 }
 
 impl Execution<'_> {
-    /// Does these runs, in their order, until they are done or the user has had enough; says whether the latter.
+    /// Executes the runs in their order until they are done or the user ends it. Returns whether the user ended it.
     ///
     /// # Errors
-    /// When it cannot be written down how far it is (73).
+    /// When the progress cannot be recorded (73).
     pub(super) async fn all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
         for (done, run) in runs.iter().enumerate() {
             if self.one(runs, done, run, signals).await? {
@@ -98,7 +98,7 @@ impl Execution<'_> {
         Ok(interrupted)
     }
 
-    /// One order for each user.
+    /// Makes one order for each user.
     fn orders(&self, run: &Run) -> Vec<Order> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
@@ -123,7 +123,7 @@ impl Execution<'_> {
         (0..).zip(self.folder.results(plan, run)).map(order).collect()
     }
 
-    /// What became of a run.
+    /// Determines the result of a run.
     fn judge(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
         let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_well());
         let Some((user, exit)) = bad else {
@@ -147,13 +147,13 @@ impl Execution<'_> {
         Ended { stage, exit: exit.code, reason, seconds }
     }
 
-    /// What runs will take, as far as that can be told.
+    /// Returns the estimated duration of runs; `None` if one is unknown.
     fn left(&self, runs: &[Run]) -> Option<f64> {
         runs.iter().map(|run| self.estimates.of(run.configuration)).sum()
     }
 }
 
-/// Several users in one look: what they do together, the median of the median user, the 99th percentile of the worst.
+/// Combines the progress of several users: sums of their counts, the median of the median user, the 99th percentile of the worst.
 fn together(seen: &[Option<Seen>]) -> Option<Seen> {
     let all: Vec<&Seen> = seen.iter().flatten().collect();
     let (first, rest) = all.split_first()?;

@@ -1,7 +1,7 @@
-//! The folders in which the runs' agents keep who they are: an experiment has them from its beginning to its end.
+//! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its end.
 //!
-//! Two agents cannot be one host to an aggregator, so the second of two experiments with hosts of the same names could
-//! not measure a single run.
+//! Two agents cannot be the same host to an aggregator, so the second of two experiments with hosts of the same names could not
+//! measure a single run. The locks refuse it at its start.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -14,20 +14,20 @@ use anyhow::anyhow;
 use super::plan::{Plan, Run};
 use crate::measure::{Home, OF_AGENT, Waiting, undelivered, undelivered_in};
 
-/// Held by an experiment.
+/// File that an experiment locks.
 const LOCK: &str = "experiment.lock";
 
-/// Folders that no other experiment uses; let go when this is dropped.
+/// Locks of folders that no other experiment uses; dropping it releases them.
 #[derive(Debug)]
 pub(super) struct Homes {
     _locks: Vec<File>,
 }
 
 impl Homes {
-    /// Those of the agents of these runs. Without an aggregator each agent has a folder of its own, which needs no care.
+    /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which needs no lock.
     ///
     /// # Errors
-    /// When another experiment or agent uses one of them, or one cannot be had (69).
+    /// When another experiment or agent uses one of them, or one cannot be created (69).
     pub(super) fn take(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
         Self::lock(&folders(plan, runs)?)
     }
@@ -41,7 +41,7 @@ impl Homes {
             free(&lock, folder, &path)?;
             let path = folder.join(OF_AGENT);
             match File::options().append(true).open(&path) {
-                // Tried and let go: the agents of the runs are to take it.
+                // Only checked and released: the agents of the runs will lock it.
                 Ok(agents) => free(&agents, folder, &path)?,
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(cannot("write", &path, &error)),
@@ -68,10 +68,10 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
     Ok(folders)
 }
 
-/// What the aggregators of a plan have not taken from its hosts. No run is under way.
+/// Returns events that wait on the hosts of a plan for their aggregators. No run may be active.
 ///
 /// # Errors
-/// When there is no place for the hosts (69).
+/// When there is no place for the hosts' folders (69).
 pub(super) async fn untaken(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
     let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {

@@ -1,21 +1,21 @@
-//! The path of a field in a document: `pipeline.transforms[0].width`.
+//! Paths of fields in a document: `pipeline.transforms[0].width`.
 
 use std::fmt;
 
 use toml::{Table, Value};
 
-/// Where a field stands.
+/// Path of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::run) struct Field(Vec<Step>);
 
-/// One step towards it.
+/// One step of the path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Step {
     Key(String),
     Index(usize),
 }
 
-/// A path that is none, or leads nowhere.
+/// An invalid path, or one that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::run) enum FieldError {
     #[error("{0:?} is no path of a field; write it as pipeline.placement.model")]
@@ -34,7 +34,7 @@ impl Field {
     /// Reads a path.
     ///
     /// # Errors
-    /// When the text is none.
+    /// When the text is no path.
     pub(super) fn read(text: &str) -> Result<Self, FieldError> {
         let mut steps = Vec::new();
         for part in text.split('.') {
@@ -53,7 +53,7 @@ impl Field {
         Ok(Self(steps))
     }
 
-    /// The first key, which is the name of a table.
+    /// Returns the first key, which is the name of a table.
     pub(super) fn table(&self) -> &str {
         match self.0.first() {
             Some(Step::Key(key)) => key,
@@ -61,7 +61,7 @@ impl Field {
         }
     }
 
-    /// The last key.
+    /// Returns the last key.
     pub(super) fn key(&self) -> &str {
         let last = self.0.iter().rev().find_map(|step| match step {
             Step::Key(key) => Some(key.as_str()),
@@ -70,20 +70,20 @@ impl Field {
         last.unwrap_or_default()
     }
 
-    /// Whether another path leads to this field, into it, or to what it stands in.
+    /// Returns whether one of the two paths is the begin of the other.
     pub(super) fn touches(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
 
-    /// Whether setting this field overwrites another, or something that the other stands in.
+    /// Returns whether setting this field overwrites the other one or a part that contains it.
     pub(super) fn covers(&self, other: &Self) -> bool {
         self.0.len() <= other.0.len() && self.touches(other)
     }
 
-    /// Puts a value there; tables on the way are made.
+    /// Sets the field to a value and creates missing tables on the way.
     ///
     /// # Errors
-    /// When the path leads nowhere.
+    /// When the path does not exist.
     pub(super) fn set(&self, document: &mut Table, value: Value) -> Result<(), FieldError> {
         let Some((Step::Key(first), rest)) = self.0.split_first() else { return Ok(()) };
         if rest.is_empty() {

@@ -225,7 +225,7 @@ fn ros2_settings_of_devices_file_are_used() {
     let own = ", session = { ros2 = { depth = 9 } }";
     let merged = Ros2SessionSettings { depth: 9, ..expected };
     assert_eq!(read(&text("robot", own)), merged);
-    // The settings of ROS 2 mean nothing on another network.
+    // Settings of ROS 2 are ignored on another network.
     assert_eq!(read(&text("cluster", "")), Ros2SessionSettings::default());
     write("{depht: 3}");
     let unknown = configurations(&text("robot", "")).expect_err("no such key").to_string();
