@@ -1,4 +1,4 @@
-//! The order of an experiment's runs.
+//! Order of an experiment's runs.
 
 use std::collections::HashMap;
 
@@ -6,9 +6,10 @@ use peernet_analysis::loaded::Loaded;
 
 use super::experiment::Experiments;
 
-/// The runs as numbers, those of an experiment in the order of its file, as `peernet run` shows them, whatever the order in
-/// which they were measured. They take the places that its runs had; all others stay where they are. An experiment whose
-/// folder is not there, or cannot be read, stays as it is: only the order depends on it.
+/// Returns the indexes of the runs in the order of display: those of an experiment in the order of its file, as in `peernet run`.
+///
+/// They take the places that the experiment's runs had; all others keep theirs. If the folder of an experiment does not exist or
+/// cannot be read, its runs keep their order: nothing else depends on it.
 pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
@@ -29,7 +30,7 @@ pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usi
             })
         };
         let mut sorted = places.clone();
-        // Stable: the users of one run stay as they are.
+        // The sort is stable: the users of one run keep their order.
         sorted.sort_by_key(rank);
         places.into_iter().zip(sorted).for_each(|(place, run)| order[place] = run);
     }

@@ -1,10 +1,10 @@
-//! Wait for a peer that is away: when it is given up, and what the user is told of a slow one.
+//! Wait for a peer that is away: when it is given up, and what is shown of a slow one.
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::PipelineState;
 
-/// Time of silence after which the user is told.
+/// Time of silence after which a message is shown.
 const SILENCE: Span = Span::from_seconds(3);
 /// Reason given for a peer that has sent nothing at all, not even a refusal.
 const UNKNOWN: &str = "neither a refusal nor a word of PEERNet's protocol has come back until then; check the address, and what listens there";

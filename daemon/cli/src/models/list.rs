@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::Places;
 
-/// What `peernet models list` can be told.
+/// Arguments of `peernet models list`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -55,17 +55,17 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
     cells.map(|cell| printable_line(&cell).into_owned()).to_vec()
 }
 
-/// What keeps the model from being used.
+/// Returns the reason why the model cannot be used, if there is one.
 fn wrong(found: &ModelOnDisk) -> Option<String> {
     match (&found.card, &found.hidden_by) {
-        // The parser of TOML speaks in several lines.
+        // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
         (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),
         (Ok(_), None) => None,
     }
 }
 
-/// Bytes of `model.onnx`.
+/// Returns the size of `model.onnx` in bytes.
 fn size(found: &ModelOnDisk) -> Option<u64> {
     std::fs::metadata(found.folder.join("model.onnx")).ok().map(|known| known.len())
 }

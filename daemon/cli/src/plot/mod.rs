@@ -15,7 +15,7 @@ use peernet_statistics::number::counted;
 use crate::compare::{Collected, collect, distinct};
 use places::Places;
 
-/// What `peernet plot` can be told.
+/// Arguments of `peernet plot`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     y: Option<String>,
 }
 
-/// Which figures.
+/// Kinds of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
     /// All for which there is data.
@@ -78,7 +78,7 @@ impl Kind {
     }
 }
 
-/// Draws the figures and says where they are.
+/// Draws the figures and prints their paths.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read or lack what the kind shows (65), an option has no meaning for the
@@ -112,10 +112,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     if arguments.kind == Kind::All {
-        // Of all kinds some never are.
+        // With all kinds, some usually lack their data.
         lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
     } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
-        // One kind was asked for and is not there: a failure.
+        // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
     lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
@@ -123,7 +123,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Why nothing was drawn: of several runs each reason once, with how many have it. `None` where there is none.
+/// Describes why nothing was drawn: each reason once, with the number of runs. `None` if there is none.
 fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in lacking {
@@ -140,7 +140,7 @@ fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     (!reasons.is_empty()).then(|| told.collect::<Vec<_>>().join("; "))
 }
 
-/// Whether the options have a meaning together.
+/// Checks that the options have a meaning together.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     let usage = |text: &str| Err(Failure::new(Exit::Usage, anyhow!("{text}")));
     match arguments.kind {

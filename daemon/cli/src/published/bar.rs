@@ -1,4 +1,4 @@
-//! How far a client is.
+//! Display of a client's progress.
 
 use peernet_clock::SharedClock;
 use peernet_stream::{Condition, Grade};
@@ -6,7 +6,7 @@ use peernet_stream::{Condition, Grade};
 use crate::foreground::{Progress, remark};
 use crate::measure::{Phase, Seen, Watcher};
 
-/// Shows a bar, or lines where there is no terminal.
+/// A bar, or lines without a terminal.
 pub(crate) struct Bar {
     clock: SharedClock,
     progress: Progress,
@@ -19,7 +19,7 @@ impl Bar {
 }
 
 impl Watcher for Bar {
-    /// What spoils the figures is said while the run can still be ended and begun anew; the rest is in the report.
+    /// Prints conditions that impair the figures while the run can still be restarted; the rest is in the report.
     fn begun(&mut self, conditions: &[Condition]) {
         for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
             self.progress.say(remark(condition));

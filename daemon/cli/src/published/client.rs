@@ -1,4 +1,4 @@
-//! `peernet --client`: senses, asks the server, writes the results.
+//! `peernet --client`: senses, sends samples to the server, writes the results.
 
 use std::path::PathBuf;
 
@@ -21,20 +21,20 @@ use super::{Arguments, sensor};
 use crate::foreground::{tables, typed, where_seen};
 use crate::measure::{Home, Measured, Order, measure, undelivered};
 
-/// Iterations that the published plots drop.
+/// Number of first iterations that the published plots drop.
 const WARM_UP: u64 = 5;
-/// How long to wait for an answer: the largest model on a slow processor takes its time. Milliseconds.
+/// Timeout of an answer in milliseconds: the largest model on a slow processor takes long.
 const TIMEOUT_MS: u64 = 60_000;
-/// How long connecting may take, in which the server may load its model. Milliseconds.
+/// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
-/// Where results go that nobody gave a place.
+/// Folder for results without a given place.
 const RESULTS: &str = "results";
 
 /// Measures and writes the results.
 ///
 /// # Errors
-/// Those of [`measure`]; when the data set is not there (66); when some iterations have no answer (75) or the user ended
-/// it early (130).
+/// Those of [`measure`]; when the data set does not exist (66); when some iterations have no answer (75) or the user ended it
+/// early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let order = order(arguments, devices)?;
     let clock =
@@ -47,7 +47,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// What is to be measured.
+/// Makes the order of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::of(arguments)?;
     let pipeline = || {
@@ -92,7 +92,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     })
 }
 
-/// Says what came of it, and where it is.
+/// Prints the results and their place.
 fn tell(measured: &Measured) {
     say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
     if let Some(trust) = &measured.record.trust {
@@ -103,7 +103,7 @@ fn tell(measured: &Measured) {
     say(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
 }
 
-/// Says where the run is seen that was streamed as well, and what aggregators have not taken, of this run or of others.
+/// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
 fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
     let home = Home::of(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();

@@ -1,6 +1,6 @@
 //! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the one that senses.
 //!
-//! The same pipeline code as the daemon's, in the foreground, set up by the published options.
+//! They run the daemon's pipeline code in the foreground, configured by the published options.
 
 mod arguments;
 mod bar;
@@ -23,10 +23,10 @@ use devices::Devices;
 
 use crate::foreground::{Shows, listen};
 
-/// Serves or measures, as the options say.
+/// Serves or measures, depending on the options.
 ///
 /// # Errors
-/// Each kind with its exit code: `docs/cli.md`.
+/// Each kind of error has its exit code: `docs/cli.md`.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let devices = Devices::read(&arguments.network_config, arguments.network)?;
     let serves = !arguments.client;
@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }
 
-/// The command of `exec:COMMAND`; `None` of what is not written so.
+/// Returns the command of `exec:COMMAND`, or `None` for another form.
 fn program(wanted: &str) -> Result<Option<&str>, Failure> {
     match wanted.strip_prefix("exec:") {
         Some(command) if command.trim().is_empty() => {

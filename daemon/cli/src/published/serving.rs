@@ -1,4 +1,4 @@
-//! Watching a server: who is there, how many answers there were.
+//! Observation of a server: its sessions and its answers.
 
 use futures::FutureExt;
 use peernet_agent::Running;
@@ -18,27 +18,27 @@ pub(super) struct Serving {
     answers: AnswerCounts,
     clock: SharedClock,
     progress: Progress,
-    /// How long `inference` took.
+    /// Description of the durations of `inference`.
     inference: String,
     sessions: usize,
     loading: Loading,
 }
 
-/// Answers of the server, and how many there are to be.
+/// Number of answers of the server, given and wanted.
 struct AnswerCounts {
     wanted: u64,
     answered: u64,
     /// Answers that report an error.
     errors: u64,
-    /// Iterations of runs that are over and never came here.
+    /// Iterations of ended runs that never arrived here.
     missed: u64,
-    /// When the first answer was seen, and how many there were by then.
+    /// Time of the first observed answer, and the number of answers by then.
     first: Option<(MonoTime, u64)>,
-    /// When the last answer was seen.
+    /// Time of the last observed answer.
     last: Option<MonoTime>,
 }
 
-/// The model on its way into memory.
+/// State of loading the model.
 enum Loading {
     NotBegun,
     UnderWay(JoinHandle<Result<(), LoadError>>),
@@ -50,7 +50,7 @@ impl AnswerCounts {
         Self { wanted, answered: 0, errors: 0, missed: 0, first: None, last: None }
     }
 
-    /// Takes the counts of the agent, which only grow.
+    /// Updates the counts from those of the agent, which only grow.
     fn update(&mut self, answers: u64, errors: u64, missed: u64, now: MonoTime) {
         (self.errors, self.missed) = (errors, missed);
         if answers > self.answered {
@@ -64,7 +64,7 @@ impl AnswerCounts {
         self.answered.saturating_add(self.missed) >= self.wanted
     }
 
-    /// How many of the answers are errors, if any.
+    /// Describes the number of errors among the answers, if there are any.
     fn failed(&self) -> String {
         match self.errors {
             0 => String::new(),
@@ -73,7 +73,7 @@ impl AnswerCounts {
         }
     }
 
-    /// How many iterations clients have ended without asking, if any.
+    /// Describes the number of iterations that ended without arriving here, if there are any.
     fn without(&self) -> String {
         match self.missed {
             0 => String::new(),
@@ -81,7 +81,7 @@ impl AnswerCounts {
         }
     }
 
-    /// Answers per second, from the first to the last.
+    /// Returns the answers per second, from the first to the last.
     fn rate(&self) -> Option<f64> {
         let ((from, before), to) = (self.first?, self.last?);
         let seconds = (to - from).seconds();
@@ -102,12 +102,12 @@ impl Serving {
         }
     }
 
-    /// Whether there was an answer.
+    /// Returns whether there was an answer.
     pub(super) const fn answered(&self) -> bool {
         self.answers.answered > 0
     }
 
-    /// What came of it.
+    /// Describes the result.
     pub(super) fn summary(&self) -> String {
         let Self { answers, inference, .. } = self;
         let rate = answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
@@ -115,7 +115,7 @@ impl Serving {
         format!("{count}{}{}{rate}{inference}", answers.failed(), answers.without())
     }
 
-    /// Why there were not all answers although there will be no more, if so.
+    /// Describes the missing answers after no more will come, if any are missing.
     pub(super) fn shortfall(&self) -> Option<String> {
         let AnswerCounts { wanted, answered, .. } = self.answers;
         let short = wanted.saturating_sub(answered);
@@ -123,7 +123,7 @@ impl Serving {
         (short > 0).then(|| format!("{short} of {} never came here: {said}", counted(wanted, "iteration")))
     }
 
-    /// Brings the model into memory before anybody asks: what is wrong with it shows at once, and nobody waits for it.
+    /// Loads the model before the first request: errors show at once, and no client waits for it.
     fn load(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         match &mut self.loading {
             Loading::NotBegun => {
@@ -174,7 +174,7 @@ impl Serving {
 }
 
 impl RunObserver for Serving {
-    /// The model cannot be had.
+    /// The model cannot be loaded.
     type Own = LoadError;
 
     fn take(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
-//!                                 ├─ Record       experiment.json: how far it is, replaced after every step
+//!                                 ├─ Record       experiment.json: the state, replaced after every step
 //!                                 ├─ execute      one process per run and user (`peernet measure`)
 //!                                 └─ report       compare.*, users.*, sensors.*, figures
 //! ```
@@ -57,14 +57,14 @@ use plan::{Plan, Run};
 use state::Record;
 use trial::Tried;
 
-/// Where experiments go that nobody gave a place.
+/// Folder for experiments without a given place.
 const RESULTS: &str = "results";
 
-/// Carries out an experiment, or goes on with one.
+/// Executes an experiment, or continues one.
 ///
 /// # Errors
-/// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
-/// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
+/// When the file does not exist (66) or is wrong (78), something that it names is not available (69), the folder holds other
+/// files (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
     let (configurations, networks) = file.configurations(&arguments.models_dir)?;
@@ -74,7 +74,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
-    // A broken record can be begun anew, and is nothing against the file.
+    // A broken record can be replaced, and is no error of the file.
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
@@ -101,7 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let done = runtime.block_on(carry_out(arguments, record, path, &clock, &beside));
-    // A question that nobody answers is not waited for.
+    // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
     done
 }
@@ -154,7 +154,7 @@ async fn carry_out(
         return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
     }
     if arguments.restart {
-        // Not before: what cannot be measured again is better kept.
+        // Not earlier: results are kept if they cannot be measured again.
         clear(&folder)?;
     }
     folder.save(&record)?;
@@ -171,7 +171,7 @@ async fn carry_out(
         say(where_seen(runs, aggregator, has_all));
     }
     waiting.iter().for_each(complain);
-    // Those that were finished before as well: the same command tells the same.
+    // Runs that were finished before count as well, so that the same command gives the same result.
     let wanted: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())
@@ -180,13 +180,13 @@ async fn carry_out(
     verdict(&record, &wanted, interrupted)
 }
 
-/// Takes away what is begun anew.
+/// Removes everything of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
     folder.clear_made()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
-        // What it names is not known; its runs are replaced one by one.
+        // Its runs are unknown then; they are replaced one by one.
         Err(failure) => complain(failure),
     }
     Ok(())
@@ -203,7 +203,7 @@ fn estimates(record: &Record, tried: &Tried) -> Estimates {
     estimates
 }
 
-/// Everything that the trials lacked, at once: each reason, and the configurations below.
+/// Makes the failure for everything that the trials lacked: each reason with its configurations.
 fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
     let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
@@ -231,13 +231,13 @@ fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
     Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
 }
 
-/// Asks, where somebody can answer.
+/// Asks for confirmation if standard input is a terminal.
 async fn agreed(signals: &mut Signals) -> bool {
     if !std::io::stdin().is_terminal() {
         return true;
     }
     let answer = tokio::task::spawn_blocking(|| {
-        // A question that cannot be written cannot be answered either.
+        // If the question cannot be written, the answer is no.
         let mut errors = std::io::stderr();
         let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
@@ -250,14 +250,14 @@ async fn agreed(signals: &mut Signals) -> bool {
     }
 }
 
-/// An experiment that was not begun leaves no folder behind.
+/// Removes the folder of an experiment that was not begun.
 fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();
     }
 }
 
-/// Where the runs were streamed to.
+/// Returns the aggregators to which the runs were streamed, each once.
 fn aggregators(plan: &Plan) -> Vec<&Address> {
     let mut each = Vec::new();
     for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
@@ -277,7 +277,7 @@ fn summary(record: &Record) -> String {
     format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
 }
 
-/// What a script is told of the runs that were wanted.
+/// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
         let text = "ended early; the same command goes on where it ended";
@@ -294,7 +294,7 @@ fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Fai
     Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
 }
 
-/// A random name for this execution.
+/// Returns a random id of this execution.
 fn id() -> String {
     format!("{:016x}", rand::random::<u64>())
 }

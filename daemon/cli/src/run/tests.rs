@@ -63,7 +63,7 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
     }
     record.begin(&runs[3]);
     folder.save(&record).expect("writable");
-    // The program is killed here: the fourth is still under way.
+    // The program is killed here: the fourth run is still active.
     let mut loaded = folder.load().expect("reads").expect("is there");
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
@@ -185,7 +185,7 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
     let second = Folder::open(&path).err().expect("the first holds it");
     assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
     drop(folder);
-    // Killed when it was about to write its first record.
+    // A program was killed while it wrote its first record.
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
     let folder = Folder::open(&path).expect("it is an experiment's");
     folder.discard();
@@ -265,7 +265,7 @@ fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() 
     assert_eq!((of_the_file.expect("reads").runs.len(), changed.runs.len()), (4, 8));
     let limits = changed.configurations.iter().map(|one| one.agent.pipelines[0].limit.iterations);
     assert!(limits.flatten().all(|count| count.get() == 20));
-    // Each value of the axis B has a length of its own.
+    // Each value of the axis B sets the length.
     let vain = refused(&["pipeline.sensor.length=7"]);
     assert_eq!(vain.exit, Exit::Usage);
     assert!(vain.to_string().contains("no effect: the axis B sets it in all runs"), "{vain}");

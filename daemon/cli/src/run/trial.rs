@@ -1,4 +1,4 @@
-//! A few iterations of each configuration before the first run: one refusal now is better than one after an hour.
+//! Trial of each configuration with a few iterations before the first run: an error now is better than one after an hour.
 
 use std::collections::BTreeSet;
 use std::num::NonZeroU64;
@@ -21,30 +21,30 @@ use super::plan::{Plan, in_words};
 use crate::foreground::{Progress, Signals, duration};
 use crate::measure::Order;
 
-/// Iterations of a trial: the first may be slow, of the others the pace is taken.
+/// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// How long a peer is waited for unless the file says otherwise; seconds. It may have to load its model.
+/// Longest wait for a peer unless the file sets another; seconds. The peer may have to load its model.
 const PATIENCE_S: f64 = 30.0;
 
-/// What the trials showed.
+/// Results of the trials.
 pub(super) struct Tried {
-    /// One for each configuration; `None` where it was not tried or did not work.
+    /// Pace of each configuration; `None` if it was not tried or failed.
     pub(super) paces: Vec<Option<Pace>>,
-    /// How many configurations were to be tried.
+    /// Number of configurations to be tried.
     pub(super) wanted: usize,
-    /// What is missing: every configuration that cannot be measured, in words, and why.
+    /// Configurations that cannot be measured, described in words, with the failure of their process.
     pub(super) missing: Vec<(String, Exited)>,
-    /// What spoils measurements on a host, each once.
+    /// Conditions that impair measurements on a host, each once.
     pub(super) conditions: Vec<Condition>,
 }
 
-/// A trial, and the places of all configurations that are alike in it.
+/// A trial, with the indexes of all configurations that have it in common.
 struct Trial {
     order: Order,
     configurations: Vec<usize>,
 }
 
-/// Tries the configurations at these places, those that are alike once.
+/// Tries the configurations at these indexes; those with equal trials are tried once.
 ///
 /// # Errors
 /// When there is no place for files (69) or the user ended it (130).
@@ -64,7 +64,7 @@ pub(super) async fn configurations(
         missing: Vec::new(),
         conditions: Vec::new(),
     };
-    // Nobody is waited for twice.
+    // Peers that are absent are waited for only once.
     let mut away: Vec<(Address, Exited)> = Vec::new();
     let trials = trials(plan, wanted);
     let mut progress = Progress::new(quiet, clock.mono());
@@ -124,7 +124,7 @@ pub(super) async fn configurations(
     Ok(tried)
 }
 
-/// The trials that differ, in the order of the configurations.
+/// Returns the different trials, in the order of the configurations.
 fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
     let mut trials: Vec<Trial> = Vec::new();
     let configurations = wanted.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
@@ -138,13 +138,13 @@ fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
     trials
 }
 
-/// A configuration in words; without axes the experiment's name.
+/// Describes a configuration; without axes by the experiment's name.
 fn words(plan: &Plan, index: usize) -> String {
     let words = plan.configurations.get(index).map(|configuration| in_words(&configuration.labels));
     words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
-/// Configurations in few words: the first, and how many others are like it.
+/// Describes configurations with equal trials: the first one, and the number of the others.
 fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
     let first = words.next().unwrap_or_default();
     match words.len() {
@@ -154,7 +154,7 @@ fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
     }
 }
 
-/// Who is asked.
+/// Returns the address of the peer.
 fn peer(order: &Order) -> Option<Address> {
     match &order.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
@@ -162,7 +162,7 @@ fn peer(order: &Order) -> Option<Address> {
     }
 }
 
-/// The configuration, short, and acting upon nothing.
+/// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn order(configuration: &Configuration) -> Order {
     let mut agent = configuration.agent.clone();
     agent.agent.aggregator = None;
@@ -187,14 +187,14 @@ fn order(configuration: &Configuration) -> Order {
     }
 }
 
-/// The pace, from the moments at which iterations began and the time that all took.
+/// Calculates the pace from the starts of the iterations and the duration of the process.
 fn pace(moments: &[f64], took: f64) -> Option<Pace> {
     let intervals = moments.windows(2).map(|pair| pair[1] - pair[0]);
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
     Some(Pace { iteration_s, beside_s: (took - iteration_s * moments.len() as f64).max(0.0) })
 }
 
-/// What spoils measurements, unless it was told before.
+/// Collects conditions that impair measurements, unless they are known already.
 fn tell(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
     let found = hosts.flat_map(|host| &host.conditions).filter(|found| found.grade >= Grade::Doubtful);
