@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_peer_is_an_address_or_a_host() {
+    fn peer_is_address_or_host() {
         let read = |text| address(text, DEFAULT_PORT, NetworkKind::default());
         for (text, address) in [
             ("cloud", "tcp://cloud:5551"),

@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_without_an_end_are_waited_for_as_long_as_is_said() {
+    fn endless_headers_are_read_until_timeout() {
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let answering = std::thread::spawn(move || {
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_says_nothing_is_waited_for_as_long_as_is_said() {
+    fn silent_server_is_waited_for_until_timeout() {
         // The system accepts the connection for the server.
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));

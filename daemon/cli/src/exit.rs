@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_said_is_not_said_again() {
+    fn repeated_cause_is_printed_once() {
         let cause = anyhow!("No such file").context("cannot open x: No such file; make it");
         assert_eq!(in_one_line(&cause), "cannot open x: No such file; make it");
         let cause =

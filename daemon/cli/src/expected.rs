@@ -50,7 +50,7 @@ mod tests {
     struct Inner {}
 
     #[test]
-    fn expected_types_are_told_in_words() {
+    fn expected_types_are_described_in_words() {
         for (file, expected) in [
             ("threads = 0", "invalid value: integer `0`, expected a whole number above 0"),
             ("threads = 'x'", "invalid type: string \"x\", expected a whole number above 0"),

@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn command_of_the_daemon_is_told_with_its_program() {
+    fn command_of_daemon_is_reported_with_its_program() {
         let told = |command: &str| {
             let error = Line::try_parse_from(["peernet", command]).expect_err("it is unknown");
             with_program(error).to_string()

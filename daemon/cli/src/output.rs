@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_typed_is_echoed_in_one_line_and_short() {
+    fn typed_text_is_echoed_in_one_short_line() {
         let refused = |text: &str| Err::<String, _>(format!("{text:?} is none"));
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
         let told = |word: &str| {
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_that_has_gone_is_no_error() {
+    fn closed_output_is_no_error() {
         let (reader, mut writer) = io::pipe().expect("a pipe");
         drop(reader);
         assert_eq!(writer.write_all(b"x").map_err(|error| error.kind()), Err(ErrorKind::BrokenPipe));

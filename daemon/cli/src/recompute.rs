@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn before_and_after_stand_side_by_side() {
+    fn before_and_after_are_shown_together() {
         let recomputed: Recomputed = serde_json::from_value(serde_json::json!({
             "run": 7, "samples": 60, "clocks": ["raw"],
             "stages": [{
@@ -234,7 +234,7 @@ run 7: computed again by free-running clocks with 60 seconds of what was learnt 
     }
 
     #[test]
-    fn a_rehearsal_is_told_by_the_facts() {
+    fn rehearsal_is_recognised_from_facts() {
         let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
         let facts = |facts: &[(&str, &str)]| rehearsal(&facts.iter().copied().map(fact).collect::<Vec<_>>());
         assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);

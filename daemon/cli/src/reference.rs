@@ -15,12 +15,12 @@ const MARK: &str = "<!-- From here on made from the program's own words: PEERNET
 const USUAL: [&str; 2] = ["help", "version"];
 
 #[test]
-fn the_command_line_is_well_formed() {
+fn command_line_is_well_formed() {
     Line::command().debug_assert();
 }
 
 #[test]
-fn the_reference_says_what_the_program_says() {
+fn reference_matches_help_of_program() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
     let text = std::fs::read_to_string(&file).expect("the checkout has the document");
     let (above, found) = text.split_once(MARK).expect("the document has the mark");

@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seconds_have_a_least_and_a_most() {
+    fn seconds_outside_range_are_refused() {
         assert_eq!((seconds("0", 0.0), seconds("86400", 1.0)), (Ok(0.0), Ok(86_400.0)));
         for (text, told) in
             [("0.5", "from 1 to 86400"), ("1e9", "from 1 to 86400"), ("x", "invalid float literal")]

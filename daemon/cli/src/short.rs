@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_middle_of_an_overlong_line_is_left_out() {
+    fn middle_of_overlong_line_is_left_out() {
         assert_eq!(lines("one\ntwo\n"), "one\ntwo\n");
         let text = format!("e.toml: \"{}\", expected u64\nthe second line", "ü".repeat(5000));
         let long = lines(&text);
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_told_in_one_line() {
+    fn value_is_shown_in_one_line() {
         assert_eq!(value("random string"), "random string");
         assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
         let long = "x = 1\n".repeat(1000);

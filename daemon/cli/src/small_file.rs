@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn regular_files_of_reasonable_size_are_read_and_no_devices() {
+    fn only_small_regular_files_are_read() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "four").expect("writable");
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_that_is_found_is_not_waited_for() {
+    fn found_pipe_is_refused_without_waiting() {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, pipe) = (folder.path().join("file"), folder.path().join("pipe"));
         std::fs::write(&file, "four").expect("writable");
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn pipes_are_read_to_their_end_or_their_limit() {
+    fn pipe_is_read_to_end_or_limit() {
         let of = |text: &'static [u8], largest: u64| {
             let (reader, mut writer) = io::pipe().expect("a pipe");
             let writing = std::thread::spawn(move || writer.write_all(text));

@@ -204,12 +204,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nobody_needs_the_nanosecond_at_which_a_host_was_seen() {
+    fn last_seen_time_is_shown_to_the_second() {
         assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
     }
 
     #[test]
-    fn what_a_rehearsed_clock_touches_is_marked() {
+    fn rows_of_rehearsed_hosts_are_marked() {
         let clock = json!({ "rehearsal": {
             "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
         } });

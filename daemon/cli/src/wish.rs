@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_of_a_kind_in_a_moment_are_one_wish() {
+    fn equal_signals_within_moment_are_one_request() {
         let (mut wishes, begin) = (Wishes::default(), Instant::now());
         let mut come = |kind, ms| wishes.is_another(kind, begin + Duration::from_millis(ms));
         let (terminate, interrupt) = (SignalKind::terminate(), SignalKind::interrupt());

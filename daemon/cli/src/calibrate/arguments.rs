@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_repeat_at_all_is_too_few() {
+    fn zero_repeats_are_refused() {
         assert_eq!(repeats("0"), Err(RepeatsError::Zero));
         assert_eq!(repeats("-1").expect_err("none").to_string(), "not a whole number");
         assert_eq!(repeats("12").map(NonZeroU64::get), Ok(12));

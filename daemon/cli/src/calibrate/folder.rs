@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_folder_is_named_after_peer_and_time() {
+    fn folder_is_named_after_peer_and_time() {
         let at = WallTime::from_unix_nanos(1_795_179_293_000_000_000);
         let name = |peer: &str| default(&peer.parse().expect("an address"), at).display().to_string();
         assert_eq!(name("tcp://cloud.lab:5551"), "calibration-cloud.lab-2026-11-20-125453");

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn every_round_has_every_size_in_another_order() {
+    fn each_round_has_all_sizes_in_own_order() {
         let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
         assert_eq!(
             (plan.sizes(), plan.iterations, plan.all()),

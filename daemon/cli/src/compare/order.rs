@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_come_as_the_file_has_them() {
+    fn runs_have_order_of_file() {
         let experiment = tempfile::tempdir().expect("a folder");
         let labels = |label: &str| vec![("load".to_owned(), label.to_owned())];
         let configurations: Vec<_> = ["b", "a"].map(|label| json!({ "labels": labels(label) })).to_vec();

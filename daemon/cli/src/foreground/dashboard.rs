@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_usual_address_is_one_for_a_browser() {
+    fn default_address_works_in_browser() {
         let told = |text: &str| where_seen("it", &text.parse().expect("an address"), true);
         let four = "see it on the dashboard of the aggregator at 10.77.0.2 (usually http://10.77.0.2:8040)";
         assert_eq!(told("tcp://10.77.0.2:5650"), four);
@@ -35,7 +35,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_sent_to_a_page_that_does_not_have_it_yet() {
+    fn run_with_undelivered_events_is_announced_for_later() {
         let told = where_seen("it", &"tcp://10.77.0.2:5650".parse().expect("an address"), false);
         let later = "it will be on the dashboard of the aggregator at 10.77.0.2:5650 once all events have been delivered";
         assert_eq!(told, later);

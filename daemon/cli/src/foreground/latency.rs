@@ -20,7 +20,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tail_needs_values_enough() {
+    fn tail_needs_enough_values() {
         let mut latency = Summary::default();
         (1..ENOUGH_FOR_P99).for_each(|_| latency.record(0.1));
         assert_eq!(p99(&latency), None);

@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_repeat_no_reason() {
+    fn lines_do_not_repeat_reason() {
         let mut told = None;
         let mut line = |reason: &str, wait: &str| {
             without_told_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)

@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_relates_the_clocks_is_taken_from_a_file_and_nothing_else() {
+    fn only_clock_settings_are_taken_from_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("edge.toml");
         let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\

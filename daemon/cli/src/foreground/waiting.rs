@@ -26,7 +26,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_of_waiting_is_told_as_people_do() {
+    fn waiting_time_is_described_in_round_units() {
         assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
         let day = 86_400.0;
         assert_eq!(

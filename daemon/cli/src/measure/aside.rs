@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_come_back_unless_there_are_others() {
+    fn dropped_guard_restores_results_unless_replaced() {
         let home = tempfile::tempdir().expect("a folder");
         let (data, mine) = (home.path().join("data.csv"), home.path().join("mine.txt"));
         std::fs::write(&data, "earlier").expect("writable");
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn results_that_others_could_not_replace_come_back_and_no_row_is_lost() {
+    fn unreplaced_results_are_restored_and_new_rows_kept() {
         let home = tempfile::tempdir().expect("a folder");
         let read = |name: &str| std::fs::read_to_string(home.path().join(name)).expect("it is there");
         for name in [DATA, RECORD] {
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_run_had_put_aside_comes_back() {
+    fn results_moved_by_killed_run_are_restored() {
         let home = tempfile::tempdir().expect("a folder");
         let read = |name: &str| std::fs::read_to_string(home.path().join(name)).expect("it is there");
         for name in [DATA, RECORD] {
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_was_killed_when_it_was_done_has_replaced_them() {
+    fn run_killed_after_completion_has_replaced_results() {
         let home = tempfile::tempdir().expect("a folder");
         std::fs::write(home.path().join(DATA), "earlier").expect("writable");
         killed(home.path(), "later");
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_was_killed_while_it_moved_them_has_lost_none() {
+    fn run_killed_while_moving_results_loses_none() {
         let home = tempfile::tempdir().expect("a folder");
         for name in [DATA, RECORD, "summary.md"] {
             std::fs::write(home.path().join(name), name).expect("writable");

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exception_is_told_once() {
+    fn exception_is_reported_once() {
         let all = "E: dark Traceback (most recent call last):   File x, line 7     raise E E: dark";
         assert_eq!(once(all), "E: dark Traceback (most recent call last):   File x, line 7     raise E");
         let others = ["it went away", "", "E: a Traceback (most recent call last):  …"];
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_is_told_how_it_went() {
+    fn exit_code_reports_result() {
         let well = Rows::from_iter([row(1, Outcome::Ok)]);
         assert!(Ended::Finished.failure(&well, 0).is_none());
         let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);

@@ -102,7 +102,7 @@ mod any_path {
         struct Holder(#[serde(with = "super")] PathBuf);
 
         #[test]
-        fn any_path_is_understood_by_the_process_that_measures() {
+        fn paths_of_any_bytes_survive_order() {
             for bytes in [&b"results/a"[..], b"res\xff\xfe"] {
                 let path = Holder(OsString::from_vec(bytes.to_vec()).into());
                 let text = serde_json::to_string(&path).expect("can be written");

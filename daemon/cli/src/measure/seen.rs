@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_look_is_told_in_one_line() {
+    fn progress_is_shown_in_one_line() {
         let seen = Seen {
             phase: Phase::Measuring,
             done: 120,

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn each_aggregator_has_one_and_two_names_of_this_machine_are_one() {
+    fn aggregator_has_one_spool_under_any_local_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let name = |address: &str| {
             spool(folder.path(), address).file_name().expect("a name").to_string_lossy().into_owned()
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_is_for_one_aggregator() {
+    fn waiting_events_belong_to_one_aggregator() {
         let waiting = |at: &str| Waiting { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
         let is_for = |at: &str, address: &str| waiting(at).is_for(&address.parse().expect("an address"));
         assert!(is_for("localhost:5550", "tcp://127.0.0.1:5550") && is_for("lab:5550", "tcp://Lab:5550"));
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn that_of_an_older_version_goes_on_with_all_that_waits_in_it() {
+    async fn spool_of_older_version_keeps_waiting_events() {
         let folder = tempfile::tempdir().expect("a folder");
         killed(folder.path()).await;
         let agent = File::create(folder.path().join(OF_AGENT)).expect("writable");
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_cannot_be_read_is_told() {
+    async fn unreadable_spool_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(spool(folder.path(), "tcp://lab:5550"), "no database").expect("writable");
         let told = told(folder.path()).await;

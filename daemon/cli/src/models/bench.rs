@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_is_read_and_a_tail_needs_enough_samples() {
+    fn memory_is_read_and_tail_needs_samples() {
         assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
         let few: Ordered = (0..100).map(f64::from).collect();
         assert_eq!(QUANTILES.map(|one| quantile(&few, one).is_some()), [true, true, false]);

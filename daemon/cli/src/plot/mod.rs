@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_nothing_can_be_drawn_nothing_is_made() {
+    fn no_folder_is_made_if_nothing_can_be_drawn() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
             .expect("writable");
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_runs_each_reason_is_told() {
+    fn each_reason_is_reported_once() {
         let lacking = |reasons: &[MissingData]| -> Vec<(PathBuf, PlotError)> {
             let error = |reason: &MissingData| PlotError::Lacking(figures::Kind::Length, reason.clone());
             reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()

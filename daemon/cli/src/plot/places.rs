@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_stand_beside_the_results() {
+    fn figures_are_placed_in_result_folders() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
         assert_eq!(
             places(&["/tmp"], &["/tmp/a", "/tmp/b"], None),
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn elsewhere_each_of_several_runs_has_a_folder() {
+    fn given_folder_has_subfolder_per_run() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
         assert_eq!(places(&["x"], &["x/a"], Some("out")), (runs(&["out"]), "out".into()));
         let several = places(&["x"], &["x/m/a", "x/n/a"], Some("out"));

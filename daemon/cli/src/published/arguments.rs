@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_said_is_as_published() {
+    fn omitted_options_have_published_defaults() {
         let read = read("peernet --name a --network-config b.yaml --iterations 7");
         assert!(!read.client && !read.generate_plots && !read.overwrite && !read.pickle && !read.quiet);
         assert_eq!((read.network, read.sensor_type), (None, SensorType::Image));
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn both_commands_of_the_paper_are_read() {
+    fn commands_of_paper_are_parsed() {
         let server = read(
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml \
              --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_needs_none_of_them() {
+    fn subcommand_needs_no_published_option() {
         let line = Line::try_parse_from(["peernet", "status"]).expect("a command");
         assert!(line.command.is_some() && line.published.is_none());
         assert!(Line::try_parse_from(["peernet", "--client", "status"]).is_err());

@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn network_that_the_build_lacks_is_told_in_words_of_the_file() {
+    fn network_missing_in_build_is_reported_in_terms_of_file() {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
         let checked = devices.check(&"cluster".parse().expect("a name"), true);
@@ -211,7 +211,7 @@ server: cluster
     }
 
     #[test]
-    fn the_published_file_is_read() {
+    fn published_file_is_parsed() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
@@ -220,7 +220,7 @@ server: cluster
     }
 
     #[test]
-    fn listeners_with_names_are_those_of_devices() {
+    fn named_listeners_have_names_of_devices() {
         let network = NetworkKind::ALL.iter().copied().find(|kind| kind.has_named_listeners());
         let text = format!("{PUBLISHED}ros_version: 1\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
@@ -242,7 +242,7 @@ server: cluster
     }
 
     #[test]
-    fn who_may_be_started_how() {
+    fn device_starts_only_in_its_role() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         let check = |name: &str, serves| {
             let name = name.parse().expect("a name");
@@ -259,7 +259,7 @@ server: cluster
     }
 
     #[test]
-    fn what_is_missing_is_told() {
+    fn missing_keys_are_reported() {
         assert!(wrong("devices: {a: 10.0.0.1}").contains("server:"));
         assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("there is a"));
         assert!(wrong("server: b").contains("devices"));

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pixels_are_the_published_way() {
+    fn encodings_are_parsed() {
         assert_eq!(
             Encoding::read("pixels").map(Encoding::transforms),
             Ok(vec![TransformConfig::to_pixels()])

@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_objects_and_commands_become_names_of_models() {
+    fn object_and_command_names_become_model_names() {
         let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)]
             .map(slug)
             .map(|name| name.to_string());
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_have_numbers() {
+    fn device_without_number_is_first() {
         assert_eq!(
             ["cpu", "cuda", "cuda:6", "tensorrt"].map(device),
             ["cpu", "cuda:0", "cuda:6", "tensorrt:0"]

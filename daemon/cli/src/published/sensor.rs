@@ -104,7 +104,7 @@ mod tests {
     use crate::Line;
 
     #[test]
-    fn what_cannot_be_a_sensor_by_its_options_alone_is_a_wrong_command_line() {
+    fn invalid_sensor_options_are_usage_errors() {
         let refused = |words: [OsString; 2]| {
             let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };

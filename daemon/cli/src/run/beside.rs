@@ -35,7 +35,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_text_of_the_file_of_devices_is_told_and_another_name_of_it_or_none_is_not() {
+    fn only_changed_text_of_devices_file_is_reported() {
         let network =
             |file: &str, text: &str| Some(NetworkConfig { file: file.to_owned(), text: text.to_owned() });
         let beside = Beside { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };

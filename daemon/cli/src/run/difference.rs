@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn differences_are_told_with_their_paths() {
+    fn differences_are_reported_with_paths() {
         let before = json!({ "seed": 1, "runs": [{ "a": 1 }, { "a": 2 }], "axes": [1] });
         let now = json!({ "seed": 2, "runs": [{ "a": 1 }, { "a": 3, "b": true }], "axes": [1, 2] });
         assert_eq!(

@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_wish_leaves_less_time() {
+    fn each_request_shortens_deadline() {
         let (mut ending, began) = (Ending::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
         assert!(!ending.is_wanted());
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_wish_does_not_wait_for_long() {
+    fn deadline_after_second_request_is_short() {
         let (mut ending, began) = (Ending::default(), Instant::now());
         ending.wish(began);
         ending.wish(began + Duration::from_secs(1));

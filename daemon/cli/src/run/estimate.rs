@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_takes_what_its_limit_and_pace_make_of_it() {
+    fn estimate_follows_from_limit_and_pace() {
         let pace = Some(Pace { iteration_s: 0.1, beside_s: 2.0 });
         let closed = pipeline("limit = { total = 100 }");
         assert_eq!((expected(&closed, pace), expected(&closed, None)), (Some(12.0), None));
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_measured_corrects_what_was_expected() {
+    fn measured_durations_correct_estimates() {
         let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
         assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(10.0), Some(20.0), None]);
         estimates.learn(0, 15.0);

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_host_is_that_of_one_experiment_at_a_time() {
+    fn host_belongs_to_one_experiment_at_a_time() {
         let state = tempfile::tempdir().expect("a folder");
         let named =
             |names: &[&str]| names.iter().map(|name| state.path().join(name)).collect::<BTreeSet<_>>();
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn an_agent_at_work_is_seen_and_can_begin_while_the_experiment_has_its_folder() {
+    fn running_agent_is_detected_and_lock_admits_own_agents() {
         let state = tempfile::tempdir().expect("a folder");
         let folders = BTreeSet::from([state.path().to_owned()]);
         let agent = File::create(state.path().join(OF_AGENT)).expect("writable");

@@ -52,7 +52,7 @@ fn ended(stage: Stage) -> Ended {
 }
 
 #[test]
-fn what_is_not_finished_is_done_again_and_nothing_else() {
+fn only_unfinished_runs_are_repeated() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let mut record = record(temporary.path());
@@ -77,7 +77,7 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
 }
 
 #[test]
-fn what_is_not_whole_is_done_again() {
+fn incomplete_results_are_measured_again() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
@@ -121,7 +121,7 @@ fn what_is_not_whole_is_done_again() {
 }
 
 #[test]
-fn what_is_begun_anew_takes_its_runs_tables_and_figures_away_and_nothing_else() {
+fn restart_removes_only_runs_tables_and_figures() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
@@ -140,7 +140,7 @@ fn what_is_begun_anew_takes_its_runs_tables_and_figures_away_and_nothing_else() 
 }
 
 #[test]
-fn a_record_that_contradicts_itself_is_refused_before_anything_is_removed() {
+fn inconsistent_record_is_refused_before_removal() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let whole = record(temporary.path());
@@ -164,7 +164,7 @@ fn a_record_that_contradicts_itself_is_refused_before_anything_is_removed() {
 }
 
 #[test]
-fn a_changed_file_is_refused_with_what_changed() {
+fn changed_file_is_refused_with_differences() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     assert!(folder::unchanged(&record, &plan(folder.path(), &format!("# a comment\n{FILE}"))).is_ok());
@@ -178,7 +178,7 @@ fn a_changed_file_is_refused_with_what_changed() {
 }
 
 #[test]
-fn a_folder_belongs_to_one_experiment_and_one_program() {
+fn folder_belongs_to_one_experiment_and_program() {
     let temporary = tempfile::tempdir().expect("a folder");
     let path = temporary.path().join("results");
     let folder = Folder::open(&path).expect("is new");
@@ -208,7 +208,7 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
 }
 
 #[test]
-fn a_check_of_the_file_is_none_of_what_was_measured() {
+fn check_of_file_ignores_measured_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, results) = (folder.path().join("e.toml"), folder.path().join("results"));
     std::fs::write(&file, FILE).expect("writable");
@@ -224,7 +224,7 @@ fn a_check_of_the_file_is_none_of_what_was_measured() {
 }
 
 #[test]
-fn wishes_choose_runs() {
+fn selections_choose_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     let only = |line: &str| {
@@ -249,7 +249,7 @@ fn wishes_choose_runs() {
 }
 
 #[test]
-fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() {
+fn set_values_replace_those_of_file_but_not_axes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("e.toml");
     std::fs::write(&path, FILE).expect("writable");
@@ -279,7 +279,7 @@ fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() 
 }
 
 #[test]
-fn times_that_nobody_knows_read_well() {
+fn unknown_durations_are_readable() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     let outlook = |expected: [Option<f64>; 4]| {
@@ -303,7 +303,7 @@ fn times_that_nobody_knows_read_well() {
 }
 
 #[test]
-fn a_run_without_axes_and_repeats_is_called_after_its_experiment_once() {
+fn title_without_axes_names_experiment_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let title = |text: &str| {
         let plan = plan(folder.path(), text);
@@ -316,7 +316,7 @@ fn a_run_without_axes_and_repeats_is_called_after_its_experiment_once() {
 }
 
 #[test]
-fn a_script_learns_of_failed_and_incomplete_runs() {
+fn exit_code_reports_failed_and_incomplete_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
@@ -335,7 +335,7 @@ fn a_script_learns_of_failed_and_incomplete_runs() {
 }
 
 #[test]
-fn what_another_build_has_begun_is_told() {
+fn experiment_of_another_build_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();

@@ -235,7 +235,7 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
 ";
 
     #[test]
-    fn configurations_that_are_alike_in_a_trial_share_one_and_all_have_a_name() {
+    fn configurations_with_equal_trials_share_one() {
         let folder = tempfile::tempdir().expect("a folder");
         let whole = plan(folder.path(), FILE);
         let places = |wanted: &[usize]| -> Vec<Vec<usize>> {
@@ -253,7 +253,7 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
     }
 
     #[test]
-    fn the_pace_is_that_of_the_iterations_after_the_first() {
+    fn pace_ignores_first_iteration() {
         let pace = pace(&[10.0, 12.0, 12.5], 4.0).expect("three iterations");
         assert_eq!(pace, Pace { iteration_s: 0.5, beside_s: 2.5 });
         assert_eq!(super::pace(&[10.0], 1.0), None);

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn episodes_are_left_out_as_in_the_paper() {
+    fn warm_up_episodes_are_left_out_as_in_paper() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
         assert_eq!(in_words(&paper.warm_up()), "the first episode and the first step of each episode");
@@ -202,14 +202,14 @@ mod tests {
     }
 
     #[test]
-    fn a_run_has_an_end() {
+    fn run_without_limit_is_refused() {
         assert_eq!(read("").limit().expect_err("endless"), LimitError::Endless);
         assert_eq!(read("episodes = 3").limit().expect_err("endless"), LimitError::EpisodeSteps);
         assert!(read("duration_s = 3.5").limit().is_ok());
     }
 
     #[test]
-    fn numbers_have_their_ranges() {
+    fn numbers_outside_range_are_refused() {
         for fine in ["users = 64", "duration_s = 0.5", "patience_s = 0", "patience_s = 86400.0"] {
             assert_eq!(read(fine).check(), Ok(()), "{fine}");
         }

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_put_where_the_path_leads() {
+    fn value_is_set_at_path() {
         assert_eq!(set("a.b", "a = { c = 1 }").as_deref(), Ok("[a] b = 7 c = 1"));
         assert_eq!(set("a.b.c", "").as_deref(), Ok("[a.b] c = 7"));
         assert_eq!(set("a[1].b", "a = [{ b = 1 }, { b = 2 }]").as_deref(), Ok("[[a]] b = 1 [[a]] b = 7"));
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_that_leads_nowhere_is_named() {
+    fn unknown_path_is_reported() {
         for (path, document, told) in [
             ("a..b", "", "no path"),
             ("a\nb", "", "no path"),
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_touch_when_one_stands_in_the_other() {
+    fn fields_overlap_if_one_contains_the_other() {
         let field = |text| Field::read(text).expect("a path");
         assert!(field("a.b").touches(&field("a.b.c")) && field("a.b.c").touches(&field("a.b")));
         assert!(!field("a.b").touches(&field("a.c")) && !field("a[0]").touches(&field("a[1]")));

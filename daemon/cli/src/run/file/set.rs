@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_toml_or_else_texts() {
+    fn value_that_is_no_toml_is_text() {
         let value = |text: &str| Set::read(text).expect("reads").value;
         assert_eq!(value("experiment.iterations=100"), Value::Integer(100));
         assert_eq!(value("a.b = true"), Value::Boolean(true));
