@@ -48,7 +48,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn without_leaves_exactly_what_no_other_holds(
+        fn without_keeps_numbers_that_no_other_contains(
             (first, length) in (-10i64..30, 0i64..30),
             others in prop::collection::vec((-20i64..50, 0i64..20), 0..6),
         ) {

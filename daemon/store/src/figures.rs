@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_wait_for_their_samples() {
+    fn quantiles_need_enough_samples() {
         let mut summary = Summary::default();
         assert_eq!(Figures::of(&summary), None);
         let figures_at = |summary: &mut Summary, count: u64| {
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_show_stages_first_and_users_names_last() {
+    fn tables_show_stages_first_and_user_names_last() {
         let mut names = ["zeta", "upload-bytes", "total", "upload", "capture", "alpha", "encode", "sensing"];
         names.sort_by_key(|name| rank(name));
         assert_eq!(

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn every_number_of_rows_arrives_whole_and_in_order() {
+    async fn any_number_of_rows_is_inserted_in_order() {
         let mut connection = SqliteConnection::connect("sqlite::memory:").await.expect("opens");
         sqlx::raw_sql("CREATE TABLE t (a INTEGER PRIMARY KEY, b TEXT)")
             .execute(&mut connection)

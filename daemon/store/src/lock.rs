@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_database_has_one_holder_at_a_time_by_whatever_name() {
+    fn database_has_one_holder_under_any_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
         assert!(matches!(DatabaseLock::take_existing(&path), Err(LockError::Failed { .. })));
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_not_there_is_named() {
+    fn missing_folder_is_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let refused = DatabaseLock::take(&folder.path().join("no/peernet.sqlite")).expect_err("no folder");
         assert!(refused.to_string().contains("no/peernet.sqlite"), "{refused}");

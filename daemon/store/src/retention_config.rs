@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_work_is_named_by_its_key() {
+    fn invalid_setting_is_named_by_key() {
         assert!(problems(|_| {}).is_empty());
         assert!(problems(|config| (config.nodes_days, config.size_limit_bytes) = (0, 1 << 30)).is_empty());
         assert_eq!(problems(|config| config.nodes_days = 40_000), ["retention.nodes_days"]);

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_is_bytes_over_transfer_times_and_no_mean_of_ratios() {
+    fn speed_is_total_bytes_per_total_transfer_time() {
         let Transfers { up, down } = Transfers::of(means);
         let up = up.expect("something was sent");
         let speed = up.speed().expect("delays are known") / 8e6;

@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn step_is_told_once_with_amount_and_direction() {
+    fn step_is_reported_once_with_amount_and_direction() {
         let mut watch = WallClockWatch::new(stamp(1_000, 0));
         // However long ago the last look was, both clocks advanced alike.
         assert_eq!(watch.look(stamp(9_000_009, 9_000_000 - 1_000)), None);
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn start_behind_stored_time_is_told() {
+    fn start_before_stored_time_is_reported() {
         assert_eq!(WallClockWatch::compare(stamp(1_000, 0), stamp(1_009, 0).wall), None);
         assert_eq!(WallClockWatch::compare(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
         let odd = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("told");

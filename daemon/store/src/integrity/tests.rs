@@ -50,7 +50,7 @@ fn noise(mut seed: u64, length: usize) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn no_page_of_a_whole_file_is_malformed() {
+async fn intact_file_has_no_malformed_page() {
     let (_folder, path, connection) = file_of_all_pages(1_500).await;
     connection.close().await.expect("closes");
     assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
@@ -127,7 +127,7 @@ fn malformed(path: &Path, log: PathBuf) -> Vec<u32> {
 }
 
 #[tokio::test]
-async fn pages_that_only_the_log_refers_to_are_in_use() {
+async fn pages_referenced_only_by_log_are_in_use() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("mixed.sqlite");
     let mut writer = growing_file(&path).await;
@@ -144,7 +144,7 @@ async fn pages_that_only_the_log_refers_to_are_in_use() {
 }
 
 #[tokio::test]
-async fn damaged_page_is_found_although_the_log_still_has_it() {
+async fn damaged_page_is_found_while_log_holds_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
@@ -207,7 +207,7 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
 }
 
 #[tokio::test]
-async fn damage_is_remembered_and_the_first_stays() {
+async fn first_damage_is_remembered() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
     let integrity = Integrity::of(&path);
@@ -229,7 +229,7 @@ async fn damage_is_remembered_and_the_first_stays() {
 }
 
 #[tokio::test]
-async fn repair_is_recommended_only_where_it_can_help() {
+async fn repair_is_recommended_only_if_it_can_help() {
     let (_folder, path, connection) = file_of_all_pages(100).await;
     connection.close().await.expect("closes");
     let file = Arc::new(File::open(&path).expect("opens"));
@@ -254,7 +254,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn any_bytes_are_read_without_a_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
+    fn arbitrary_bytes_cause_no_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("noise.sqlite");
         let mut bytes = noise(seed, (pages * PAGE) as usize);

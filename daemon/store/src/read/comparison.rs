@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_told_apart_from_rest_of_unattributed() {
+    fn late_start_is_separated_from_unattributed_time() {
         let run =
             medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
         let stages = [(stage::INFERENCE, 0.231)];
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn both_directions_together_take_place_of_each() {
+    fn sum_of_both_directions_replaces_each() {
         let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
         let stages = [(stage::UPLOAD, 0.3)];
         let times = Times {

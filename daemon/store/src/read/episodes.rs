@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_hold_every_number_once() {
+    fn parts_contain_each_number_once() {
         for (from, to, count) in [(1, 301, 300), (5, 5, 3), (900, 10_000_000, 300)] {
             let parts = parts(from, to, count);
             assert!(parts.len() <= count as usize);

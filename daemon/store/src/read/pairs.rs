@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_data_set_that_repeats_is_seen_whole() {
+    fn sample_covers_repeating_data_set() {
         for period in [7, 30, 100] {
             let numbers = spread(1, 1_500 * period, 1_500);
             let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
@@ -142,7 +142,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
+        fn each_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
             let last = first.saturating_add(all - 1);
             let (numbers, all) = (spread(first, last, most), length(first, last));
             prop_assert_eq!(numbers.len() as u64, all.min(u64::from(most)));

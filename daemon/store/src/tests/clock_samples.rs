@@ -40,7 +40,7 @@ async fn series(bed: &Bed, most_points: u32) -> ClockSeries {
 }
 
 #[tokio::test]
-async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
+async fn clock_sample_is_read_as_sent() {
     let mut bed = Bed::new().await;
     let full = sample(bed.cloud, 1, 40);
     let mut in_band = sample(bed.cloud, 2, 50);
@@ -81,7 +81,7 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
 }
 
 #[tokio::test]
-async fn two_networks_of_one_pair_are_two_links() {
+async fn two_networks_of_pair_are_two_links() {
     let mut bed = Bed::new().await;
     let other: NetworkName = "zmq-udp".parse().expect("a name");
     let over_other = |second| ClockSample { network: other.clone(), ..sample(bed.cloud, second, 60) };
@@ -100,7 +100,7 @@ async fn two_networks_of_one_pair_are_two_links() {
 }
 
 #[tokio::test]
-async fn only_what_was_asked_for_is_told() {
+async fn series_holds_only_requested_link_and_time() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     store(&mut bed, (1..=100).map(|second| sample(cloud, second, 40))).await;
@@ -115,7 +115,7 @@ async fn only_what_was_asked_for_is_told() {
 }
 
 #[tokio::test]
-async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_window() {
+async fn repeated_second_replaces_only_sample_of_its_window() {
     let mut bed = Bed::new().await;
     let mut again = sample(bed.cloud, 1, 60);
     again.probes.lost = 5;
@@ -133,7 +133,7 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
 }
 
 #[tokio::test]
-async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
+async fn seconds_of_window_survive_wall_clock_set_back() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
@@ -156,7 +156,7 @@ async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
 }
 
 #[tokio::test]
-async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
+async fn later_window_counts_for_repeated_seconds() {
     // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
     for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut bed = Bed::new().await;
@@ -179,7 +179,7 @@ async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
 }
 
 #[tokio::test]
-async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
+async fn samples_from_1970_hide_no_later_ones() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
@@ -192,7 +192,7 @@ async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
 }
 
 #[tokio::test]
-async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
+async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let samples = (1..=1_000).map(|second| {
@@ -238,7 +238,7 @@ async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
+async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let of = |second, change: fn(&mut ClockSample)| {
@@ -298,7 +298,7 @@ async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
 }
 
 #[tokio::test]
-async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_last() {
+async fn silent_cloud_has_last_name_given_by_edge() {
     let mut bed = Bed::new().await;
     bed.cloud = HostId::random();
     let named = |name: &str, second| ClockSample {
@@ -320,7 +320,7 @@ async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_las
 }
 
 #[tokio::test]
-async fn what_was_put_aside_is_missing_with_its_time_and_leaves_nothing_behind() {
+async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
     let mut bed = Bed::new().await;
     let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration =

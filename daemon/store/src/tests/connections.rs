@@ -88,7 +88,7 @@ async fn connections_are_stored_within_time_of_clock_samples() {
 }
 
 #[tokio::test]
-async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
+async fn connection_reports_of_cloud_and_edge_are_both_stored() {
     let mut bed = Bed::new().await;
     let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
     bed.commit(&[work]).await;
@@ -125,7 +125,7 @@ async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
 }
 
 #[tokio::test]
-async fn writing_goes_on_after_sqlite_has_undone_a_transaction() {
+async fn writer_continues_after_sqlite_rollback() {
     let mut bed = Bed::new().await;
     let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
     let work = bed.batch(clocks);

@@ -74,7 +74,7 @@ async fn start(path: &Path) -> Result<(), OpenError> {
 }
 
 #[tokio::test]
-async fn a_backup_is_not_spoilt_by_the_log_of_the_database_before_it() {
+async fn backup_is_not_spoilt_by_log_of_previous_database() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     checkpoint(&bed).await;
@@ -111,7 +111,7 @@ async fn a_backup_is_not_spoilt_by_the_log_of_the_database_before_it() {
 }
 
 #[tokio::test]
-async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
+async fn log_of_idle_aggregator_identifies_its_database() {
     let mut bed = Bed::new().await;
     bed.run_of(10).await;
     let copy = backup(&bed, "copy.sqlite").await;
@@ -131,7 +131,7 @@ async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
 }
 
 #[tokio::test]
-async fn a_database_whose_process_was_killed_opens_with_its_log() {
+async fn database_of_killed_process_opens_with_its_log() {
     let mut bed = Bed::new().await;
     // The file itself has no number yet.
     bed.run_of(100).await;
@@ -165,7 +165,7 @@ async fn a_database_whose_process_was_killed_opens_with_its_log() {
 }
 
 #[tokio::test]
-async fn each_file_has_a_number_of_its_own_and_keeps_it() {
+async fn each_file_has_own_number_and_keeps_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let fresh = folder.path().join("peernet.sqlite");
     start(&fresh).await.expect("makes it");

@@ -26,7 +26,7 @@ fn impatient(path: &Path) -> Readers {
 }
 
 #[tokio::test]
-async fn a_question_without_end_is_stopped_while_the_writer_commits() {
+async fn endless_query_is_stopped_while_writer_commits() {
     let mut bed = Bed::new().await;
     let readers = impatient(&bed.path);
     let pool = readers.pool();
@@ -57,7 +57,7 @@ async fn readers_cannot_write() {
 }
 
 #[tokio::test]
-async fn log_is_emptied_after_the_last_reader() {
+async fn log_is_emptied_after_last_reader() {
     let mut bed = Bed::new().await;
     let log = bed.path.with_extension("sqlite-wal");
     let bytes = || std::fs::metadata(&log).expect("it is there").len();

@@ -90,7 +90,7 @@ async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
 
 /// Version 5 is the first with statistics of all widths.
 #[tokio::test]
-async fn a_database_without_experiments_goes_on_as_it_was() {
+async fn database_without_experiments_is_migrated_unchanged() {
     let mut bed = Bed::new().await;
     bed.run_of(200).await;
     let expected =
@@ -123,7 +123,7 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
 }
 
 #[tokio::test]
-async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
+async fn database_with_coarse_statistics_is_migrated_unchanged() {
     for version in 1..=LAST_COARSE {
         let mut bed = Bed::new().await;
         bed.run_of(1_000).await;

@@ -27,7 +27,7 @@ fn as_other(bed: &mut Bed) {
 }
 
 #[tokio::test]
-async fn foreign_events_of_every_kind_change_nothing_of_the_run() {
+async fn foreign_events_do_not_change_run() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(3).await;
     let victim = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
@@ -52,7 +52,7 @@ async fn foreign_events_of_every_kind_change_nothing_of_the_run() {
 }
 
 #[tokio::test]
-async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
+async fn run_claimed_by_another_host_is_stored_for_its_owner() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     as_other(&mut bed);
@@ -82,7 +82,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
 }
 
 #[tokio::test]
-async fn secret_is_kept_once_and_cleared_beside_the_writer() {
+async fn secret_is_stored_once_and_cleared_by_another_connection() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
@@ -110,7 +110,7 @@ async fn secret_is_kept_once_and_cleared_beside_the_writer() {
 }
 
 #[tokio::test]
-async fn hosts_that_only_others_name_are_not_known() {
+async fn hosts_named_only_by_others_are_unknown() {
     let mut bed = Bed::new().await;
     // Agents that serve an experiment do not report to this aggregator: only iterations name them.
     for seed in 1..=5 {

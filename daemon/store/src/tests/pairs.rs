@@ -53,7 +53,7 @@ impl Bed {
 }
 
 #[tokio::test]
-async fn a_sample_is_spread_over_the_run_and_says_of_how_many_it_is() {
+async fn sample_is_spread_over_run_and_reports_total() {
     let mut bed = Bed::new().await;
     assert_eq!(bed.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
     bed.run_that_talks(1..=400).await;
@@ -75,7 +75,7 @@ async fn a_sample_is_spread_over_the_run_and_says_of_how_many_it_is() {
 }
 
 #[tokio::test]
-async fn what_is_in_no_statistic_is_in_no_sample() {
+async fn values_outside_statistics_are_not_sampled() {
     let mut bed = Bed::new().await;
     let run = bed.run_that_talks(1..=4).await;
     let warm_up = Iteration { warm_up: true, ..bed.talking(run, 5) };
@@ -93,7 +93,7 @@ async fn what_is_in_no_statistic_is_in_no_sample() {
 }
 
 #[tokio::test]
-async fn several_nodes_are_one_number_as_in_the_results() {
+async fn nodes_of_one_name_are_combined_as_in_results() {
     let mut bed = Bed::new().await;
     let run = bed.run_that_talks(1..=1).await;
     let mut twice = bed.talking(run, 2);
@@ -112,7 +112,7 @@ async fn several_nodes_are_one_number_as_in_the_results() {
 }
 
 #[tokio::test]
-async fn what_was_deleted_is_not_asked_for() {
+async fn deleted_iterations_are_not_sampled() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let mut retention = Retention::new(short());

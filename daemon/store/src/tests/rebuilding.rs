@@ -59,7 +59,7 @@ async fn mixed(seed: u64) -> Bed {
 }
 
 #[tokio::test]
-async fn a_rebuild_equals_what_grew() {
+async fn rebuilt_statistics_equal_incremental_ones() {
     for seed in 1..=4 {
         let bed = mixed(seed).await;
         let mut connection = bed.other().await;
@@ -91,7 +91,7 @@ async fn a_rebuild_equals_what_grew() {
 }
 
 #[tokio::test]
-async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
+async fn rebuild_of_one_run_changes_no_other() {
     let bed = mixed(9).await;
     let mut connection = bed.other().await;
     let grown = table(&mut connection).await;
@@ -105,7 +105,7 @@ async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
 }
 
 #[tokio::test]
-async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
+async fn extreme_values_are_stored_and_spare_statistics() {
     let mut bed = Bed::new().await;
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
@@ -130,7 +130,7 @@ async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
 
 /// An earlier version counted readings close to infinity.
 #[tokio::test]
-async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
+async fn spoilt_statistics_block_nothing_and_are_repaired() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(60).await;
     let mut connection = bed.other().await;

@@ -118,7 +118,7 @@ pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulat
 }
 
 #[tokio::test]
-async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
+async fn later_clock_samples_narrow_delays() {
     let mut bed = Bed::new().await;
     // Probes are slow until the fifth second.
     let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
@@ -141,7 +141,7 @@ async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
 }
 
 #[tokio::test]
-async fn a_long_run_is_judged_page_by_page() {
+async fn long_run_is_judged_in_pages() {
     let mut bed = Bed::new().await;
     let simulated = simulate(&mut bed, (5, 1_500, 5), |_, _| {}).await;
     let recomputed = recompute(&bed).await;
@@ -153,7 +153,7 @@ async fn a_long_run_is_judged_page_by_page() {
 }
 
 #[tokio::test]
-async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
+async fn single_clock_or_missing_samples_change_nothing() {
     let mut bed = Bed::new().await;
     bed.run_of(30).await;
     let recomputed = recompute(&bed).await;
@@ -171,7 +171,7 @@ async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
 }
 
 #[tokio::test]
-async fn warm_up_and_iterations_without_an_answer_are_left_out() {
+async fn warm_up_and_unanswered_iterations_are_left_out() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut simulation = Simulation::new(bed.hosts(), RelatedClocks::Wall);
@@ -198,7 +198,7 @@ async fn warm_up_and_iterations_without_an_answer_are_left_out() {
 }
 
 #[tokio::test]
-async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_themselves() {
+async fn sides_of_step_are_judged_separately() {
     type Step = fn(&mut Simulation);
     let steps: [Step; 6] = [
         |simulation| simulation.step_cloud(Span::from_seconds(3)),
@@ -235,7 +235,7 @@ async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_thems
 /// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents begin another window then; those
 /// of earlier versions did not, and what they stored is judged by exchanges alone.
 #[tokio::test]
-async fn jump_without_notice_moves_no_delay_before_it() {
+async fn unannounced_jump_moves_no_earlier_delay() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
         let mut bed = Bed::new().await;
         let simulated = simulate(&mut bed, (5, 60, 20), |second, simulation| {
@@ -257,7 +257,7 @@ async fn jump_without_notice_moves_no_delay_before_it() {
 }
 
 #[tokio::test]
-async fn claims_of_time_daemons_count_again_as_they_did_then() {
+async fn time_daemon_claims_count_as_in_first_judgement() {
     let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
     for wrong in [0, 50] {
         let mut bed = Bed::new().await;
@@ -287,7 +287,7 @@ async fn claims_of_time_daemons_count_again_as_they_did_then() {
 }
 
 #[tokio::test]
-async fn only_the_link_over_the_network_of_the_run_counts() {
+async fn only_link_over_network_of_run_counts() {
     let mut bed = Bed::new().await;
     simulate(&mut bed, SECONDS, |_, _| {}).await;
     assert_eq!(recompute(&bed).await.samples, 125);

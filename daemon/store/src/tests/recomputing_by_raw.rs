@@ -18,7 +18,7 @@ fn slow_begin(second: i64, simulation: &mut Simulation) {
 }
 
 #[tokio::test]
-async fn raw_stamps_are_stored_and_delays_are_judged_by_them() {
+async fn delays_are_judged_by_stored_raw_stamps() {
     for clocks in PAIRS {
         let mut bed = Bed::new().await;
         let simulated = simulate_by(&mut bed, clocks, SECONDS, slow_begin).await;
@@ -35,7 +35,7 @@ async fn raw_stamps_are_stored_and_delays_are_judged_by_them() {
 }
 
 #[tokio::test]
-async fn steps_of_wall_clocks_do_not_reach_delays_by_raw_stamps() {
+async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     type Step = fn(&mut Simulation);
     let steps: [Step; 4] = [
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
@@ -91,7 +91,7 @@ async fn runs_of_two_starts_are_judged_by_their_own_windows() {
 }
 
 #[tokio::test]
-async fn time_of_two_starts_alike_is_not_judged_again() {
+async fn ambiguous_time_of_two_starts_is_not_judged() {
     let mut bed = Bed::new().await;
     simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
     // A machine without a battery: after its second start both of its clocks show the same times again.
@@ -108,7 +108,7 @@ async fn time_of_two_starts_alike_is_not_judged_again() {
 }
 
 #[tokio::test]
-async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
+async fn windows_of_other_clocks_or_starts_judge_nothing() {
     for other in [
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
@@ -127,7 +127,7 @@ async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
 }
 
 #[tokio::test]
-async fn each_delay_says_what_its_bounds_rest_on() {
+async fn each_delay_names_basis_of_its_bounds() {
     let by_raw = DelayAssumptions {
         clocks: RelatedClocks::Raw,
         max_drift_ppm: Some(50.0),

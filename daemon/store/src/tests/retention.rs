@@ -125,7 +125,7 @@ pub(super) fn short() -> RetentionConfig {
 }
 
 #[tokio::test]
-async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
+async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let before = table(&mut connection).await;
@@ -226,7 +226,7 @@ async fn deletions_are_one_incident_with_counts() {
 }
 
 #[tokio::test]
-async fn jump_of_a_robots_clock_deletes_nothing_early() {
+async fn jump_of_robot_clock_deletes_nothing_early() {
     for jump in [400.0, -400.0] {
         let mut bed = Bed::new().await;
         let run = RunId::random();
@@ -260,7 +260,7 @@ async fn jump_of_a_robots_clock_deletes_nothing_early() {
 }
 
 #[tokio::test]
-async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
+async fn step_is_bounded_and_idle_step_writes_nothing() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let mut retention = Retention::new(short());
@@ -291,7 +291,7 @@ async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
 }
 
 #[tokio::test]
-async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
+async fn late_arrivals_are_kept_for_their_period() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     // It was older than any period when it was stored.
@@ -333,7 +333,7 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
 }
 
 #[tokio::test]
-async fn statistics_made_anew_go_again_in_their_time() {
+async fn rebuilt_statistics_are_deleted_after_their_period() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
@@ -353,7 +353,7 @@ async fn statistics_made_anew_go_again_in_their_time() {
 }
 
 #[tokio::test]
-async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
+async fn unpinned_run_is_kept_for_whole_period() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     // Pinned by hand, as with the sqlite3 shell.
@@ -370,7 +370,7 @@ async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
 }
 
 #[tokio::test]
-async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
+async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let (mut bed, [_, pinned]) = two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
     // The edge's clock does not determine when they arrive.

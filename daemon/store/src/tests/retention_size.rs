@@ -19,7 +19,7 @@ fn limited(size_limit_bytes: u64) -> Retention {
 }
 
 #[tokio::test]
-async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
+async fn oldest_unpinned_rows_are_deleted_above_limit() {
     let (mut bed, [run, _]) = two_runs().await;
     let mut connection = bed.other().await;
     let full = bed.count(USED).await.unsigned_abs();
@@ -112,7 +112,7 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
 }
 
 #[tokio::test]
-async fn runs_that_overlap_are_trimmed_in_turns() {
+async fn overlapping_runs_are_trimmed_in_turns() {
     let mut bed = Bed::new().await;
     // One that continues, two that ended meanwhile, and one that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
@@ -139,7 +139,7 @@ async fn runs_that_overlap_are_trimmed_in_turns() {
 }
 
 #[tokio::test]
-async fn what_seems_to_come_from_the_future_goes_as_well() {
+async fn rows_from_future_are_deleted_too() {
     let mut bed = Bed::new().await;
     for name in ["line", "arm"] {
         let run = RunId::random();

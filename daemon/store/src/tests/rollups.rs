@@ -136,14 +136,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn the_table_holds_what_was_added(turns in prop::collection::vec(turn(), 1..25)) {
+    fn table_holds_added_values(turns in prop::collection::vec(turn(), 1..25)) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         runtime.block_on(play(turns));
     }
 }
 
 #[tokio::test]
-async fn memory_is_bounded_by_the_newest_buckets_of_each_run() {
+async fn memory_is_bounded_by_newest_buckets_of_each_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let mut rollups = Rollups::default();
@@ -183,7 +183,7 @@ const LARGE: [&str; 12] = [
 ];
 
 #[tokio::test]
-async fn what_is_read_and_deleted_is_found_by_a_key() {
+async fn rollup_and_retention_queries_use_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let questions = crate::rollups::QUESTIONS

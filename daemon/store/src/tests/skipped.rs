@@ -50,7 +50,7 @@ impl Bed {
 }
 
 #[tokio::test]
-async fn starts_that_were_skipped_before_iterations_without_an_answer_count() {
+async fn skipped_starts_before_unanswered_iterations_count() {
     let mut bed = Bed::new().await;
     bed.run_that_skips().await;
     bed.run_of(5).await;
@@ -58,7 +58,7 @@ async fn starts_that_were_skipped_before_iterations_without_an_answer_count() {
 }
 
 #[tokio::test]
-async fn a_rebuild_counts_skipped_starts_again() {
+async fn rebuild_counts_skipped_starts_again() {
     let mut bed = Bed::new().await;
     bed.run_that_skips().await;
     bed.run_of(5).await;
@@ -78,7 +78,7 @@ async fn a_rebuild_counts_skipped_starts_again() {
 }
 
 #[tokio::test]
-async fn numbers_that_are_no_counts_hold_nothing_up() {
+async fn invalid_counts_of_skipped_starts_block_nothing() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];

@@ -81,7 +81,7 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
 }
 
 #[tokio::test]
-async fn incident_waits_until_the_database_can_be_written() {
+async fn incident_waits_until_database_is_writable() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let mut other = bed.other().await;
@@ -99,7 +99,7 @@ async fn incident_waits_until_the_database_can_be_written() {
 }
 
 #[tokio::test]
-async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
+async fn newest_ten_thousand_aggregator_incidents_stay() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let mut other = bed.other().await;
@@ -120,7 +120,7 @@ async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
 
 /// Simulates real time, with one check each minute, from the first commit to the deletion by an aggregator's writer.
 #[tokio::test]
-async fn data_goes_after_its_period_of_running_time() {
+async fn data_is_deleted_after_its_period_of_running_time() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };

@@ -25,7 +25,7 @@ async fn store(bed: &mut Bed, readings: &[f64]) {
 }
 
 #[tokio::test]
-async fn quantiles_of_several_runs_are_within_one_percent_of_those_of_all_samples() {
+async fn merged_quantiles_are_within_one_percent() {
     let mut bed = Bed::new().await;
     // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true ones.
     let mut numbers = generate::Numbers::new(5);

@@ -29,7 +29,7 @@ async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
 }
 
 #[tokio::test]
-async fn whole_iterations_are_what_was_sent() {
+async fn whole_iterations_are_read_as_sent() {
     let mut bed = Bed::new().await;
     let sent = stored(&mut bed, 450).await;
     let (run, mut read, mut after, mut pages) = (run(&bed).await, Vec::new(), 0, 0);
@@ -42,7 +42,7 @@ async fn whole_iterations_are_what_was_sent() {
 }
 
 #[tokio::test]
-async fn each_shape_of_a_tree_is_found_once_on_a_page() {
+async fn each_tree_shape_is_found_once_per_page() {
     let mut bed = Bed::new().await;
     let sent = stored(&mut bed, 40).await;
     let run = run(&bed).await;
@@ -54,7 +54,7 @@ async fn each_shape_of_a_tree_is_found_once_on_a_page() {
 
 /// A published server reports to no aggregator: it has the name that the edge gives it.
 #[tokio::test]
-async fn a_server_that_never_reported_has_the_name_of_the_run() {
+async fn silent_server_has_name_given_by_run() {
     let mut bed = Bed::new().await;
     let (run, silent) = (RunId::random(), HostId::random());
     let mut numbers = generate::Numbers::new(5);

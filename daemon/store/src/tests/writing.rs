@@ -21,7 +21,7 @@ const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.nam
      WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'";
 
 #[tokio::test]
-async fn a_batch_that_comes_again_is_stored_once() {
+async fn repeated_batch_is_stored_once() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -48,7 +48,7 @@ async fn a_batch_that_comes_again_is_stored_once() {
 }
 
 #[tokio::test]
-async fn rollups_grow_over_commits_and_restarts_as_over_one() {
+async fn rollups_do_not_depend_on_commits_and_restarts() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let started = generate::run_started(run, "line", NOW);
@@ -88,7 +88,7 @@ async fn rollups_grow_over_commits_and_restarts_as_over_one() {
 }
 
 #[tokio::test]
-async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
+async fn bad_batch_is_quarantined_and_others_are_stored() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let good = vec![generate::run_started(run, "line", NOW)];
@@ -118,7 +118,7 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
 }
 
 #[tokio::test]
-async fn iterations_that_come_again_in_another_stream_are_left_out() {
+async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(20).await;
     let stranger = RunId::random();
@@ -154,7 +154,7 @@ async fn iterations_that_come_again_in_another_stream_are_left_out() {
 }
 
 #[tokio::test]
-async fn nothing_is_acknowledged_without_the_log() {
+async fn commit_without_log_is_not_acknowledged() {
     let mut bed = Bed::new().await;
     bed.run_of(3).await;
     let work = [bed.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
@@ -178,7 +178,7 @@ async fn nothing_is_acknowledged_without_the_log() {
 }
 
 #[tokio::test]
-async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
+async fn unreadable_batch_is_quarantined_unchanged() {
     let mut bed = Bed::new().await;
     let head = bed.head(1, &[], 0);
     let aside = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
@@ -194,7 +194,7 @@ async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
 }
 
 #[tokio::test]
-async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
+async fn iterations_of_run_without_start_are_kept() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let events = iterations(&bed, run, 4..=6);
@@ -213,7 +213,7 @@ async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
 }
 
 #[tokio::test]
-async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
+async fn gaps_are_recorded_per_run_and_holes_per_host() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(3).await;
     let gap = Gap {
@@ -249,7 +249,7 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
 }
 
 #[tokio::test]
-async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
+async fn replaced_spool_leaves_one_gap() {
     let mut bed = Bed::new().await;
     let (old, new) = (bed.stream, StreamId::random());
     let greeting = |stream, previous, replaced| {
@@ -291,7 +291,7 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
 }
 
 #[tokio::test]
-async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
+async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     let mut bed = Bed::new().await;
     let (old, new) = (bed.stream, StreamId::random());
     let work = bed.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
@@ -329,7 +329,7 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
 }
 
 #[tokio::test]
-async fn what_an_agent_claims_to_be_missing_fits_into_its_column() {
+async fn claimed_missing_counts_do_not_overflow() {
     let mut bed = Bed::new().await;
     let at = generate::at(1.0);
     let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
@@ -342,7 +342,7 @@ async fn what_an_agent_claims_to_be_missing_fits_into_its_column() {
 }
 
 #[tokio::test]
-async fn a_locked_database_is_an_error_that_changes_nothing() {
+async fn locked_database_is_error_without_changes() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut other = open(&bed.path).await;
@@ -357,7 +357,7 @@ async fn a_locked_database_is_an_error_that_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_full_disk_is_an_error_that_changes_nothing() {
+async fn full_disk_is_error_without_changes() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -373,7 +373,7 @@ async fn a_full_disk_is_an_error_that_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_database_of_a_newer_version_is_refused() {
+async fn database_of_newer_version_is_refused() {
     let bed = Bed::new().await;
     let mut connection = super::database::open(&bed.path).await.expect("opens");
     sqlx::query("INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) VALUES (9000, 'later', 1, x'00', 0)")

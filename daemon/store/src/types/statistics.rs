@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn several_runs_are_as_one_with_all_their_samples() {
+    fn merged_runs_equal_one_run_of_all_samples() {
         let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
         let part = |some: &[f64], verdict| run(some.iter().copied(), verdict);
         let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_of_few_runs_wait_until_there_are_enough_samples_together() {
+    fn quantiles_need_enough_samples_over_all_runs() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
         let of = |runs: &[RunStatistics]| RunStatistics::together(runs).stages[1].figures;
         assert_eq!(of(std::slice::from_ref(&short)).p95, None);

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_reaches_as_far_as_its_exchanges_and_a_little_further_at_the_ends() {
+    fn window_extends_little_beyond_its_exchanges() {
         let timeline = Timeline::of(&[window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hole_between_windows_belongs_to_neither() {
+    fn hole_between_windows_belongs_to_none() {
         let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[95, 200, 201, 299, 300, 405]),
@@ -126,14 +126,14 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_the_edge_showed_twice_belongs_to_neither() {
+    fn repeated_time_of_edge_belongs_to_no_window() {
         // The clock was set back by 50 s after 200.
         let timeline = Timeline::of(&[window(100, 200), window(151, 300)]);
         assert_eq!(windows(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
     }
 
     #[test]
-    fn stamps_of_no_clock_move_no_window() {
+    fn extreme_stamps_do_not_move_windows() {
         let wild = Extent {
             first: raw(300),
             last: raw(301),
@@ -146,7 +146,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_stamps_panic_and_only_one_window_is_named(
+        fn any_stamps_name_at_most_one_window(
             stamps in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>(), any::<i64>()), 0..8), at: i64,
         ) {
             let at_nanos = RawTime::from_nanos;

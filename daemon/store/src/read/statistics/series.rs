@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_made_of_the_coarsest_buckets_that_divide_them() {
+    fn points_use_coarsest_buckets_that_divide_them() {
         for (length_s, points, choice) in [
             (100, 240, (1, 1)),
             (241, 240, (2, 1)),
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_whole_is_passed_over() {
+    fn incomplete_resolutions_are_skipped() {
         assert_eq!(stored(100, &[1]).choose(240), (10, 10));
         assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
