@@ -24,9 +24,9 @@ mod reference;
 mod run;
 mod seconds;
 pub mod short;
+pub mod shutdown_request;
 pub mod small_file;
 mod status;
-pub mod wish;
 
 use std::process::ExitCode;
 

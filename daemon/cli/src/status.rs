@@ -71,12 +71,12 @@ struct Host {
     name: String,
     connected: bool,
     last_seen: Option<String>,
-    now: Option<Now>,
+    now: Option<HostState>,
     clock: Option<Clock>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Now {
+struct HostState {
     cpu: Option<f64>,
     events: Events,
 }

@@ -23,9 +23,9 @@ use peernet_clock::WallTime;
 use peernet_figures::draw_calibration;
 use peernet_inference::Scratch;
 
-use crate::foreground::{Ended, Ready, Shows, Watched, listen};
+use crate::foreground::{Ended, LogDestination, Ready, Watched, start_log};
 use folder::Folder;
-use observe::{Unfit, Watch};
+use observe::{SweepObserver, UnmeasurableSize};
 use plan::Plan;
 
 /// Studies the link, prints the study and writes its files.
@@ -35,7 +35,7 @@ use plan::Plan;
 /// cannot be written (73), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
-    listen(Shows::Itself)?;
+    start_log(LogDestination::StandardError)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
     let state = Scratch::new("agent")
         .context("cannot make a temporary folder; TMPDIR names another place")
@@ -46,7 +46,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let started = ready.truth.wall();
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
-    let mut watch = Watch::new(&plan, ready.clock.clone(), arguments.quiet);
+    let mut watch = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
     let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
     let observed = watch.seen;
     let failed = match &ended {
@@ -55,9 +55,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Exit::Interrupted,
             anyhow!("ended early: what was measured until then is above"),
         )),
-        Ended::Own(Unfit(reason)) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
+        Ended::OwnReason(UnmeasurableSize(reason)) | Ended::Failed(reason) => {
+            Some(unavailable(anyhow!("{reason}")))
+        }
     };
-    if observed.samples.is_empty() || matches!(ended, Ended::Own(_)) {
+    if observed.samples.is_empty() || matches!(ended, Ended::OwnReason(_)) {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {

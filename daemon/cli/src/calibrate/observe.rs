@@ -18,7 +18,7 @@ const AFTER_THE_END: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Unfit(pub(super) String);
+pub(super) struct UnmeasurableSize(pub(super) String);
 
 /// Measurements of the sweep.
 #[derive(Default)]
@@ -34,7 +34,7 @@ pub(super) struct Observed {
 }
 
 /// Observer of the agent.
-pub(super) struct Watch<'a> {
+pub(super) struct SweepObserver<'a> {
     plan: &'a Plan,
     clock: SharedClock,
     progress: Sweep,
@@ -51,7 +51,7 @@ pub(super) struct Watch<'a> {
     over: bool,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> SweepObserver<'a> {
     pub(super) fn new(plan: &'a Plan, clock: SharedClock, quiet: bool) -> Self {
         let now = clock.mono();
         Self {
@@ -69,7 +69,7 @@ impl<'a> Watch<'a> {
     }
 
     /// Handles a new session. Measurements with another clock would be another study.
-    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<Unfit>> {
+    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
         let how = match (&before, &self.cloud_clock) {
@@ -94,10 +94,10 @@ impl<'a> Watch<'a> {
     }
 }
 
-impl RunObserver for Watch<'_> {
-    type Own = Unfit;
+impl RunObserver for SweepObserver<'_> {
+    type OwnReason = UnmeasurableSize;
 
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Unfit>> {
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<UnmeasurableSize>> {
         if self.over {
             return None;
         }
@@ -119,7 +119,7 @@ impl RunObserver for Watch<'_> {
                 self.seen.samples.push(sample);
                 // A failure at the first payload of a size would repeat.
                 if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
-                    return Some(Ended::Own(Unfit(unfit(payload, reason))));
+                    return Some(Ended::OwnReason(UnmeasurableSize(describe_unmeasurable(payload, reason))));
                 }
             }
             Event::Clock(second) => self.seen.clocks.push(*second),
@@ -141,7 +141,7 @@ impl RunObserver for Watch<'_> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended<Unfit>> {
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<UnmeasurableSize>> {
         let activity = PipelineActivity::of(running);
         let waits_for = activity.waits_for();
         if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
@@ -166,7 +166,7 @@ impl RunObserver for Watch<'_> {
         self.peer_wait.reason_to_give_up(waits_for, now, most).map(Ended::Failed)
     }
 
-    fn over(&mut self) {
+    fn end_decided(&mut self) {
         self.progress.end();
     }
 }
@@ -176,7 +176,7 @@ fn cloud_clock(running: &Running) -> Option<HostClock> {
     running.live().links.into_iter().next()?.cloud
 }
 
-fn unfit(payload_bytes: u64, reason: &str) -> String {
+fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {
     let payload = bytes(payload_bytes as f64).plain();
     format!(
         "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"

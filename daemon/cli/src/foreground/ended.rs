@@ -4,9 +4,9 @@ use std::convert::Infallible;
 
 use peernet_stream::EndReason;
 
-/// Reason for which the agent ended; `Own` holds reasons that only one command has.
+/// Reason for which the agent ended; `OwnReason` holds reasons that only one command has.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Ended<Own = Infallible> {
+pub(crate) enum Ended<OwnReason = Infallible> {
     /// All was done, or nothing remains to do.
     Finished,
     /// The user ended it.
@@ -14,10 +14,10 @@ pub(crate) enum Ended<Own = Infallible> {
     /// The agent, or something that it needs, failed; the text is the reason.
     Failed(String),
     /// A reason for which the command has its own answer.
-    Own(Own),
+    OwnReason(OwnReason),
 }
 
-impl<Own> Ended<Own> {
+impl<OwnReason> Ended<OwnReason> {
     /// Converts the reason for which the agent's run ended; `what` is the word for the run in the command's messages.
     pub(crate) fn of_run(reason: EndReason, what: &str) -> Self {
         match reason {

@@ -19,7 +19,7 @@ mod waiting;
 pub(crate) use dashboard::where_seen;
 pub(crate) use ended::Ended;
 pub(crate) use latency::{p99, told};
-pub(crate) use log::{Shows, listen};
+pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
 pub(crate) use remark::remark;
@@ -44,21 +44,21 @@ use tokio_util::sync::CancellationToken;
 /// Capacity of the channel of events from the agent, each of which is processed at once.
 const EVENTS: usize = 16_384;
 /// Time between two reads of the agent's state.
-const LOOK: Duration = Duration::from_millis(250);
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Observer of an agent in the foreground.
 pub(crate) trait RunObserver {
     /// Reasons to end besides those of [`Ended`].
-    type Own;
+    type OwnReason;
 
     /// Processes an event; returns the reason if the agent is to end. Without `running` the end was decided before.
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::Own>>;
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::OwnReason>>;
 
     /// Reads the agent's state, several times a second and after every answer to a peer; returns the reason if it is to end.
-    fn look(&mut self, running: &Running) -> Option<Ended<Self::Own>>;
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<Self::OwnReason>>;
 
     /// Notes that the end is decided; work in progress is still waited for.
-    fn over(&mut self) {}
+    fn end_decided(&mut self) {}
 }
 
 /// A checked configuration with its clock.
@@ -71,8 +71,8 @@ pub(crate) struct Ready {
 }
 
 /// Result of an observed agent.
-pub(crate) struct Watched<Own> {
-    pub(crate) ended: Ended<Own>,
+pub(crate) struct Watched<OwnReason> {
+    pub(crate) ended: Ended<OwnReason>,
     /// The agent's name.
     pub(crate) name: String,
     /// Number of events that did not fit into the channel.
@@ -104,7 +104,7 @@ impl Ready {
     ///
     /// # Errors
     /// When the agent cannot start (69) or loses a task (70).
-    pub(crate) fn watch<E: RunObserver>(self, observer: &mut E) -> Result<Watched<E::Own>, Failure> {
+    pub(crate) fn watch<E: RunObserver>(self, observer: &mut E) -> Result<Watched<E::OwnReason>, Failure> {
         let runtime = tokio::runtime::Builder::new_multi_thread().thread_name("peernet").enable_all().build();
         let runtime = runtime
             .context("cannot start the threads of the runtime")
@@ -131,14 +131,14 @@ async fn watch<E: RunObserver>(
     config: AgentConfig,
     clock: &SharedClock,
     observer: &mut E,
-) -> Result<Watched<E::Own>, Failure> {
+) -> Result<Watched<E::OwnReason>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
     let running = Agent::start_observed(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
     let running = running.map_err(|error| Failure::new(Exit::Unavailable, not_started(error)))?;
     let name = running.name().to_string();
     let mut served = running.served();
-    let mut look = tokio::time::interval(LOOK);
+    let mut poll = tokio::time::interval(POLL_INTERVAL);
     let mut is_interrupted = false;
     let ended = loop {
         let ended = tokio::select! {
@@ -147,17 +147,17 @@ async fn watch<E: RunObserver>(
                 Some(Ended::Interrupted)
             }
             event = events.recv() => match event {
-                Some(event) => observer.take(event, Some(&running)),
+                Some(event) => observer.handle_event(event, Some(&running)),
                 None => Some(Ended::Failed("the agent ended by itself".to_owned())),
             },
-            Ok(()) = served.changed() => observer.look(&running),
-            _ = look.tick() => observer.look(&running),
+            Ok(()) = served.changed() => observer.poll_state(&running),
+            _ = poll.tick() => observer.poll_state(&running),
         };
         if let Some(ended) = ended {
             break ended;
         }
     };
-    observer.over();
+    observer.end_decided();
     if is_interrupted {
         complain("ending; what is under way may take some seconds, Ctrl-C again does not wait for it");
     }
@@ -169,7 +169,7 @@ async fn watch<E: RunObserver>(
     }
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {
-        observer.take(event, None);
+        observer.handle_event(event, None);
     }
     Ok(Watched { ended, name, missed })
 }

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use crate::wish::Wishes;
+use crate::shutdown_request::ShutdownRequests;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::Instant;
 
@@ -13,7 +13,7 @@ pub(crate) struct Signals {
     /// `None` if it is not listened to: it is ignored, as with `nohup`, or has arrived. A shell and the system both send it at the
     /// end of a session, which is one request and not two.
     hang_up: Option<Signal>,
-    wishes: Wishes,
+    shutdown_requests: ShutdownRequests,
 }
 
 impl Signals {
@@ -24,7 +24,7 @@ impl Signals {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
             hang_up,
-            wishes: Wishes::default(),
+            shutdown_requests: ShutdownRequests::default(),
         })
     }
 
@@ -39,7 +39,7 @@ impl Signals {
                     SignalKind::hangup()
                 }
             };
-            if self.wishes.is_another(kind, Instant::now()) {
+            if self.shutdown_requests.is_another(kind, Instant::now()) {
                 return;
             }
         }

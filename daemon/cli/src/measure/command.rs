@@ -9,8 +9,8 @@ use crate::small_file;
 use anyhow::{Context, anyhow};
 use rustix::process::{Signal, set_parent_process_death_signal};
 
-use super::{Order, Seen, Watcher, measure};
-use crate::foreground::{Shows, listen};
+use super::{Order, ProgressDisplay, ProgressReport, measure};
+use crate::foreground::{LogDestination, start_log};
 
 /// Arguments of `peernet measure`.
 #[derive(Debug, clap::Args)]
@@ -27,12 +27,12 @@ pub(crate) struct Arguments {
 /// no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     end_with_parent();
-    listen(Shows::Parent)?;
+    start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))
     })?;
-    let measured = measure(&order, &mut Lines)?;
+    let measured = measure(&order, &mut JsonProgress)?;
     measured.failure().map_or(Ok(()), Err)
 }
 
@@ -53,12 +53,12 @@ fn read(file: &Path) -> anyhow::Result<String> {
         .with_context(|| format!("cannot read the order {}", file.display()))
 }
 
-/// Watcher that prints the state to standard output.
-struct Lines;
+/// Display that prints the state to standard output.
+struct JsonProgress;
 
-impl Watcher for Lines {
-    fn look(&mut self, seen: &Seen) {
-        match serde_json::to_string(seen) {
+impl ProgressDisplay for JsonProgress {
+    fn show(&mut self, report: &ProgressReport) {
+        match serde_json::to_string(report) {
             Ok(line) => say(line),
             // JSON cannot represent some numbers. The next update says more.
             Err(error) => tracing::debug!(%error, "a look cannot be written"),

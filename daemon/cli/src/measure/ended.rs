@@ -16,7 +16,7 @@ impl Ended {
             Self::Finished => EndReason::Finished,
             Self::Interrupted => EndReason::Stopped,
             Self::Failed(reason) => EndReason::Failed(reason.clone()),
-            Self::Own(never) => match *never {},
+            Self::OwnReason(never) => match *never {},
         }
     }
 
@@ -63,7 +63,7 @@ impl Ended {
                 let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
                 incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
             }
-            Self::Own(never) => match *never {},
+            Self::OwnReason(never) => match *never {},
         }
     }
 }

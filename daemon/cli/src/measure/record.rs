@@ -17,21 +17,27 @@ use peernet_stream::{Placement as Told, PlacementKind};
 use serde_json::{Map, Value};
 
 use super::Order;
-use super::taking::Taken;
+use super::recorder::RecordedRun;
 use crate::foreground::Ended;
 
 /// Makes the record of a run with rows.
-pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, missed: u64) -> RunRecord {
-    let description = taken.description.as_ref();
+pub(super) fn of(
+    order: &Order,
+    recorded: &RecordedRun,
+    ended: &Ended,
+    edge: String,
+    missed: u64,
+) -> RunRecord {
+    let description = recorded.description.as_ref();
     let facts = description.map(|run| run.facts.clone()).unwrap_or_default();
     let conditions = description.map(|run| run.conditions.clone()).unwrap_or_default();
     let placement = description.map(|run| &run.placement);
     let cloud = placement.and_then(|placement| placement.peer.as_ref()).map(|name| HostRecord {
         name: name.to_string(),
-        id: taken.cloud.as_ref().map(|cloud| cloud.id),
-        version: taken.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
-        hardware: taken.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
-        clock: taken.cloud_clock.clone().unwrap_or_default(),
+        id: recorded.cloud.as_ref().map(|cloud| cloud.id),
+        version: recorded.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
+        hardware: recorded.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
+        clock: recorded.cloud_clock.clone().unwrap_or_default(),
         conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
     });
     let conditions =
@@ -44,7 +50,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         title: order.title.clone(),
         run: description.map(|run| run.run),
         started: description.map(|run| instant(run.started)),
-        ended: taken.ended.map(instant),
+        ended: recorded.ended.map(instant),
         reason: ended.reason(),
         version: VERSION.to_owned(),
         command: order.command.clone(),
@@ -53,10 +59,10 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         network_config: order.network_config.clone(),
         edge: HostRecord {
             name: edge,
-            id: taken.edge.as_ref().map(|edge| edge.id),
+            id: recorded.edge.as_ref().map(|edge| edge.id),
             version: VERSION.to_owned(),
-            hardware: taken.edge.as_ref().map(|edge| edge.hardware.clone()),
-            clock: taken.edge_clock.clone().unwrap_or_default(),
+            hardware: recorded.edge.as_ref().map(|edge| edge.hardware.clone()),
+            clock: recorded.edge_clock.clone().unwrap_or_default(),
             conditions: conditions.collect(),
         },
         cloud,
@@ -76,12 +82,12 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         patience_s: Some(order.patience().seconds()),
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
-        counts: Counts::of(&taken.rows, missed),
+        counts: Counts::of(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
-        misses: Misses::of_rows(&taken.rows),
-        clocks: Clocks::of(&taken.rows),
-        accuracy: Accuracy::of_each(&taken.rows),
-        units: taken.units.clone(),
+        misses: Misses::of_rows(&recorded.rows),
+        clocks: Clocks::of(&recorded.rows),
+        accuracy: Accuracy::of_each(&recorded.rows),
+        units: recorded.units.clone(),
         trust: None,
     }
 }

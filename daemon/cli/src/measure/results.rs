@@ -8,12 +8,12 @@ use peernet_analysis::rows::Rows;
 use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
 
 use super::Order;
-use super::aside::Aside;
+use super::previous_results::PreviousResultsGuard;
 
 /// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Results {
     /// Earlier results to be replaced. They are restored before other programs may use the folder.
-    earlier: Option<Aside>,
+    earlier: Option<PreviousResultsGuard>,
     folder: ResultFolder,
     /// `true` if the folder was created for this run.
     made: bool,
@@ -34,15 +34,15 @@ impl Results {
     /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be created (73).
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
         // The lock shows that no run is active there; taking it changes nothing.
-        if Aside::is_left(&order.folder)
+        if PreviousResultsGuard::is_left(&order.folder)
             && let Ok(folder) = ResultFolder::take(&order.folder, Overwrite::Replace)
         {
-            Aside::recover(folder.path())?;
+            PreviousResultsGuard::recover(folder.path())?;
         }
         let was_there = order.folder.exists();
         let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
-        let earlier = replaces.then(|| Aside::put(folder.path())).transpose()?;
+        let earlier = replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
         let made = !was_there || folder.path() != order.folder;
         Ok(Self { folder, made, earlier })
     }
@@ -81,14 +81,14 @@ impl Results {
                 Written { folder, files, trouble: None }
             }
             Ok(Finished { folder, files, trouble: Some(trouble) }) => {
-                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
                     format!("{trouble}; all that was measured is in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
-                let rows = earlier.as_ref().and_then(Aside::keep_rows);
-                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
+                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
                 let trouble = format!("{error}; {rows} holds what there was room for{back}");
                 Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }

@@ -15,11 +15,11 @@ use peernet_results::{Overwrite, summary};
 use peernet_sample::printable_line;
 use serde_json::json;
 
-use super::bar::Bar;
+use super::client_progress::ClientProgress;
 use super::devices::Devices;
 use super::{Arguments, sensor};
 use crate::foreground::{tables, typed, where_seen};
-use crate::measure::{Home, Measured, Order, measure, undelivered};
+use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 
 /// Number of first iterations that the published plots drop.
 const WARM_UP: u64 = 5;
@@ -39,7 +39,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let order = order(arguments, devices)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
+    let measured = measure(&order, &mut ClientProgress::new(arguments.quiet, clock))?;
     tell(&measured);
     if let Some(aggregator) = &arguments.aggregator {
         tell_streamed(&order.agent.agent, arguments, aggregator)?;
@@ -105,12 +105,12 @@ fn tell(measured: &Measured) {
 
 /// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
 fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
-    let home = Home::of(agent)?;
+    let state_dir = AgentStateDir::of(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let waiting = runtime.block_on(undelivered(home.folder()));
+    let waiting = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
     let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
     say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));

@@ -3,8 +3,8 @@
 //! They run the daemon's pipeline code in the foreground, configured by the published options.
 
 mod arguments;
-mod bar;
 mod client;
+mod client_progress;
 mod devices;
 mod encoding;
 mod model;
@@ -21,7 +21,7 @@ use anyhow::anyhow;
 
 use devices::Devices;
 
-use crate::foreground::{Shows, listen};
+use crate::foreground::{LogDestination, start_log};
 
 /// Serves or measures, depending on the options.
 ///
@@ -34,7 +34,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     complain(
         "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
     );
-    listen(Shows::Itself)?;
+    start_log(LogDestination::StandardError)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }
 

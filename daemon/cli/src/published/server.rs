@@ -12,7 +12,7 @@ use super::devices::Devices;
 use super::serving::Serving;
 use super::{Arguments, model};
 use crate::foreground::{Ended, Ready, tables};
-use crate::measure::Home;
+use crate::measure::AgentStateDir;
 
 /// Serves until enough answers are given, no more requests will come, or Ctrl-C.
 ///
@@ -29,8 +29,8 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         Some(ServeConfig { listen: everywhere(&devices.address).into(), session, ..ServeConfig::default() });
     config.bank.folders.clear();
     config.models = vec![model];
-    let home = Home::of(&config.agent)?;
-    home.house(&mut config)?;
+    let state_dir = AgentStateDir::of(&config.agent)?;
+    state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
     let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         Ended::Interrupted => {
             Err(Failure::new(Exit::Interrupted, anyhow!("ended before all answers were given")))
         }
-        Ended::Own(error) => Err(model::failure(error)),
+        Ended::OwnReason(error) => Err(model::failure(error)),
         Ended::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
     }
 }

@@ -143,7 +143,7 @@ impl Serving {
                         ));
                         None
                     }
-                    Ok(Err(error)) => Some(Ended::Own(error)),
+                    Ok(Err(error)) => Some(Ended::OwnReason(error)),
                     Err(_) => Some(Ended::Failed("loading the model panicked".to_owned())),
                 }
             }
@@ -175,13 +175,13 @@ impl Serving {
 
 impl RunObserver for Serving {
     /// The model cannot be loaded.
-    type Own = LoadError;
+    type OwnReason = LoadError;
 
-    fn take(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
+    fn handle_event(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended<LoadError>> {
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
@@ -196,7 +196,7 @@ impl RunObserver for Serving {
         self.answers.are_complete().then_some(Ended::Finished)
     }
 
-    fn over(&mut self) {
+    fn end_decided(&mut self) {
         self.progress.end();
     }
 }

@@ -10,20 +10,22 @@ use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
 use peernet_stream::EndReason;
 
-use super::Beside;
+use super::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::Record;
 use crate::experiment::Stage;
 
 /// Marks finished runs without usable results as not done, and reports changes of the file of devices since they were measured.
-pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
+pub(super) fn settle(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
     let mut changed = BTreeSet::new();
     for run in finished {
         match found(folder, record, &run) {
-            Ok(told) => changed.extend(told.iter().filter_map(|told| beside.changed_since(told, &run))),
+            Ok(told) => {
+                changed.extend(told.iter().filter_map(|told| external_files.changed_since(told, &run)))
+            }
             Err(why) => {
                 complain(format_args!("run {} is done again: {why}", run.number));
                 record.forget(&run);

@@ -32,8 +32,8 @@ pub(crate) struct Arguments {
     pub(super) seed: Option<u64>,
     /// Only runs with this label, or the run of this number; may be given several times. Labels of one axis add up, those
     /// of different axes must all fit. The others can be done later.
-    #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = Only::read)]
-    pub(super) only: Vec<Only>,
+    #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = RunSelection::read)]
+    pub(super) only: Vec<RunSelection>,
     /// Begin without asking.
     #[arg(long, short)]
     pub(super) yes: bool,
@@ -50,7 +50,7 @@ pub(crate) struct Arguments {
 
 /// Selection of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Only {
+pub(super) enum RunSelection {
     /// Runs with this label on this axis.
     Label(String, String),
     /// The run of this number.
@@ -60,19 +60,19 @@ pub(super) enum Only {
 /// A text that selects no runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write AXIS=LABEL or the number of a run")]
-pub(super) struct InvalidOnly;
+pub(super) struct InvalidRunSelection;
 
-impl Only {
-    fn read(text: &str) -> Result<Self, InvalidOnly> {
+impl RunSelection {
+    fn read(text: &str) -> Result<Self, InvalidRunSelection> {
         match (text.split_once('='), text.parse()) {
             (Some((axis, label)), _) => Ok(Self::Label(axis.trim().to_owned(), label.trim().to_owned())),
             (None, Ok(number)) => Ok(Self::Number(number)),
-            (None, Err(_)) => Err(InvalidOnly),
+            (None, Err(_)) => Err(InvalidRunSelection),
         }
     }
 
     /// Returns whether a run is selected; without selections all are.
-    pub(super) fn wants(these: &[Self], plan: &Plan, run: &Run) -> bool {
+    pub(super) fn selects(these: &[Self], plan: &Plan, run: &Run) -> bool {
         let numbers: Vec<usize> = these
             .iter()
             .filter_map(|only| match only {

@@ -21,17 +21,17 @@ use tokio::time::Instant;
 
 use super::ending::Ending;
 use crate::foreground::Signals;
-use crate::measure::{Order, Seen};
+use crate::measure::{Order, ProgressReport};
 
 /// Path of this program, even if its file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
 /// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the process, as
 /// a slow terminal would.
-const TOLD: usize = 64;
+const OUTPUT_CAPACITY: usize = 64;
 /// Number of a process's last lines that are kept.
-const LINES: usize = 20;
+const LAST_LINES: usize = 20;
 /// Wait for the rest of a process's output after its end: its own children may hold the pipe open.
-const REST: Duration = Duration::from_secs(2);
+const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Result of several concurrent processes.
 pub(super) struct Ended {
@@ -57,9 +57,9 @@ impl Exited {
 }
 
 /// Output to be shown.
-pub(super) enum News<'a> {
+pub(super) enum ChildEvent<'a> {
     /// Progress of each process, once it has reported.
-    Seen(&'a [Option<Seen>]),
+    ProgressReport(&'a [Option<ProgressReport>]),
     /// Output of users' code in the process of this index, or its log.
     Line(usize, &'a str),
     /// Announcement of how long the processes may still take to end.
@@ -69,8 +69,8 @@ pub(super) enum News<'a> {
 /// A line of a process's standard output.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Told {
-    Seen(Seen),
+enum ChildOutput {
+    ProgressReport(ProgressReport),
     Line(String),
 }
 
@@ -81,16 +81,16 @@ enum Told {
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
-    mut show: impl FnMut(News<'_>),
+    mut show: impl FnMut(ChildEvent<'_>),
 ) -> Ended {
-    let (to, mut from) = mpsc::channel(TOLD);
-    let mut seen: Vec<Option<Seen>> = vec![None; orders.len()];
-    let mut take = |index: usize, told: Told, show: &mut dyn FnMut(News<'_>)| match told {
-        Told::Seen(now) => {
-            seen[index] = Some(now);
-            show(News::Seen(&seen));
+    let (to, mut from) = mpsc::channel(OUTPUT_CAPACITY);
+    let mut reports: Vec<Option<ProgressReport>> = vec![None; orders.len()];
+    let mut handle = |index: usize, told: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match told {
+        ChildOutput::ProgressReport(now) => {
+            reports[index] = Some(now);
+            show(ChildEvent::ProgressReport(&reports));
         }
-        Told::Line(line) => show(News::Line(index, &line)),
+        ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
     };
     let mut exits: Vec<Option<Exited>> = vec![None; orders.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
@@ -115,25 +115,25 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, told)) = from.recv() => take(index, told, &mut show),
+            Some((index, told)) = from.recv() => handle(index, told, &mut show),
             () = signals.next() => {
-                let (signal, told) = ending.wish(Instant::now());
-                show(News::Ending(&told));
+                let (signal, told) = ending.request(Instant::now());
+                show(ChildEvent::Ending(&told));
                 send(&pids, signal);
             }
-            () = ending.over() => {
-                show(News::Ending("what did not end in time is killed"));
+            () = ending.expired() => {
+                show(ChildEvent::Ending("what did not end in time is killed"));
                 send(&pids, ending.kill());
             }
         }
     }
     while let Ok((index, told)) = from.try_recv() {
-        take(index, told, &mut show);
+        handle(index, told, &mut show);
     }
     let gone = || Exited { code: None, reason: None };
     Ended {
         exits: exits.into_iter().map(|exit| exit.unwrap_or_else(gone)).collect(),
-        interrupted: ending.is_wanted(),
+        interrupted: ending.is_requested(),
     }
 }
 
@@ -155,7 +155,11 @@ struct Child {
 }
 
 impl Child {
-    async fn start(index: usize, order: &Order, to: mpsc::Sender<(usize, Told)>) -> anyhow::Result<Self> {
+    async fn start(
+        index: usize,
+        order: &Order,
+        to: mpsc::Sender<(usize, ChildOutput)>,
+    ) -> anyhow::Result<Self> {
         let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order down")?;
         let mut process = Command::new(PROGRAM)
             .args(["measure", "--order", "-"])
@@ -182,7 +186,7 @@ impl Child {
                 while let Ok(Some(line)) = lines.next_line().await {
                     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
                     kept.push_back(line);
-                    if kept.len() > LINES {
+                    if kept.len() > LAST_LINES {
                         kept.pop_front();
                     }
                 }
@@ -196,7 +200,7 @@ impl Child {
         let status = self.process.wait().await;
         for reader in self.readers {
             // Output that arrived until now is kept.
-            let _ = tokio::time::timeout(REST, reader).await;
+            let _ = tokio::time::timeout(OUTPUT_TIMEOUT, reader).await;
         }
         let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
         let last = said.iter().rev().find(|line| !line.trim().is_empty()).cloned();
@@ -220,14 +224,14 @@ fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
 }
 
 /// Passes on the standard output of the process of this index.
-async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, Told)>) {
+async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, ChildOutput)>) {
     let Some(output) = output else { return };
     let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         // Other lines are ignored: libraries print to standard output as well.
         match serde_json::from_str(&line) {
-            Ok(look @ Told::Seen(_)) => drop(to.try_send((index, look))),
-            Ok(text @ Told::Line(_)) => drop(to.send((index, text)).await),
+            Ok(report @ ChildOutput::ProgressReport(_)) => drop(to.try_send((index, report))),
+            Ok(text @ ChildOutput::Line(_)) => drop(to.send((index, text)).await),
             Err(_) => {}
         }
     }

@@ -15,21 +15,21 @@ const HASTY: Duration = Duration::from_secs(10);
 /// The user's requests to end and their deadlines.
 #[derive(Debug, Default)]
 pub(super) struct Ending {
-    wishes: u32,
+    requests: u32,
     until: Option<Instant>,
 }
 
 impl Ending {
     /// Handles a request. Returns the signal for the processes and a text for the user.
-    pub(super) fn wish(&mut self, now: Instant) -> (Signal, String) {
-        self.wishes += 1;
+    pub(super) fn request(&mut self, now: Instant) -> (Signal, String) {
+        self.requests += 1;
         let mut within = |time: Duration| {
             let until = self.until.map_or(now + time, |until| until.min(now + time));
             self.until = Some(until);
             duration((until - now).as_secs_f64())
         };
         // The signals differ, so that a process cannot take the second one for a repetition of the first.
-        match self.wishes {
+        match self.requests {
             1 => (
                 Signal::INT,
                 format!(
@@ -49,7 +49,7 @@ impl Ending {
     }
 
     /// Waits until the deadline; for ever if there is none.
-    pub(super) async fn over(&self) {
+    pub(super) async fn expired(&self) {
         match self.until {
             Some(until) => tokio::time::sleep_until(until).await,
             None => std::future::pending().await,
@@ -63,8 +63,8 @@ impl Ending {
     }
 
     /// Returns whether the user requested the end.
-    pub(super) const fn is_wanted(&self) -> bool {
-        self.wishes > 0
+    pub(super) const fn is_requested(&self) -> bool {
+        self.requests > 0
     }
 }
 
@@ -76,22 +76,22 @@ mod tests {
     fn each_request_shortens_deadline() {
         let (mut ending, began) = (Ending::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
-        assert!(!ending.is_wanted());
-        let (signal, told) = ending.wish(at(0));
+        assert!(!ending.is_requested());
+        let (signal, told) = ending.request(at(0));
         assert!(signal == Signal::INT && told.contains("60 s"), "{told}");
-        assert_eq!((ending.is_wanted(), ending.until), (true, Some(at(60))));
-        let (signal, told) = ending.wish(at(53));
+        assert_eq!((ending.is_requested(), ending.until), (true, Some(at(60))));
+        let (signal, told) = ending.request(at(53));
         assert!(signal == Signal::TERM && told.contains("within 7 s"), "not more than was promised: {told}");
         assert_eq!(ending.until, Some(at(60)));
-        assert_eq!(ending.wish(at(54)).0, Signal::KILL);
+        assert_eq!(ending.request(at(54)).0, Signal::KILL);
         assert_eq!(ending.until, None);
     }
 
     #[test]
     fn deadline_after_second_request_is_short() {
         let (mut ending, began) = (Ending::default(), Instant::now());
-        ending.wish(began);
-        ending.wish(began + Duration::from_secs(1));
+        ending.request(began);
+        ending.request(began + Duration::from_secs(1));
         assert_eq!(ending.until, Some(began + Duration::from_secs(11)));
     }
 }

@@ -6,15 +6,15 @@ use peernet_clock::SharedClock;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::EndReason;
 
-use super::beside::Beside;
-use super::children::{self, Exited, News};
+use super::children::{self, ChildEvent, Exited};
 use super::estimate::Estimates;
+use super::external_files::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Ended, Record};
 use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, duration, typed};
-use crate::measure::{Order, Seen};
+use crate::measure::{Order, ProgressReport};
 
 /// Everything that the execution needs.
 pub(super) struct Execution<'a> {
@@ -22,7 +22,7 @@ pub(super) struct Execution<'a> {
     pub(super) record: &'a mut Record,
     pub(super) estimates: Estimates,
     pub(super) clock: &'a SharedClock,
-    pub(super) beside: &'a Beside,
+    pub(super) external_files: &'a ExternalFiles,
     pub(super) quiet: bool,
 }
 
@@ -65,20 +65,24 @@ impl Execution<'_> {
             progress.say(format_args!("{name}: begins"));
         }
         let ended = children::execute(&orders, signals, |news| {
-            let seen = match news {
-                News::Line(user, line) if orders.len() > 1 => {
+            let report = match news {
+                ChildEvent::Line(user, line) if orders.len() > 1 => {
                     return progress.say(format_args!("user {}: {line}", user + 1));
                 }
-                News::Line(_, line) | News::Ending(line) => return progress.say(line),
-                News::Seen(seen) => together(seen),
+                ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.say(line),
+                ChildEvent::ProgressReport(reports) => together(reports),
             };
-            let Some(seen) = seen else { return };
-            let part = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
-            let left = seen.left_s.zip(later).map(|(now, later)| duration(now + later));
+            let Some(report) = report else { return };
+            let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+            let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
             let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));
-            let trouble = seen.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
-            let state =
-                || (format!("{name}: {}{left}", Seen { left_s: None, ..seen.clone() }), share + part * own);
+            let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
+            let state = || {
+                (
+                    format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
+                    share + part * own,
+                )
+            };
             progress.show(self.clock.mono(), trouble, state);
         })
         .await;
@@ -112,9 +116,9 @@ impl Execution<'_> {
                 title: plan.title(run),
                 folder,
                 overwrite: Overwrite::Replace,
-                plots: self.beside.plots,
+                plots: self.external_files.plots,
                 command: typed(),
-                network_config: self.beside.network(run).cloned(),
+                network_config: self.external_files.network(run).cloned(),
                 user: (of > 1).then(|| User { number: user + 1, of }),
                 warm_up: configuration.warm_up.clone(),
                 patience_s: configuration.patience_s,
@@ -154,22 +158,22 @@ impl Execution<'_> {
 }
 
 /// Combines the progress of several users: sums of their counts, the median of the median user, the 99th percentile of the worst.
-fn together(seen: &[Option<Seen>]) -> Option<Seen> {
-    let all: Vec<&Seen> = seen.iter().flatten().collect();
+fn together(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
+    let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;
     if rest.is_empty() {
         return Some((*first).clone());
     }
-    let mut medians: Vec<f64> = all.iter().filter_map(|seen| seen.p50).collect();
+    let mut medians: Vec<f64> = all.iter().filter_map(|report| report.p50).collect();
     medians.sort_unstable_by(f64::total_cmp);
-    Some(Seen {
+    Some(ProgressReport {
         phase: first.phase,
-        done: all.iter().map(|seen| seen.done).sum(),
-        of: all.iter().map(|seen| seen.of).sum(),
-        rate: all.iter().map(|seen| seen.rate).sum(),
+        done: all.iter().map(|report| report.done).sum(),
+        of: all.iter().map(|report| report.of).sum(),
+        rate: all.iter().map(|report| report.rate).sum(),
         p50: medians.get(medians.len() / 2).copied(),
-        p99: all.iter().filter_map(|seen| seen.p99).reduce(f64::max),
-        left_s: all.iter().filter_map(|seen| seen.left_s).reduce(f64::max),
-        trouble: all.iter().find_map(|seen| seen.trouble.clone()),
+        p99: all.iter().filter_map(|report| report.p99).reduce(f64::max),
+        left_s: all.iter().filter_map(|report| report.left_s).reduce(f64::max),
+        trouble: all.iter().find_map(|report| report.trouble.clone()),
     })
 }

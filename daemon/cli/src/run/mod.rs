@@ -8,17 +8,17 @@
 //! ```
 
 mod again;
+mod agent_state_dirs;
 mod arguments;
-mod beside;
 mod check;
 mod children;
 mod difference;
 mod ending;
 mod estimate;
 mod execute;
+mod external_files;
 mod file;
 mod folder;
-mod homes;
 mod origin;
 mod plan;
 mod report;
@@ -44,18 +44,18 @@ use peernet_sample::printable_line;
 
 use crate::foreground::{Signals, remark, where_seen};
 use again::{settle, two_builds};
-use arguments::Only;
-use beside::Beside;
+use agent_state_dirs::{AgentStateDirs, undelivered_events};
+use arguments::RunSelection;
 use children::Exited;
 use estimate::{Estimates, expected};
 use execute::Execution;
+use external_files::ExternalFiles;
 use file::File;
 use folder::Folder;
-use homes::{Homes, untaken};
 use origin::origin_of_missing;
 use plan::{Plan, Run};
 use state::Record;
-use trial::Tried;
+use trial::TrialResults;
 
 /// Folder for experiments without a given place.
 const RESULTS: &str = "results";
@@ -68,7 +68,7 @@ const RESULTS: &str = "results";
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
     let (configurations, networks) = file.configurations(&arguments.models_dir)?;
-    let beside = Beside { plots: file.experiment.plots, networks };
+    let external_files = ExternalFiles { plots: file.experiment.plots, networks };
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
@@ -78,7 +78,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
-    if let Some(unknown) = Only::unknown(&arguments.only, &plan) {
+    if let Some(unknown) = RunSelection::unknown(&arguments.only, &plan) {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
@@ -100,7 +100,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &beside));
+    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &external_files));
     // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
     done
@@ -111,22 +111,23 @@ async fn carry_out(
     mut record: Record,
     path: PathBuf,
     clock: &SharedClock,
-    beside: &Beside,
+    external_files: &ExternalFiles,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
-        settle(folder, &mut record, beside);
+        settle(folder, &mut record, external_files);
     }
-    let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
     two_builds(&record, &to_do, VERSION).iter().for_each(complain);
-    let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
-        Ok(homes) => homes,
-        Err(failure) => {
-            discard(folder, &record);
-            return Err(failure);
-        }
-    };
+    let _agent_state_dirs =
+        match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
+            Ok(agent_state_dirs) => agent_state_dirs,
+            Err(failure) => {
+                discard(folder, &record);
+                return Err(failure);
+            }
+        };
     let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
     let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
     {
@@ -158,13 +159,19 @@ async fn carry_out(
         clear(&folder)?;
     }
     folder.save(&record)?;
-    let mut execution =
-        Execution { folder: &folder, record: &mut record, estimates, clock, beside, quiet: arguments.quiet };
+    let mut execution = Execution {
+        folder: &folder,
+        record: &mut record,
+        estimates,
+        clock,
+        external_files,
+        quiet: arguments.quiet,
+    };
     let interrupted = execution.all(&to_do, &mut signals).await?;
-    let told = report::write(&folder, &record, beside.plots)?;
+    let told = report::write(&folder, &record, external_files.plots)?;
     say(format_args!("\n{told}"));
     say(format_args!("\n{place}: {}", summary(&record)));
-    let waiting = untaken(&record.plan).await?;
+    let waiting = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
@@ -175,7 +182,7 @@ async fn carry_out(
     let wanted: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())
-        .filter(|run| Only::wants(&arguments.only, &record.plan, run))
+        .filter(|run| RunSelection::selects(&arguments.only, &record.plan, run))
         .collect();
     verdict(&record, &wanted, interrupted)
 }
@@ -192,7 +199,7 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
     Ok(())
 }
 
-fn estimates(record: &Record, tried: &Tried) -> Estimates {
+fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
         configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
     });
@@ -204,7 +211,7 @@ fn estimates(record: &Record, tried: &Tried) -> Estimates {
 }
 
 /// Makes the failure for everything that the trials lacked: each reason with its configurations.
-fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
+fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
     let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };

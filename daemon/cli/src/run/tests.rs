@@ -233,14 +233,14 @@ fn selections_choose_runs() {
     };
     let chosen = |line: &str| {
         let only = only(line);
-        numbers(&record.to_do(|run| Only::wants(&only, &record.plan, run)))
+        numbers(&record.to_do(|run| RunSelection::selects(&only, &record.plan, run)))
     };
     assert_eq!(chosen(""), [1, 2, 3, 4]);
     assert_eq!(chosen("--only A=1"), [1, 2]);
     assert_eq!(chosen("--only A=1 --only B=2"), [2]);
     assert_eq!(chosen("--only A=1 --only A=2 --only B=2"), [2, 4]);
     assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
-    let unknown = |line: &str| Only::unknown(&only(line), &record.plan);
+    let unknown = |line: &str| RunSelection::unknown(&only(line), &record.plan);
     assert_eq!(unknown("--only A=1 --only 4"), None);
     assert_eq!(unknown("--only B=3").as_deref(), Some("B is never 3; there is 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));

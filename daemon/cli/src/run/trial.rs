@@ -14,7 +14,7 @@ use peernet_networks::Address;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 
-use super::children::{self, Exited, News};
+use super::children::{self, ChildEvent, Exited};
 use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, in_words};
@@ -27,7 +27,7 @@ const ITERATIONS: u64 = 3;
 const PATIENCE_S: f64 = 30.0;
 
 /// Results of the trials.
-pub(super) struct Tried {
+pub(super) struct TrialResults {
     /// Pace of each configuration; `None` if it was not tried or failed.
     pub(super) paces: Vec<Option<Pace>>,
     /// Number of configurations to be tried.
@@ -54,11 +54,11 @@ pub(super) async fn configurations(
     clock: &SharedClock,
     signals: &mut Signals,
     quiet: bool,
-) -> Result<Tried, Failure> {
+) -> Result<TrialResults, Failure> {
     let folder = Scratch::new("trial")
         .context("cannot make a temporary folder; TMPDIR names another place")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let mut tried = Tried {
+    let mut tried = TrialResults {
         paces: vec![None; plan.configurations.len()],
         wanted: wanted.len(),
         missing: Vec::new(),
@@ -87,10 +87,10 @@ pub(super) async fn configurations(
         let orders = [Order { folder: at.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
         let mut ended = children::execute(&orders, signals, |news| match news {
-            News::Line(_, line) | News::Ending(line) => progress.say(line),
-            News::Seen(seen) => {
+            ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.say(line),
+            ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
-                    (clock.mono(), seen.iter().flatten().find_map(|seen| seen.trouble.clone()));
+                    (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
                 let since = duration((now - began).seconds());
                 progress.show(now, trouble, || (format!("{state}, for {since}"), share));
             }

@@ -10,7 +10,7 @@ use crate::foreground::{duration, told};
 
 /// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Seen {
+pub(crate) struct ProgressReport {
     /// Current activity.
     pub(crate) phase: Phase,
     /// Number of finished iterations.
@@ -29,7 +29,7 @@ pub(crate) struct Seen {
     pub(crate) trouble: Option<String>,
 }
 
-impl fmt::Display for Seen {
+impl fmt::Display for ProgressReport {
     /// Writes it in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
@@ -65,12 +65,12 @@ pub(crate) enum Phase {
 }
 
 /// Display of a run's progress.
-pub(crate) trait Watcher {
+pub(crate) trait ProgressDisplay {
     /// Shows the conditions of the hosts when the run begins.
     fn begun(&mut self, _conditions: &[Condition]) {}
 
     /// Shows the progress, several times a second.
-    fn look(&mut self, seen: &Seen);
+    fn show(&mut self, report: &ProgressReport);
 }
 
 #[cfg(test)]
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn progress_is_shown_in_one_line() {
-        let seen = Seen {
+        let report = ProgressReport {
             phase: Phase::Measuring,
             done: 120,
             of: Some(10_005),
@@ -89,8 +89,8 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(seen.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
-        let warming_up = Seen { done: 3, p50: None, ..seen };
+        assert_eq!(report.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
+        let warming_up = ProgressReport { done: 3, p50: None, ..report };
         assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
     }
 }

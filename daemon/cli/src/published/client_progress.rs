@@ -4,21 +4,21 @@ use peernet_clock::SharedClock;
 use peernet_stream::{Condition, Grade};
 
 use crate::foreground::{Progress, remark};
-use crate::measure::{Phase, Seen, Watcher};
+use crate::measure::{Phase, ProgressDisplay, ProgressReport};
 
 /// A bar, or lines without a terminal.
-pub(crate) struct Bar {
+pub(crate) struct ClientProgress {
     clock: SharedClock,
     progress: Progress,
 }
 
-impl Bar {
+impl ClientProgress {
     pub(crate) fn new(quiet: bool, clock: SharedClock) -> Self {
         Self { progress: Progress::new(quiet, clock.mono()), clock }
     }
 }
 
-impl Watcher for Bar {
+impl ProgressDisplay for ClientProgress {
     /// Prints conditions that impair the figures while the run can still be restarted; the rest is in the report.
     fn begun(&mut self, conditions: &[Condition]) {
         for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
@@ -26,13 +26,13 @@ impl Watcher for Bar {
         }
     }
 
-    fn look(&mut self, seen: &Seen) {
-        if seen.phase == Phase::Writing {
+    fn show(&mut self, report: &ProgressReport) {
+        if report.phase == Phase::Writing {
             self.progress.end();
             return;
         }
-        let share = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
-        let state = || (seen.to_string(), share);
-        self.progress.show(self.clock.mono(), seen.trouble.clone(), state);
+        let share = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+        let state = || (report.to_string(), share);
+        self.progress.show(self.clock.mono(), report.trouble.clone(), state);
     }
 }

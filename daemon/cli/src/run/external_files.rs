@@ -5,14 +5,14 @@ use peernet_analysis::record::{NetworkConfig, RunRecord};
 use super::plan::Run;
 
 /// Settings besides the plan.
-pub(super) struct Beside {
+pub(super) struct ExternalFiles {
     /// `true` if each run draws its figures.
     pub(super) plots: bool,
     /// File of devices of each configuration: the plan holds the address in place of the device's name.
     pub(super) networks: Vec<Option<NetworkConfig>>,
 }
 
-impl Beside {
+impl ExternalFiles {
     /// Returns the file that names a run's peer.
     pub(super) fn network(&self, run: &Run) -> Option<&NetworkConfig> {
         self.networks.get(run.configuration)?.as_ref()
@@ -38,11 +38,12 @@ mod tests {
     fn only_changed_text_of_devices_file_is_reported() {
         let network =
             |file: &str, text: &str| Some(NetworkConfig { file: file.to_owned(), text: text.to_owned() });
-        let beside = Beside { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
+        let external_files =
+            ExternalFiles { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
         let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
         let told = |then: Option<NetworkConfig>, configuration| {
             let record = RunRecord { network_config: then, ..RunRecord::default() };
-            beside.changed_since(&record, &run(configuration))
+            external_files.changed_since(&record, &run(configuration))
         };
         let text = told(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
         assert!(text.starts_with("net.yaml has changed"), "{text}");
