@@ -6,9 +6,9 @@ use peernet_statistics::Summary;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Minimum number of samples for a 95th percentile.
+/// Samples below which a 95th percentile is not given.
 pub const P95_NEEDS: u64 = 60;
-/// Minimum number of samples for a 99th percentile.
+/// Samples below which a 99th percentile is not given.
 pub const P99_NEEDS: u64 = 300;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
