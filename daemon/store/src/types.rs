@@ -8,7 +8,7 @@ mod statistics;
 pub use episodes::Episodes;
 pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
 pub use pairs::Pairs;
-pub(crate) use statistics::Known;
+pub(crate) use statistics::NameSummary;
 pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_analysis::deadline::Misses;

@@ -86,7 +86,7 @@ pub enum BackupError {
 
 /// A finished copy.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Copied {
+pub struct FinishedCopy {
     /// Path of the copy.
     pub path: PathBuf,
     /// Size of the copy.
@@ -99,7 +99,7 @@ pub struct Backup {
     database: PathBuf,
     target: PathBuf,
     connection: SqliteConnection,
-    partial: Partial,
+    partial: UnfinishedCopy,
     expected: u64,
 }
 
@@ -142,7 +142,7 @@ impl Backup {
         if free < expected {
             return Err(BackupError::NoRoom { folder, needed: expected, free });
         }
-        let partial = Partial::claim(&target)?;
+        let partial = UnfinishedCopy::claim(&target)?;
         Ok(Self { database: database.to_owned(), target, connection, partial, expected })
     }
 
@@ -160,7 +160,7 @@ impl Backup {
     ///
     /// # Errors
     /// When `stop` is cancelled before the end, or the copy cannot be written.
-    pub async fn run(self, stop: CancellationToken) -> Result<Copied, BackupError> {
+    pub async fn run(self, stop: CancellationToken) -> Result<FinishedCopy, BackupError> {
         let Self { database, target, mut connection, mut partial, .. } = self;
         let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
         let stopped = stop.clone();
@@ -180,19 +180,19 @@ impl Backup {
             source: DatabaseError::new(error),
         })?;
         let bytes = partial.publish(&target)?;
-        Ok(Copied { path: target, bytes })
+        Ok(FinishedCopy { path: target, bytes })
     }
 }
 
 /// The unfinished copy. It is locked against other processes, and removed unless it is published.
 #[derive(Debug)]
-struct Partial {
+struct UnfinishedCopy {
     path: PathBuf,
     file: File,
     published: bool,
 }
 
-impl Partial {
+impl UnfinishedCopy {
     /// Creates and locks the file, also if a killed process left it behind. Fails if a running process writes to it.
     fn claim(target: &Path) -> Result<Self, BackupError> {
         let mut path = target.as_os_str().to_owned();
@@ -228,7 +228,7 @@ impl Partial {
     }
 }
 
-impl Drop for Partial {
+impl Drop for UnfinishedCopy {
     fn drop(&mut self) {
         if !self.published
             && let Err(error) = fs::remove_file(&self.path)

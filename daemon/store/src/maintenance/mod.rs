@@ -13,7 +13,7 @@ use std::time::Duration;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 
-pub use self::backup::{Backup, BackupError, Copied};
+pub use self::backup::{Backup, BackupError, FinishedCopy};
 pub use self::doctor::{
     DoctorError, Examination, FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report,
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,

@@ -31,14 +31,14 @@ struct Row {
 
 /// Values of a name in an iteration: one number, whatever the number of nodes.
 #[derive(Default)]
-struct Found {
+struct NameValues {
     /// The first node of the name with its value.
     first: Option<(u32, Option<f64>)>,
     /// Sum of the nodes directly below the root.
     sum: Option<f64>,
 }
 
-impl Found {
+impl NameValues {
     fn add(&mut self, row: &Row) {
         if self.first.is_none_or(|(node, _)| row.node < node) {
             self.first = Some((row.node, row.value));
@@ -86,14 +86,14 @@ pub(crate) async fn pairs(
     // Iterations of a long run are far apart in the file: each read waits for the disk.
     let part = numbers.len().div_ceil(READ_AT_ONCE).max(1);
     let rows = try_join_all(numbers.chunks(part).map(read)).await?;
-    let mut found = BTreeMap::<i64, [Found; 2]>::new();
+    let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
     for row in rows.into_iter().flatten() {
         let both = found.entry(row.iteration).or_default();
         let wanted = both.iter_mut().zip([row.is_x, row.is_y]).filter(|(_, is_wanted)| *is_wanted);
         wanted.for_each(|(one, _)| one.add(&row));
     }
     let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
-    let point = |[x, y]: &[Found; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
+    let point = |[x, y]: &[NameValues; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
     Ok(Pairs {
         points: found.values().filter_map(point).collect(),
         asked: numbers.len() as u64,

@@ -13,7 +13,7 @@ use sqlx::FromRow;
 use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::types::{ExperimentSummary, GapRow, Known, RunDetail, RunFilter, RunSummary};
+use crate::types::{ExperimentSummary, GapRow, NameSummary, RunDetail, RunFilter, RunSummary};
 use crate::write::UNKNOWN;
 
 const WHAT: &str = "runs";
@@ -121,7 +121,7 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
 }
 
 /// Returns the missed deadlines among answered iterations, for the runs with a deadline.
-async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>, StoreError> {
+async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
     if numbers.is_empty() {
@@ -183,7 +183,11 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
-fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<RunSummary, StoreError> {
+fn summary(
+    row: &RunRow,
+    total: Option<&NameSummary>,
+    late: Option<&NameSummary>,
+) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
@@ -220,7 +224,7 @@ fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<
         skipped_starts: count(row.skipped_starts),
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
-        total: total.and_then(Known::figures),
+        total: total.and_then(NameSummary::figures),
         // A fact about the edge itself, or about a cloud with its name.
         rehearsed: facts(row)?
             .iter()

@@ -14,7 +14,7 @@ use super::{corrupt, count, sql};
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
-use crate::types::{Histogram, Known};
+use crate::types::{Histogram, NameSummary};
 
 pub(crate) use self::means::means;
 pub(crate) use self::runs::statistics;
@@ -54,17 +54,17 @@ pub(super) async fn whole_runs(
     readers: &Readers,
     runs: &[i64],
     name: &str,
-) -> Result<HashMap<i64, Known>, StoreError> {
+) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
         .bind(list(runs)?)
         .bind(name)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut found = HashMap::<i64, Known>::new();
+    let mut found = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
-        found.entry(row.run).or_insert_with(|| Known::of_unit(&row.unit)).summary.merge(&summary);
+        found.entry(row.run).or_insert_with(|| NameSummary::of_unit(&row.unit)).summary.merge(&summary);
     }
     Ok(found)
 }

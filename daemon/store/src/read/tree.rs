@@ -58,7 +58,7 @@ struct AnchorRow {
 
 /// The host that senses, and the name of the one that serves it: the tree's second host.
 #[derive(FromRow)]
-struct Ends {
+struct TreeHosts {
     uuid: String,
     name: Option<String>,
     peer: Option<String>,
@@ -77,7 +77,7 @@ pub(super) async fn trees(
 ) -> Result<Vec<Option<Stored>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
-    let ends: Ends =
+    let ends: TreeHosts =
         sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
@@ -120,7 +120,7 @@ fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
 }
 
 fn tree(
-    ends: &Ends,
+    ends: &TreeHosts,
     started: WallTime,
     others: &[AnchorRow],
     nodes: &[NodeRow],

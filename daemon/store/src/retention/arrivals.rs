@@ -5,7 +5,7 @@
 use sqlx::SqliteConnection;
 
 use super::deletions::{Cause, Deletion};
-use super::{Deleted, Kind, buckets, clocks, nodes};
+use super::{DeletedRows, Kind, buckets, clocks, nodes};
 use crate::extent::Extent;
 use crate::rollups::bucket;
 
@@ -104,7 +104,7 @@ async fn next(
 
 /// Result of deleting due data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Trimmed {
+pub(super) struct TrimResult {
     /// Cost of the deleted rows, in small rows.
     pub(super) rows: u64,
     /// `true` if no more data is due.
@@ -119,7 +119,7 @@ pub(super) async fn trim(
     now_s: i64,
     rows: u64,
     deletions: &mut Vec<Deletion>,
-) -> Result<Trimmed, sqlx::Error> {
+) -> Result<TrimResult, sqlx::Error> {
     let mut deleted = 0;
     for _ in 0..ROWS {
         let left = rows.saturating_sub(deleted);
@@ -127,7 +127,7 @@ pub(super) async fn trim(
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(Trimmed { rows: deleted, through: true });
+            return Ok(TrimResult { rows: deleted, through: true });
         };
         let gone = arrival.delete(connection, now_s, left).await?;
         deleted += gone.rows;
@@ -135,7 +135,7 @@ pub(super) async fn trim(
             deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
         }
     }
-    Ok(Trimmed { rows: deleted, through: false })
+    Ok(TrimResult { rows: deleted, through: false })
 }
 
 impl Arrival {
@@ -146,14 +146,14 @@ impl Arrival {
         connection: &mut SqliteConnection,
         now_s: i64,
         rows: u64,
-    ) -> Result<Deleted, sqlx::Error> {
+    ) -> Result<DeletedRows, sqlx::Error> {
         let mut others = self.later(connection).await?;
         let pinned = match self.kind {
             Kind::ClockSamples => clocks::pinned(connection, self.owner).await?,
             _ => Vec::new(),
         };
         others.extend(&pinned);
-        let mut deleted = Deleted::default();
+        let mut deleted = DeletedRows::default();
         for part in self.extent.without(others) {
             loop {
                 let left = rows.saturating_sub(deleted.rows);
@@ -182,7 +182,7 @@ impl Arrival {
         let statement = if kept { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
         if kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
-        Ok(Deleted { complete: true, ..deleted })
+        Ok(DeletedRows { complete: true, ..deleted })
     }
 
     /// Returns the parts of its extent that arrived later as well.

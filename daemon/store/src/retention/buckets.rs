@@ -3,7 +3,7 @@
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind};
+use super::{DeletedRows, Kind};
 use crate::column::column;
 use crate::extent::Extent;
 
@@ -33,11 +33,11 @@ pub(super) async fn delete(
     width_s: i64,
     seconds: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
+) -> Result<DeletedRows, sqlx::Error> {
     let of = |statement| sqlx::query_scalar(statement).bind(run).bind(width_s);
     let first: Option<i64> =
         of(OLDEST).bind(seconds.first).bind(seconds.last).fetch_one(&mut *connection).await?;
-    let Some(first) = first else { return Ok(Deleted { complete: true, ..Deleted::default() }) };
+    let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
     let most = column((rows / ROW).max(1));
     let after: Option<Option<i64>> =
         of(AFTER).bind(first).bind(seconds.last).bind(most).fetch_optional(&mut *connection).await?;
@@ -49,5 +49,5 @@ pub(super) async fn delete(
     let items = gone.execute(&mut *connection).await?.rows_affected();
     let before_s = newest.unwrap_or(first).saturating_add(width_s);
     trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
-    Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
 }

@@ -4,7 +4,7 @@
 
 use sqlx::SqliteConnection;
 
-use super::Deleted;
+use super::DeletedRows;
 use crate::column::column;
 use crate::extent::Extent;
 
@@ -70,14 +70,14 @@ pub(super) async fn delete(
     link: i64,
     times: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
+) -> Result<DeletedRows, sqlx::Error> {
     let first: Option<i64> = sqlx::query_scalar(OLDEST)
         .bind(link)
         .bind(times.first)
         .bind(times.last)
         .fetch_one(&mut *connection)
         .await?;
-    let Some(first) = first else { return Ok(Deleted { complete: true, ..Deleted::default() }) };
+    let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
     let after: Option<i64> = sqlx::query_scalar(AFTER)
         .bind(link)
         .bind(first)
@@ -91,5 +91,5 @@ pub(super) async fn delete(
     let items = gone.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
-    Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
 }

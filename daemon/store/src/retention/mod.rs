@@ -143,7 +143,7 @@ impl Periods {
 
 /// Amount of data that was deleted of a kind of a run or link.
 #[derive(Clone, Copy, Debug, Default)]
-struct Deleted {
+struct DeletedRows {
     /// Cost of the deleted rows, in small rows.
     rows: u64,
     /// Number of iterations, rows of statistics, or samples.

@@ -3,7 +3,7 @@
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind};
+use super::{DeletedRows, Kind};
 use crate::extent::Extent;
 
 /// Number of iterations read together.
@@ -40,8 +40,8 @@ pub(super) async fn delete(
     run: i64,
     numbers: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
-    let mut deleted = Deleted::default();
+) -> Result<DeletedRows, sqlx::Error> {
+    let mut deleted = DeletedRows::default();
     let mut per_iteration = NODES;
     loop {
         let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
@@ -52,7 +52,7 @@ pub(super) async fn delete(
             .fetch_all(&mut *connection)
             .await?;
         if page.is_empty() {
-            return Ok(Deleted { complete: true, ..deleted });
+            return Ok(DeletedRows { complete: true, ..deleted });
         }
         let mut old = &page[..];
         while let Some((from, _)) = old.first() {

@@ -4,7 +4,7 @@ use peernet_clock::{MonoTime, Span, WallTime};
 use sqlx::SqliteConnection;
 
 use super::Kind;
-use super::arrivals::{self, Trimmed};
+use super::arrivals::{self, TrimResult};
 use super::deletions::{Cause, Deletion};
 use crate::column::{column, count};
 
@@ -52,7 +52,7 @@ impl SizeLimit {
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
-            let Trimmed { rows: deleted, through } =
+            let TrimResult { rows: deleted, through } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
             if deleted > 0 {
                 if !self.told {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use sqlx::SqliteConnection;
 
-use super::packed::Packed;
+use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
@@ -17,14 +17,14 @@ const OVERHEAD: usize = 512;
 #[derive(Debug)]
 struct Width {
     /// All rows of each bucket, by series. A bucket in this map is complete.
-    buckets: BTreeMap<i64, Vec<(Series, Packed)>>,
+    buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
     /// Second from which on the database has no bucket that is not in `buckets`.
     known_from: i64,
 }
 
 /// The buckets of a run in memory.
 #[derive(Debug)]
-pub(super) struct Growing {
+pub(super) struct GrowingBuckets {
     run: i64,
     /// In the order of [`WIDTHS_S`], then the whole run.
     widths: [Width; WIDTHS_S.len() + 1],
@@ -32,7 +32,7 @@ pub(super) struct Growing {
     turn: u64,
 }
 
-impl Growing {
+impl GrowingBuckets {
     /// Reads the newest bucket of each width, but no rows.
     pub(super) async fn of(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
         let newest = table::newest_buckets(connection, run).await?;
@@ -83,7 +83,7 @@ impl Growing {
                     at
                 }
                 Err(at) => {
-                    bucket.insert(at, (*series, Packed::of(summary)));
+                    bucket.insert(at, (*series, PackedSummary::of(summary)));
                     at
                 }
             };

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use peernet_statistics::Summary;
 use sqlx::SqliteConnection;
 
-use self::growing::Growing;
+use self::growing::GrowingBuckets;
 #[cfg(test)]
 pub(crate) use self::table::QUESTIONS;
 pub(crate) use self::table::RollupRow;
@@ -60,7 +60,7 @@ pub(crate) struct Rollups {
     fresh: HashMap<(i64, i64, Series), Summary>,
     verdicts: HashMap<(i64, i64, u8), i64>,
     /// By run, as in the database after the current transaction.
-    growing: HashMap<i64, Growing>,
+    growing: HashMap<i64, GrowingBuckets>,
     /// Memory of all of `growing`, bytes.
     bytes: usize,
     /// Number of transactions, to find the run that was written least recently.
@@ -144,7 +144,7 @@ impl Rollups {
                     self.bytes -= growing.bytes();
                     growing
                 }
-                None => Growing::of(connection, *run).await?,
+                None => GrowingBuckets::of(connection, *run).await?,
             };
             let begin = rows.len();
             let mut added: Vec<Added> = of_run.iter().map(|(_, added)| added.clone()).collect();

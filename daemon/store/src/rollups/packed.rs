@@ -6,12 +6,12 @@ use super::Series;
 
 /// A summary in its stored form, which is far smaller than [`Summary`].
 #[derive(Clone, Debug)]
-pub(super) struct Packed {
+pub(super) struct PackedSummary {
     pub(super) moments: Moments,
     pub(super) sketch: Vec<u8>,
 }
 
-impl Packed {
+impl PackedSummary {
     pub(super) fn of(summary: &Summary) -> Self {
         Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
     }

@@ -3,7 +3,7 @@
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
-use super::packed::Packed;
+use super::packed::PackedSummary;
 use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
 use crate::insert::Insert;
 
@@ -27,7 +27,7 @@ impl RollupRow {
     pub(super) fn new(
         (run, resolution_s, bucket_s): (i64, i64, i64),
         (name, quantity): Series,
-        packed: Packed,
+        packed: PackedSummary,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
         // An earlier version accepted numbers close to infinity. The table rejects NaN, and later values must not be refused because
@@ -63,10 +63,10 @@ impl RollupRow {
         Moments { count: count.unsigned_abs(), mean, m2, min, max }
     }
 
-    pub(super) fn into_parts(self) -> (i64, Series, Packed) {
+    pub(super) fn into_parts(self) -> (i64, Series, PackedSummary) {
         let series = (self.name, self.quantity());
         let moments = self.moments();
-        (self.bucket_s, series, Packed { moments, sketch: self.sketch })
+        (self.bucket_s, series, PackedSummary { moments, sketch: self.sketch })
     }
 
     /// Returns the summary of the row.

@@ -9,7 +9,7 @@ use super::rollups::{assert_same, table};
 use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::rebuild::rebuild;
 use crate::stored::Stored;
-use crate::write::{Aside, Introduction};
+use crate::write::{Introduction, UnstorableBatch};
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = generate::Numbers::new(*numbers.start());
@@ -104,8 +104,8 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
         .collect();
     let committed = bed.commit(&work).await;
     assert_eq!(committed.marks[&bed.stream].stored, 5);
-    let aside: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
-    assert_eq!(aside, [3, 4]);
+    let quarantined: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
+    assert_eq!(quarantined, [3, 4]);
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 7);
     assert_eq!(bed.count("SELECT count(*) FROM node").await, 7 * 21);
     assert_eq!(bed.count("SELECT ok FROM run").await, 7);
@@ -181,8 +181,9 @@ async fn commit_without_log_is_not_acknowledged() {
 async fn unreadable_batch_is_quarantined_unchanged() {
     let mut bed = Bed::new().await;
     let head = bed.head(1, &[], 0);
-    let aside = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
-    let unreadable = Work::Aside(Box::new(aside));
+    let batch =
+        UnstorableBatch { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
+    let unreadable = Work::UnstorableBatch(Box::new(batch));
     let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
     let committed = bed.commit(&[unreadable, after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 2);

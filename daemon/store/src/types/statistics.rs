@@ -69,19 +69,19 @@ impl From<Kept> for RunStatistics {
 /// Mergeable statistics of runs: counts, values, widths of intervals. Merging loses nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Kept {
-    values: HashMap<Name, Known>,
+    values: HashMap<Name, NameSummary>,
     half_widths: HashMap<Name, Summary>,
     verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
 }
 
 /// Values of one node name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Known {
+pub(crate) struct NameSummary {
     pub(crate) unit: String,
     pub(crate) summary: Summary,
 }
 
-impl Known {
+impl NameSummary {
     pub(crate) fn of_unit(unit: &str) -> Self {
         Self { unit: unit.to_owned(), summary: Summary::default() }
     }
@@ -99,7 +99,7 @@ impl Kept {
 
     /// Adds values of a node name. Values of a name that was used with several kinds are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
-        self.values.entry(name).or_insert_with(|| Known::of_unit(unit)).summary.merge(values);
+        self.values.entry(name).or_insert_with(|| NameSummary::of_unit(unit)).summary.merge(values);
     }
 
     /// Adds half the widths, in seconds, of the intervals that contain the delays of one direction.
@@ -130,7 +130,7 @@ impl Kept {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sum = |known: &Known| known.summary.moments.sum();
+        let sum = |known: &NameSummary| known.summary.moments.sum();
         let total = self.values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
         let stages = self.values.iter().filter_map(|(stage, known)| {
             Some(StageStatistics {

@@ -5,21 +5,21 @@
 //! cost a check per node, and one writer owns the tables.
 
 mod again;
-mod aside;
 mod clock;
 mod connections;
 mod counters;
 mod ends;
 mod entities;
 mod file;
+mod foreign_reports;
 mod names;
 mod prepared;
+mod quarantine;
 mod records;
 mod rows;
 mod secrets;
 mod streams;
 mod transaction;
-mod trespasses;
 mod work;
 
 use std::collections::HashMap;
@@ -40,7 +40,7 @@ pub(crate) use self::secrets::known_hosts;
 pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
-pub use self::work::{Aside, Introduction, RunName, Work};
+pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
 use super::foreign_log::mark;
 use super::limits::BUSY;
 use super::retention::{self, Retention, Step};
@@ -92,7 +92,7 @@ pub struct Writer {
     streams: Streams,
     /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
     /// handed in again.
-    untold: Committed,
+    unreported: Committed,
 }
 
 impl Writer {
@@ -113,7 +113,7 @@ impl Writer {
             storage_clock: StorageClock::default(),
             last_wall,
             streams,
-            untold: Committed::default(),
+            unreported: Committed::default(),
         })
     }
 
@@ -158,11 +158,11 @@ impl Writer {
                 }
                 Err(Refusal::Batch(reason)) => self.alone(part, now, reason).await?,
             };
-            self.untold.merge(committed);
+            self.unreported.merge(committed);
         }
         self.file.remember_log();
         self.check_file()?;
-        Ok(std::mem::take(&mut self.untold))
+        Ok(std::mem::take(&mut self.unreported))
     }
 
     /// Pins a run, so that retention keeps it, or releases it. Returns whether the run exists.
@@ -314,16 +314,16 @@ impl Writer {
         }
     }
 
-    /// Executes one transaction. With `aside` the batches are quarantined for that reason.
+    /// Executes one transaction. With `quarantine_reason` the batches are quarantined for that reason.
     async fn attempt(
         &mut self,
         work: &[Work],
         now: Stamp,
-        aside: Option<&str>,
+        quarantine_reason: Option<&str>,
     ) -> Result<Committed, Refusal> {
         let result = {
             let Self { staging, connection, streams, storage_clock, .. } = self;
-            staging.run(connection, work, &streams.marks, (storage_clock, now), aside).await
+            staging.run(connection, work, &streams.marks, (storage_clock, now), quarantine_reason).await
         };
         match result {
             Ok(committed) => {

@@ -26,13 +26,13 @@ pub struct Streams {
 
 /// The streams that a transaction advances.
 #[derive(Debug)]
-pub(super) struct Moved {
+pub(super) struct AdvancedStreams {
     /// By stream: the host's row and the head of the last batch.
     marks: HashMap<StreamId, (i64, BatchHead)>,
     upsert: Insert,
 }
 
-impl Default for Moved {
+impl Default for AdvancedStreams {
     fn default() -> Self {
         Self {
             marks: HashMap::new(),
@@ -101,7 +101,7 @@ impl Streams {
     }
 }
 
-impl Moved {
+impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
     /// A new stream leaves gaps if it does not continue the one before, or continues from a position that this database lacks.

@@ -6,16 +6,16 @@ use peernet_clock::{Stamp, WallTime};
 use peernet_stream::{BatchHead, Event, Mark, Missing, StreamId};
 use sqlx::SqliteConnection;
 
-use super::aside::Rejected;
 use super::clock::Links;
 use super::counters::Counters;
 use super::ends::Ends;
 use super::entities::{Entities, Reporter};
+use super::foreign_reports::ForeignReports;
 use super::names::Names;
 use super::prepared::{Prepared, Step};
+use super::quarantine::RejectedBatch;
 use super::rows::{Inserts, Resolved};
-use super::streams::Moved;
-use super::trespasses::Trespasses;
+use super::streams::AdvancedStreams;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
 use crate::raw_transaction;
 use crate::rollups::Rollups;
@@ -29,10 +29,10 @@ pub(super) struct Staging {
     inserts: Inserts,
     rollups: Rollups,
     counters: Counters,
-    moved: Moved,
+    advanced_streams: AdvancedStreams,
     ends: Ends,
     links: Links,
-    trespasses: Trespasses,
+    foreign_reports: ForeignReports,
 }
 
 impl Staging {
@@ -40,15 +40,15 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. With `aside` its batches are quarantined for that reason. `marks` are
-    /// the committed marks.
+    /// Stores all of `work`, and advances the storage clock. With `quarantine_reason` its batches are quarantined for that reason.
+    /// `marks` are the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
         work: &[Work],
         marks: &HashMap<StreamId, Mark>,
         (storage_clock, stamp): (&StorageClock, Stamp),
-        aside: Option<&str>,
+        quarantine_reason: Option<&str>,
     ) -> Result<Committed, Refusal> {
         raw_transaction::begin(connection).await?;
         let elapsed = storage_clock.advance(connection, stamp).await?;
@@ -57,10 +57,12 @@ impl Staging {
         let mut committed = Committed::default();
         let mut batches = Vec::new();
         for item in work {
-            let (head, rejected) = match (item, aside) {
+            let (head, rejected) = match (item, quarantine_reason) {
                 (Work::Batch(batch), None) => (batch.head, None),
-                (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
-                (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
+                (Work::Batch(batch), Some(reason)) => {
+                    (batch.head, Some(RejectedBatch::refused(batch, reason)))
+                }
+                (Work::UnstorableBatch(batch), _) => (batch.head, Some(RejectedBatch::unstorable(batch))),
                 (Work::Missing(missing), _) => {
                     let Missing { host, stream, through: number, chain, process, events_through, .. } =
                         *missing;
@@ -92,7 +94,7 @@ impl Staging {
                     continue;
                 }
             };
-            let mark = self.moved.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
+            let mark = self.advanced_streams.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
             if let Some(mark) = mark.filter(|mark| head.number <= mark.stored) {
                 // It was sent again before its acknowledgement: it is already stored.
                 committed.marks.insert(head.stream, mark);
@@ -117,7 +119,7 @@ impl Staging {
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);
-            self.moved.mark(host, head);
+            self.advanced_streams.mark(host, head);
         }
         committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
         // Rows of one run are adjacent in the tables.
@@ -127,8 +129,8 @@ impl Staging {
         committed.hosts = self.counters.write(connection, now, storage_s).await?;
         self.links.write(connection, storage_s).await?;
         self.ends.write(connection).await?;
-        self.trespasses.write(connection, now).await?;
-        committed.marks.extend(self.moved.write(connection, now).await?);
+        self.foreign_reports.write(connection, now).await?;
+        committed.marks.extend(self.advanced_streams.write(connection, now).await?);
         raw_transaction::commit(connection).await?;
         committed.runs = self.entities.take_met();
         committed.unknown = self.entities.take_unknown();
@@ -146,7 +148,7 @@ impl Staging {
         if let Some(secret) = &came.secret {
             secrets::enrol(connection, id, secret, now).await?;
         }
-        let added = self.moved.introduce(connection, id, came, now).await?;
+        let added = self.advanced_streams.introduce(connection, id, came, now).await?;
         self.counters.host(came.host.id, id).add(&added);
         Ok(())
     }
@@ -160,7 +162,7 @@ impl Staging {
         now: WallTime,
     ) -> Result<Resolved<'a>, Refusal> {
         // Checked before anything of the batch is stored.
-        self.trespasses.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
+        self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
             match step {
@@ -216,9 +218,9 @@ impl Staging {
         self.entities.forget();
         self.rollups.forget();
         self.counters.forget();
-        self.moved.forget();
+        self.advanced_streams.forget();
         self.ends.forget();
         self.links.forget();
-        self.trespasses.forget();
+        self.foreign_reports.forget();
     }
 }

@@ -100,10 +100,10 @@ fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
             "the table of gaps says when and why; figures of those times rest on what did arrive",
         );
     }
-    let aside: i64 = report.quarantine.iter().map(|group| group.batches).sum();
-    if aside > 0 {
+    let quarantined: i64 = report.quarantine.iter().map(|group| group.batches).sum();
+    if quarantined > 0 {
         report.notice(
-            format!("{aside} batches could not be stored and were put aside (table quarantine)"),
+            format!("{quarantined} batches could not be stored and were put aside (table quarantine)"),
             "the table of reasons tells whether an agent is of another version or its disk or memory is failing",
         );
     }

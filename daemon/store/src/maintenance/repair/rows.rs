@@ -71,7 +71,7 @@ pub(super) struct CopiedTable {
 }
 
 #[derive(sqlx::FromRow)]
-struct Described {
+struct ColumnDescription {
     name: String,
     r#type: String,
     notnull: bool,
@@ -87,7 +87,7 @@ impl Table {
                 .bind(&name)
                 .fetch_one(&mut *connection)
                 .await?;
-        let described: Vec<Described> = sqlx::query_as(
+        let described: Vec<ColumnDescription> = sqlx::query_as(
             "SELECT name, type, \"notnull\", dflt_value, pk FROM pragma_table_info(?1) ORDER BY cid",
         )
         .bind(&name)

@@ -15,7 +15,7 @@ use sqlx::FromRow;
 pub(super) use self::assumptions::AssumedWindows;
 pub(crate) use self::assumptions::of_link;
 use self::bucket::Bucket;
-use self::repeats::Repeats;
+use self::repeats::RepeatedTimes;
 use super::{corrupt, count, known, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -122,7 +122,7 @@ pub(crate) async fn series(
         .map_err(readers.failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
-    let repeats = Repeats::read(readers, link, (first, last)).await?;
+    let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
     if width == 1 {
@@ -161,7 +161,7 @@ fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
 /// Points under construction.
 struct Points {
     width: u32,
-    repeats: Repeats,
+    repeats: RepeatedTimes,
     points: Vec<ClockPoint>,
     bucket: Option<Bucket>,
 }

@@ -20,14 +20,14 @@ struct Window {
 /// Windows with times that an earlier window has, too. The later one counts: the samples of the earlier one are from before
 /// the clock was set back.
 #[derive(Debug, Default)]
-pub(super) struct Repeats {
+pub(super) struct RepeatedTimes {
     /// Place of each window in the order of arrival.
     places: HashMap<i64, usize>,
     /// Place, first and last time of the windows that begin before an earlier one ends.
     later: Vec<(usize, i64, i64)>,
 }
 
-impl Repeats {
+impl RepeatedTimes {
     pub(super) async fn read(
         readers: &Readers,
         link: i64,

@@ -8,7 +8,7 @@ use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
 use super::super::{known, sql};
-use super::rolling::{Rolling, SPAN};
+use super::rolling::{RollingWindow, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::column::count;
 use crate::error::StoreError;
@@ -79,7 +79,7 @@ struct Cloud {
     link: i64,
     /// By the related clocks.
     windows: HashMap<RelatedClocks, Windows>,
-    rolling: HashMap<(RelatedClocks, i64), Rolling>,
+    rolling: HashMap<(RelatedClocks, i64), RollingWindow>,
 }
 
 /// The windows that relate one pair of clocks.
@@ -140,7 +140,7 @@ impl<'a> Clouds<'a> {
         if cloud.rolling.len() >= MOST && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
-        let begin = || Rolling::new((cloud.link, *window), time.clocks, time.at);
+        let begin = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
         cloud.rolling.entry(key).or_insert_with(begin).at(self.readers, time.at).await
     }
 

@@ -77,7 +77,7 @@ impl Extent {
 
 /// A delay with its earlier and its new judgement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rejudged {
+pub(crate) struct RejudgedDelay {
     pub(crate) direction: Direction,
     pub(crate) before: Option<OneWayDelay>,
     pub(crate) after: Option<OneWayDelay>,
@@ -122,7 +122,7 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
 pub(crate) async fn judge_again(
     readers: &Readers,
     run: i64,
-    mut each: impl FnMut(Rejudged),
+    mut each: impl FnMut(RejudgedDelay),
 ) -> Result<Option<u64>, StoreError> {
     let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
         .bind(run)
@@ -158,8 +158,8 @@ async fn again(
     row: &Row,
     (direction, is_observed): (Direction, bool),
     before: Option<OneWayDelay>,
-) -> Result<Rejudged, StoreError> {
-    let as_it_was = Rejudged { direction, before, after: before, clocks: None };
+) -> Result<RejudgedDelay, StoreError> {
+    let as_it_was = RejudgedDelay { direction, before, after: before, clocks: None };
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
         return Ok(as_it_was);
     };
@@ -178,7 +178,7 @@ async fn again(
         true => relation.difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
-    Ok(Rejudged { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
+    Ok(RejudgedDelay { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
 }
 
 /// Combines the earlier and the new judgement.

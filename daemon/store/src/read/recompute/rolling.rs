@@ -48,7 +48,7 @@ struct Row {
 type Claim = Option<(DelaySource, Interval)>;
 
 /// The exchanges of one window around the current time.
-pub(super) struct Rolling {
+pub(super) struct RollingWindow {
     /// The link and its window.
     of: (i64, i64),
     clocks: RelatedClocks,
@@ -63,7 +63,7 @@ pub(super) struct Rolling {
     claim: Claim,
 }
 
-impl Rolling {
+impl RollingWindow {
     /// Makes it for times from shortly before `at` on.
     pub(super) fn new(of: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {

@@ -4,7 +4,7 @@ use peernet_logger::Name;
 
 use super::super::{sql, wall};
 use super::WHAT;
-use super::series::{Known, Stored};
+use super::series::{NameIds, Stored};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{MeanBucket, StageMeans};
@@ -19,7 +19,7 @@ pub(crate) async fn means(
     most_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
     let (width_s, stored_s) = Stored::of(readers, run).await?.choose(most_buckets);
-    let known = Known::of(readers, stages).await?;
+    let known = NameIds::of(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)
         .bind(stored_s)

@@ -131,15 +131,15 @@ async fn lines(
     run: i64,
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
-) -> Result<Vec<Line>, StoreError> {
-    let known = Known::of(readers, stages).await?;
-    let line = |(at, stage): (usize, &Name)| Line {
+) -> Result<Vec<SeriesBuilder>, StoreError> {
+    let known = NameIds::of(readers, stages).await?;
+    let line = |(at, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
         unit: known.units[at].clone(),
         width_s,
         points: Vec::new(),
     };
-    let mut lines: Vec<Line> = stages.iter().enumerate().map(line).collect();
+    let mut lines: Vec<SeriesBuilder> = stages.iter().enumerate().map(line).collect();
     let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
@@ -156,14 +156,14 @@ async fn lines(
 }
 
 /// Ids and units of names in the database.
-pub(super) struct Known {
+pub(super) struct NameIds {
     /// Place in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
     pub(super) places: HashMap<i64, usize>,
     /// Units in the order of the given list.
     units: Vec<String>,
 }
 
-impl Known {
+impl NameIds {
     pub(super) async fn of(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
@@ -200,7 +200,7 @@ fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
 }
 
 /// Buckets of one name, made from rows by rising time.
-struct Line {
+struct SeriesBuilder {
     stage: Name,
     unit: String,
     width_s: i64,
@@ -208,7 +208,7 @@ struct Line {
     points: Vec<(i64, Summary)>,
 }
 
-impl Line {
+impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);

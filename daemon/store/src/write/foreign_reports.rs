@@ -18,14 +18,14 @@ const MOST_REPORTED: usize = 10_000;
 
 /// Reports that a transaction found, and those that earlier ones recorded as incidents.
 #[derive(Debug, Default)]
-pub(super) struct Trespasses {
+pub(super) struct ForeignReports {
     /// By the row of the host: its id, one of the runs, and their number.
     found: HashMap<i64, (HostId, RunId, u64)>,
     /// Rows of hosts with the foreign runs that they named.
     reported: HashSet<(i64, RunId)>,
 }
 
-impl Trespasses {
+impl ForeignReports {
     /// Finds runs of other hosts among those that a batch names.
     pub(super) async fn check(
         &mut self,

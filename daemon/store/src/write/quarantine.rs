@@ -10,22 +10,23 @@ use sqlx::SqliteConnection;
 
 use super::entities::{Entities, Reporter};
 use super::prepared::Prepared;
-use super::{Aside, Refusal, records};
+use super::{Refusal, UnstorableBatch, records};
 use crate::stored::Stored;
 
 /// A batch to be quarantined.
-pub(super) struct Rejected<'a> {
+pub(super) struct RejectedBatch<'a> {
     pub(super) head: BatchHead,
     frame: Bytes,
     events: Option<Vec<Event>>,
     reason: &'a str,
 }
 
-impl<'a> Rejected<'a> {
+impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
-    pub(super) fn aside(aside: &'a Aside) -> Self {
-        let events = aside.body.as_ref().and_then(|body| codec::events(body, aside.head.events).ok());
-        Self { head: aside.head, frame: aside.frame.clone(), events, reason: &aside.reason }
+    pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
+        let events =
+            unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
+        Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
     /// Makes it of a batch that the database refused.
