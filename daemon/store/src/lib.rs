@@ -62,8 +62,8 @@ pub mod writing {
     pub use crate::readers::Readers;
     pub use crate::retention::Step;
     pub use crate::write::{
-        CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
-        Streams, UnstorableBatch, Work, Writer,
+        Aside, CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents,
+        RunName, Streams, Work, Writer,
     };
 }
 

@@ -18,7 +18,7 @@ use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::News;
-use peernet_store::writing::{Committed, RunName, StoredState, Streams, UnstorableBatch, Work};
+use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
 /// A host that was silent for so long is asked to say hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
@@ -184,9 +184,8 @@ impl IngestSession {
         match (arrival, body) {
             (Arrival::Accept, Ok(body)) => place.put(Incoming::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
-                let batch =
-                    UnstorableBatch { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                place.put(Incoming::Work(Work::UnstorableBatch(Box::new(batch))), now.mono);
+                let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
+                place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
                 if self.store.is_open() {

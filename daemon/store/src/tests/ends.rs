@@ -5,7 +5,7 @@ use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::stored::Stored;
-use crate::write::{RunName, UnstorableBatch, stored_hosts, unknown_runs};
+use crate::write::{Aside, RunName, stored_hosts, unknown_runs};
 
 const LEFT: &str = "the agent ended without saying so";
 
@@ -127,7 +127,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
         let mut frame = codec::batch_frame(&head, &body, false);
         frame.truncate(frame.len() / 2);
         let reason = "cut off".into();
-        Work::UnstorableBatch(Box::new(UnstorableBatch { head, frame: frame.into(), body: None, reason }))
+        Work::Aside(Box::new(Aside { head, frame: frame.into(), body: None, reason }))
     };
     let (short, impossible) = (unreadable(2), unreadable(u32::MAX));
     let committed = bed.commit(&[twice, short, impossible]).await;

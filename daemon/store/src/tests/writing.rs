@@ -9,7 +9,7 @@ use super::rollups::{assert_same, table};
 use super::{Bed, NOW, STAMP, Work, generate, open};
 use crate::rebuild::rebuild;
 use crate::stored::Stored;
-use crate::write::{Introduction, UnstorableBatch};
+use crate::write::{Aside, Introduction};
 
 fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = generate::Numbers::new(*numbers.start());
@@ -181,9 +181,8 @@ async fn commit_without_log_is_not_acknowledged() {
 async fn unreadable_batch_is_quarantined_unchanged() {
     let mut bed = Bed::new().await;
     let head = bed.head(1, &[], 0);
-    let batch =
-        UnstorableBatch { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
-    let unreadable = Work::UnstorableBatch(Box::new(batch));
+    let batch = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
+    let unreadable = Work::Aside(Box::new(batch));
     let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
     let committed = bed.commit(&[unreadable, after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 2);

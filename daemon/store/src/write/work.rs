@@ -18,7 +18,7 @@ pub enum Work {
     /// A batch of events.
     Batch(Box<Prepared>),
     /// A batch that can never be stored: quarantined as it arrived.
-    UnstorableBatch(Box<UnstorableBatch>),
+    Aside(Box<Aside>),
     /// Batches that no longer exist anywhere.
     Missing(Missing),
     /// Request to read the secret of a host again: an operator may have cleared it.
@@ -48,7 +48,7 @@ pub struct Introduction {
 
 /// A batch that cannot be stored.
 #[derive(Clone, Debug)]
-pub struct UnstorableBatch {
+pub struct Aside {
     /// Head of the batch.
     pub head: BatchHead,
     /// The frame as it arrived.
@@ -79,12 +79,7 @@ impl Work {
             Ok(batch) => Self::Batch(Box::new(batch)),
             Err(error) => {
                 let frame = Bytes::from(codec::batch_frame(&head, &body, false));
-                Self::UnstorableBatch(Box::new(UnstorableBatch {
-                    head,
-                    frame,
-                    body: Some(body),
-                    reason: error.to_string(),
-                }))
+                Self::Aside(Box::new(Aside { head, frame, body: Some(body), reason: error.to_string() }))
             }
         }
     }
