@@ -118,7 +118,7 @@ pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulat
 }
 
 #[tokio::test]
-async fn later_clock_samples_narrow_delays() {
+async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
     let mut bed = Bed::new().await;
     // Probes are slow until the fifth second.
     let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
