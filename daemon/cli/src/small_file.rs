@@ -54,7 +54,7 @@ mod tests {
 
     use super::*;
 
-    fn told(path: &Path) -> String {
+    fn error_text(path: &Path) -> String {
         read(path, 3).expect_err("refused").to_string()
     }
 
@@ -64,14 +64,14 @@ mod tests {
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "four").expect("writable");
         assert_eq!(read(&file, 4).expect("fits"), "four");
-        assert!(told(&file).contains("larger than 3 bytes"), "{}", told(&file));
+        assert!(error_text(&file).contains("larger than 3 bytes"), "{}", error_text(&file));
         for other in [Path::new("/dev/zero"), folder.path()] {
-            assert!(told(other).contains("neither a regular file nor a pipe"), "{}", told(other));
+            assert!(error_text(other).contains("neither a regular file nor a pipe"), "{}", error_text(other));
         }
         let missing = read(&folder.path().join("b"), 3).expect_err("not there");
         assert_eq!(missing.kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, [0xff, 0xfe]).expect("writable");
-        assert!(told(&file).contains("no UTF-8"), "{}", told(&file));
+        assert!(error_text(&file).contains("no UTF-8"), "{}", error_text(&file));
     }
 
     #[test]

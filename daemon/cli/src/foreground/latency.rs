@@ -10,7 +10,7 @@ pub(crate) fn p99(latency: &Summary) -> Option<f64> {
 }
 
 /// Formats both, given in seconds: `p50 101 ms, p99 104 ms`.
-pub(crate) fn told(p50: f64, p99: Option<f64>) -> String {
+pub(crate) fn describe_quantiles(p50: f64, p99: Option<f64>) -> String {
     let p99 = p99.map_or_else(String::new, |p99| format!(", p99 {} ms", milliseconds(p99)));
     format!("p50 {} ms{p99}", milliseconds(p50))
 }
@@ -27,6 +27,9 @@ mod tests {
         latency.record(0.1);
         // All values are equal: the quantile of a sketch alone could differ by up to 1 %.
         assert_eq!(p99(&latency), Some(0.1));
-        assert_eq!([told(0.1012, None), told(0.1012, Some(0.104))], ["p50 101 ms", "p50 101 ms, p99 104 ms"]);
+        assert_eq!(
+            [describe_quantiles(0.1012, None), describe_quantiles(0.1012, Some(0.104))],
+            ["p50 101 ms", "p50 101 ms, p99 104 ms"]
+        );
     }
 }

@@ -18,7 +18,7 @@ mod waiting;
 
 pub(crate) use dashboard::where_seen;
 pub(crate) use ended::Ended;
-pub(crate) use latency::{p99, told};
+pub(crate) use latency::{describe_quantiles, p99};
 pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;

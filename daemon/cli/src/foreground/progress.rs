@@ -76,7 +76,7 @@ impl Progress {
             }
             Shown::Lines if now - self.said < LINE && !is_news => {}
             Shown::Lines => {
-                let trouble = trouble.map(|trouble| without_told_reason(trouble, &mut self.told));
+                let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.told));
                 complain(trouble.unwrap_or_else(|| state().0));
                 self.said = now;
             }
@@ -101,7 +101,7 @@ impl Progress {
 }
 
 /// Removes the reason in brackets from the text if it was printed before: printed lines stay visible.
-fn without_told_reason(trouble: String, told: &mut Option<String>) -> String {
+fn without_repeated_reason(trouble: String, told: &mut Option<String>) -> String {
     let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
     if told.as_deref() == Some(reason) {
@@ -119,7 +119,7 @@ mod tests {
     fn lines_do_not_repeat_reason() {
         let mut told = None;
         let mut line = |reason: &str, wait: &str| {
-            without_told_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)
+            without_repeated_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)
         };
         assert_eq!(
             line("refused (os error 111)", "it"),
@@ -127,6 +127,6 @@ mod tests {
         );
         assert_eq!(line("refused (os error 111)", "5 s"), "cloud is away; waiting for 5 s");
         assert_eq!(line("no room", "10 s"), "cloud is away (no room); waiting for 10 s");
-        assert_eq!(without_told_reason("no answer".to_owned(), &mut told), "no answer");
+        assert_eq!(without_repeated_reason("no answer".to_owned(), &mut told), "no answer");
     }
 }

@@ -48,7 +48,7 @@ impl PreviousResultsGuard {
         let kept = guard.kept.insert(kept).path().to_owned();
         for name in record_first(results_dir) {
             let from = results_dir.join(&name);
-            moved(&from, &kept.join(&name))
+            rename_if_exists(&from, &kept.join(&name))
                 .with_context(|| format!("cannot replace {}", from.display()))
                 .map_err(unwritten)?;
         }
@@ -57,7 +57,7 @@ impl PreviousResultsGuard {
 
     /// Returns whether a run that has moved results here was killed, or is still running.
     pub(super) fn is_left(results_dir: &Path) -> bool {
-        left(results_dir).next().is_some()
+        leftover_folders(results_dir).next().is_some()
     }
 
     /// Restores results that a killed run had moved away, or removes them if its new results are complete. The rows of the killed
@@ -66,7 +66,7 @@ impl PreviousResultsGuard {
     /// # Errors
     /// When they cannot be moved (73).
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
-        let mut folders: Vec<PathBuf> = left(results_dir).collect();
+        let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
         let Some(kept) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {
@@ -127,7 +127,7 @@ impl PreviousResultsGuard {
     /// Removes the earlier results because new ones are complete, and the rows of runs without results.
     pub(super) fn remove(&mut self) {
         let closed = self.kept.take().map_or(Ok(()), TempDir::close);
-        let removed = of_nothing(&self.results_dir).into_iter().try_for_each(remove_file);
+        let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
         if let Err(error) = closed.and(removed) {
             complain(format_args!("the results that were replaced are not all removed: {error}"));
         }
@@ -155,11 +155,12 @@ fn unwritten(error: anyhow::Error) -> Failure {
 
 /// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
 pub(crate) fn put_aside(results_dir: &Path) -> Option<PathBuf> {
-    left(results_dir).find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
+    leftover_folders(results_dir)
+        .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
 }
 
 /// Returns files with the rows of runs without results.
-fn of_nothing(results_dir: &Path) -> Vec<PathBuf> {
+fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
     let is_one = |path: &PathBuf| {
         let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
         let rest = stem.and_then(|stem| NOTHING.iter().find_map(|name| stem.strip_prefix(name)));
@@ -172,7 +173,7 @@ fn of_nothing(results_dir: &Path) -> Vec<PathBuf> {
 }
 
 /// Returns the folders in `results_dir` with moved results.
-fn left(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
+fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
     let entries = read_dir(results_dir).into_iter().flatten().filter_map(Result::ok);
     let has_prefix = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(PREFIX);
     entries.filter(move |entry| has_prefix(&entry.file_name())).map(|entry| entry.path())
@@ -186,11 +187,14 @@ fn record_first(dir: &Path) -> Vec<String> {
 }
 
 fn move_back(kept: &Path, results_dir: &Path) -> std::io::Result<()> {
-    record_first(kept).iter().rev().try_for_each(|name| moved(&kept.join(name), &results_dir.join(name)))
+    record_first(kept)
+        .iter()
+        .rev()
+        .try_for_each(|name| rename_if_exists(&kept.join(name), &results_dir.join(name)))
 }
 
 /// Moves a file if it exists.
-fn moved(from: &Path, to: &Path) -> std::io::Result<()> {
+fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
     match rename(from, to) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),
@@ -345,7 +349,7 @@ mod tests {
         let kept = results_dir.path().join(format!("{PREFIX}x"));
         std::fs::create_dir(&kept).expect("made");
         for name in record_first(results_dir.path()).into_iter().take(2) {
-            moved(&results_dir.path().join(&name), &kept.join(&name)).expect("moved");
+            rename_if_exists(&results_dir.path().join(&name), &kept.join(&name)).expect("moved");
             let before = names(results_dir.path());
             PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
             assert_eq!(
@@ -354,7 +358,7 @@ mod tests {
                 "after {name}, of {before:?}"
             );
             std::fs::create_dir(&kept).expect("made anew");
-            moved(&results_dir.path().join(RECORD), &kept.join(RECORD)).expect("moved");
+            rename_if_exists(&results_dir.path().join(RECORD), &kept.join(RECORD)).expect("moved");
         }
     }
 }

@@ -6,7 +6,7 @@ use peernet_statistics::number;
 use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
-use crate::foreground::{duration, told};
+use crate::foreground::{describe_quantiles, duration};
 
 /// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ impl fmt::Display for ProgressReport {
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // There is no median during the warm-up.
         if let Some(p50) = self.p50 {
-            write!(f, ", total {}", told(p50, self.p99))?;
+            write!(f, ", total {}", describe_quantiles(p50, self.p99))?;
         }
         self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
     }

@@ -85,7 +85,7 @@ impl Waiting {
     }
 
     /// Reads the waiting events of a file; `None` if there are none.
-    async fn look(at: String, file: PathBuf) -> Option<Self> {
+    async fn read(at: String, file: PathBuf) -> Option<Self> {
         let events = waiting_events(&file).await;
         let waits = !matches!(events, Ok(0));
         waits.then_some(Self { at, file, events })
@@ -123,14 +123,14 @@ pub(crate) async fn undelivered(folder: &Path) -> Vec<Waiting> {
     for name in names {
         let at = name.strip_prefix(NAME.0).and_then(|name| name.strip_suffix(NAME.1));
         let Some(at) = at else { continue };
-        waiting.extend(Waiting::look(at.to_owned(), folder.join(&name)).await);
+        waiting.extend(Waiting::read(at.to_owned(), folder.join(&name)).await);
     }
     waiting
 }
 
 /// Returns the waiting events for an aggregator in a given file. Its agent must not be running.
 pub(crate) async fn undelivered_in(file: &Path, aggregator: &Address) -> Option<Waiting> {
-    if file.exists() { Waiting::look(name_of(aggregator), file.to_owned()).await } else { None }
+    if file.exists() { Waiting::read(name_of(aggregator), file.to_owned()).await } else { None }
 }
 
 #[cfg(test)]
@@ -158,7 +158,7 @@ mod tests {
         assert_ne!(name("tcp://localhost:5550"), name("tcp://localhost:5551"));
     }
 
-    async fn told(folder: &Path) -> Vec<String> {
+    async fn describe_undelivered(folder: &Path) -> Vec<String> {
         undelivered(folder).await.iter().map(Waiting::to_string).collect()
     }
 
@@ -199,7 +199,7 @@ mod tests {
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_end(&folder.path().join(OLD), "-wal"), with_end(&taken, "-wal")).expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
-        let told = told(folder.path()).await;
+        let told = describe_undelivered(folder.path()).await;
         assert!(told.len() == 1 && told[0].starts_with("42 events wait for the aggregator at lab:5550, in "));
         let here = "tcp://127.0.0.1:5550".parse().expect("an address");
         let named = undelivered_in(&taken, &here).await.expect("it waits there");
@@ -214,7 +214,7 @@ mod tests {
     async fn unreadable_spool_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(spool(folder.path(), "tcp://lab:5550"), "no database").expect("writable");
-        let told = told(folder.path()).await;
+        let told = describe_undelivered(folder.path()).await;
         assert!(told.len() == 1 && told[0].contains("aggregator at lab:5550: cannot read"), "{told:?}");
     }
 }

@@ -51,12 +51,12 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
         size(found).map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
     let folder = found.folder.display().to_string();
     let cells =
-        [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];
+        [found.name.to_string(), task, input, size, version, folder, problem(found).unwrap_or_default()];
     cells.map(|cell| printable_line(&cell).into_owned()).to_vec()
 }
 
 /// Returns the reason why the model cannot be used, if there is one.
-fn wrong(found: &ModelOnDisk) -> Option<String> {
+fn problem(found: &ModelOnDisk) -> Option<String> {
     match (&found.card, &found.hidden_by) {
         // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
@@ -76,7 +76,7 @@ fn object(found: &ModelOnDisk) -> Value {
         "folder": found.folder.display().to_string(),
         "bytes": size(found),
         "card": found.card.as_ref().ok(),
-        "wrong": wrong(found),
+        "wrong": problem(found),
     })
 }
 

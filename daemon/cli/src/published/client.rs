@@ -40,9 +40,9 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let measured = measure(&order, &mut ClientProgress::new(arguments.quiet, clock))?;
-    tell(&measured);
+    print_results(&measured);
     if let Some(aggregator) = &arguments.aggregator {
-        tell_streamed(&order.agent.agent, arguments, aggregator)?;
+        print_streaming_state(&order.agent.agent, arguments, aggregator)?;
     }
     measured.failure().map_or(Ok(()), Err)
 }
@@ -93,7 +93,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
 }
 
 /// Prints the results and their place.
-fn tell(measured: &Measured) {
+fn print_results(measured: &Measured) {
     say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
@@ -104,7 +104,11 @@ fn tell(measured: &Measured) {
 }
 
 /// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
-fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
+fn print_streaming_state(
+    agent: &HostConfig,
+    arguments: &Arguments,
+    aggregator: &Address,
+) -> Result<(), Failure> {
     let state_dir = AgentStateDir::of(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime

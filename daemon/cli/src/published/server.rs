@@ -25,8 +25,11 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
     let session = SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() };
-    config.serve =
-        Some(ServeConfig { listen: everywhere(&devices.address).into(), session, ..ServeConfig::default() });
+    config.serve = Some(ServeConfig {
+        listen: all_interfaces(&devices.address).into(),
+        session,
+        ..ServeConfig::default()
+    });
     config.bank.folders.clear();
     config.models = vec![model];
     let state_dir = AgentStateDir::of(&config.agent)?;
@@ -37,7 +40,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         let file = arguments.network_config.display();
         Failure::new(exit, error.context(format!("cannot serve at {}", place(&devices.address, &file))))
     })?;
-    if serving.answered() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
+    if serving.has_answers() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
         complain(serving.summary());
     }
     match watched.ended {
@@ -63,7 +66,7 @@ fn place(address: &Address, file: &impl std::fmt::Display) -> String {
 
 /// Returns the address of all interfaces of this machine, at the port of the network configuration: the configured name of this
 /// device may be known to other devices only.
-fn everywhere(address: &Address) -> Address {
+fn all_interfaces(address: &Address) -> Address {
     if address.listener_name().is_some() {
         // Host and port belong to a program that resolves the name.
         return address.clone();

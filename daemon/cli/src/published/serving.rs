@@ -10,7 +10,7 @@ use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{Ended, Progress, RunObserver, p99, told};
+use crate::foreground::{Ended, Progress, RunObserver, describe_quantiles, p99};
 
 /// Observer of the agent.
 pub(super) struct Serving {
@@ -65,7 +65,7 @@ impl AnswerCounts {
     }
 
     /// Describes the number of errors among the answers, if there are any.
-    fn failed(&self) -> String {
+    fn describe_errors(&self) -> String {
         match self.errors {
             0 => String::new(),
             1 => ", 1 of them an error".to_owned(),
@@ -74,7 +74,7 @@ impl AnswerCounts {
     }
 
     /// Describes the number of iterations that ended without arriving here, if there are any.
-    fn without(&self) -> String {
+    fn describe_missed(&self) -> String {
         match self.missed {
             0 => String::new(),
             missed => format!(", {} never came here", counted(missed, "iteration")),
@@ -103,7 +103,7 @@ impl Serving {
     }
 
     /// Returns whether there was an answer.
-    pub(super) const fn answered(&self) -> bool {
+    pub(super) const fn has_answers(&self) -> bool {
         self.answers.answered > 0
     }
 
@@ -112,7 +112,7 @@ impl Serving {
         let Self { answers, inference, .. } = self;
         let rate = answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
         let count = counted(answers.answered, "answer");
-        format!("{count}{}{}{rate}{inference}", answers.failed(), answers.without())
+        format!("{count}{}{}{rate}{inference}", answers.describe_errors(), answers.describe_missed())
     }
 
     /// Describes the missing answers after no more will come, if any are missing.
@@ -164,7 +164,7 @@ impl Serving {
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                let (failed, without) = (self.answers.failed(), self.answers.without());
+                let (failed, without) = (self.answers.describe_errors(), self.answers.describe_missed());
                 let inference = &self.inference;
                 format!("{answered} of {wanted} answers{failed}{without}, {clients}{rate}{inference}")
             }
@@ -186,7 +186,8 @@ impl RunObserver for Serving {
             return Some(ended);
         }
         let served = running.served().borrow().clone();
-        let inference = served.inference.quantile(0.5).map(|p50| told(p50, p99(&served.inference)));
+        let inference =
+            served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, p99(&served.inference)));
         self.inference = inference.map_or_else(String::new, |told| format!(", inference {told}"));
         self.sessions = served.sessions;
         let now = self.clock.mono();

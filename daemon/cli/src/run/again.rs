@@ -17,12 +17,12 @@ use super::state::Record;
 use crate::experiment::Stage;
 
 /// Marks finished runs without usable results as not done, and reports changes of the file of devices since they were measured.
-pub(super) fn settle(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
+pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
     let mut changed = BTreeSet::new();
     for run in finished {
-        match found(folder, record, &run) {
+        match load_results(folder, record, &run) {
             Ok(told) => {
                 changed.extend(told.iter().filter_map(|told| external_files.changed_since(told, &run)))
             }
@@ -74,7 +74,11 @@ pub(super) enum Mismatch {
 ///
 /// # Errors
 /// When they are missing, cannot be read, are incomplete, or belong to another run.
-pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, UnusableResults> {
+pub(super) fn load_results(
+    folder: &Folder,
+    record: &Record,
+    run: &Run,
+) -> Result<Vec<RunRecord>, UnusableResults> {
     let of_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {
             return Err(UnusableResults::Gone);

@@ -8,7 +8,7 @@ use peernet_agent::{Agent, AgentConfig};
 use peernet_clock::SharedClock;
 
 use super::file::Configuration;
-use super::plan::in_words;
+use super::plan::describe_labels;
 
 /// Keys that concern this machine and not the file: pictures, models, programs.
 const MACHINE: [&str; 4] = ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
@@ -36,7 +36,7 @@ pub(super) fn configurations(
             let missing = MACHINE.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
-            let labels = in_words(&configuration.labels);
+            let labels = describe_labels(&configuration.labels);
             let with = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
             let text = as_written(&problem.to_string());
             let list = if missing { &mut lacking } else { &mut wrong };

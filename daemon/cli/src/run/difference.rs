@@ -40,11 +40,13 @@ fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
             found.push(format!("{path}: {} entries before, {} now", before.len(), now.len()));
         }
         (before, now) if before == now => {}
-        (before, now) => found.push(format!("{path}: {} before, {} now", told(before), told(now))),
+        (before, now) => {
+            found.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)))
+        }
     }
 }
 
-fn told(value: &Value) -> String {
+fn show_value(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),
         value => value.to_string(),

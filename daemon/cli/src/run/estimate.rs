@@ -30,7 +30,7 @@ impl Estimates {
     }
 
     /// Adds the duration of a finished run.
-    pub(super) fn learn(&mut self, configuration: usize, seconds: f64) {
+    pub(super) fn record_duration(&mut self, configuration: usize, seconds: f64) {
         if let Some((sum, count)) = self.measured.get_mut(configuration) {
             *sum += seconds;
             *count += 1;
@@ -100,7 +100,7 @@ mod tests {
     fn measured_durations_correct_estimates() {
         let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
         assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(10.0), Some(20.0), None]);
-        estimates.learn(0, 15.0);
+        estimates.record_duration(0, 15.0);
         assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(15.0), Some(30.0), None]);
     }
 }

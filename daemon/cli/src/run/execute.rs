@@ -57,9 +57,9 @@ impl Execution<'_> {
             "run {} of {} ({})",
             run.number,
             self.record.plan.runs.len(),
-            self.record.plan.words(run)
+            self.record.plan.describe(run)
         );
-        let later = self.left(&runs[done + 1..]);
+        let later = self.remaining_s(&runs[done + 1..]);
         let (share, own) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
             progress.say(format_args!("{name}: begins"));
@@ -70,7 +70,7 @@ impl Execution<'_> {
                     return progress.say(format_args!("user {}: {line}", user + 1));
                 }
                 ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.say(line),
-                ChildEvent::ProgressReport(reports) => together(reports),
+                ChildEvent::ProgressReport(reports) => combine(reports),
             };
             let Some(report) = report else { return };
             let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
@@ -89,9 +89,9 @@ impl Execution<'_> {
         progress.end();
         let seconds = (self.clock.mono() - began).seconds();
         let interrupted = ended.interrupted;
-        let ended = self.judge(run, &ended, seconds);
+        let ended = self.run_result(run, &ended, seconds);
         if ended.stage == Stage::Finished {
-            self.estimates.learn(run.configuration, seconds);
+            self.estimates.record_duration(run.configuration, seconds);
         }
         let why = ended.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
@@ -128,7 +128,7 @@ impl Execution<'_> {
     }
 
     /// Determines the result of a run.
-    fn judge(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
+    fn run_result(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
         let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_well());
         let Some((user, exit)) = bad else {
             return Ended { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
@@ -152,13 +152,13 @@ impl Execution<'_> {
     }
 
     /// Returns the estimated duration of runs; `None` if one is unknown.
-    fn left(&self, runs: &[Run]) -> Option<f64> {
+    fn remaining_s(&self, runs: &[Run]) -> Option<f64> {
         runs.iter().map(|run| self.estimates.of(run.configuration)).sum()
     }
 }
 
 /// Combines the progress of several users: sums of their counts, the median of the median user, the 99th percentile of the worst.
-fn together(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
+fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;
     if rest.is_empty() {

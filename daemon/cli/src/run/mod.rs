@@ -43,7 +43,7 @@ use peernet_networks::Address;
 use peernet_sample::printable_line;
 
 use crate::foreground::{Signals, remark, where_seen};
-use again::{settle, two_builds};
+use again::{check_finished_runs, two_builds};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
 use children::Exited;
@@ -116,7 +116,7 @@ async fn carry_out(
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
-        settle(folder, &mut record, external_files);
+        check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
     two_builds(&record, &to_do, VERSION).iter().for_each(complain);
@@ -205,7 +205,7 @@ fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     });
     let mut estimates = Estimates::new(expected.collect());
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
-        state.seconds.into_iter().for_each(|seconds| estimates.learn(run.configuration, seconds));
+        state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
     }
     estimates
 }

@@ -126,8 +126,8 @@ impl Plan {
     }
 
     /// Describes the run: `Where = cloud, Model = S, repeat 2`.
-    pub(super) fn words(&self, run: &Run) -> String {
-        let mut words = in_words(&self.configuration(run).labels);
+    pub(super) fn describe(&self, run: &Run) -> String {
+        let mut words = describe_labels(&self.configuration(run).labels);
         if self.repeats > 1 {
             let comma = if words.is_empty() { "" } else { ", " };
             words = format!("{words}{comma}repeat {}", run.repeat + 1);
@@ -137,14 +137,14 @@ impl Plan {
 
     /// Describes the run among those of other experiments: `demo: Where = cloud, repeat 2`.
     pub(super) fn title(&self, run: &Run) -> String {
-        let (name, words) = (self.name.as_str(), self.words(run));
+        let (name, words) = (self.name.as_str(), self.describe(run));
         // A run without axes and repeats already has the experiment's name.
         if words == name { words } else { format!("{name}: {words}") }
     }
 }
 
 /// Describes labels: `Where = cloud, Model = S`.
-pub(super) fn in_words(labels: &[(String, String)]) -> String {
+pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
     let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
     pairs.collect::<Vec<_>>().join(", ")
 }

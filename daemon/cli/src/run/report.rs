@@ -102,7 +102,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
     let mut lines =
         vec![format!("Can they be published? {yes} as they are, {remarks} with remarks, {no} not.")];
-    let (bad, doubtful) = (against(runs, Grade::Bad), against(runs, Grade::Doubtful));
+    let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
     for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
         lines.extend(
             found.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
@@ -115,7 +115,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
 }
 
 /// Counts the runs per finding of this grade, the most frequent first.
-fn against(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
+fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut found: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
         let sentences =

@@ -3,7 +3,7 @@ use std::path::Path;
 use clap::Parser;
 use serde_json::{Value, json};
 
-use super::again::found;
+use super::again::load_results;
 use super::state::Ended;
 use super::*;
 use crate::experiment::RECORD;
@@ -82,7 +82,7 @@ fn incomplete_results_are_measured_again() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || found(&folder, &record, run).err().map(|error| error.to_string());
+    let told = || load_results(&folder, &record, run).err().map(|error| error.to_string());
     assert_eq!(told().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");

@@ -17,7 +17,7 @@ use peernet_stream::{Condition, Grade};
 use super::children::{self, ChildEvent, Exited};
 use super::estimate::Pace;
 use super::file::Configuration;
-use super::plan::{Plan, in_words};
+use super::plan::{Plan, describe_labels};
 use crate::foreground::{Progress, Signals, duration};
 use crate::measure::Order;
 
@@ -69,8 +69,8 @@ pub(super) async fn configurations(
     let trials = trials(plan, wanted);
     let mut progress = Progress::new(quiet, clock.mono());
     for (done, Trial { order, configurations }) in trials.iter().enumerate() {
-        let words = || configurations.iter().map(|index| words(plan, *index));
-        let state = format!("trying {} of {}: {}", done + 1, trials.len(), alike(words()));
+        let words = || configurations.iter().map(|index| describe_configuration(plan, *index));
+        let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(words()));
         let peer = peer(order);
         if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
@@ -117,7 +117,7 @@ pub(super) async fn configurations(
             None => {}
         }
         if let Some(loaded) = loaded {
-            tell(&loaded.record, &mut tried.conditions);
+            add_conditions(&loaded.record, &mut tried.conditions);
         }
     }
     progress.end();
@@ -139,13 +139,13 @@ fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
 }
 
 /// Describes a configuration; without axes by the experiment's name.
-fn words(plan: &Plan, index: usize) -> String {
-    let words = plan.configurations.get(index).map(|configuration| in_words(&configuration.labels));
+fn describe_configuration(plan: &Plan, index: usize) -> String {
+    let words = plan.configurations.get(index).map(|configuration| describe_labels(&configuration.labels));
     words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
 /// Describes configurations with equal trials: the first one, and the number of the others.
-fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
+fn describe_group(mut words: impl ExactSizeIterator<Item = String>) -> String {
     let first = words.next().unwrap_or_default();
     match words.len() {
         0 => first,
@@ -175,7 +175,7 @@ fn order(configuration: &Configuration) -> Order {
     }
     Order {
         agent,
-        title: in_words(&configuration.labels),
+        title: describe_labels(&configuration.labels),
         folder: std::path::PathBuf::new(),
         overwrite: Overwrite::Refuse,
         plots: false,
@@ -195,7 +195,7 @@ fn pace(moments: &[f64], took: f64) -> Option<Pace> {
 }
 
 /// Collects conditions that impair measurements, unless they are known already.
-fn tell(record: &RunRecord, conditions: &mut Vec<Condition>) {
+fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
     let found = hosts.flat_map(|host| &host.conditions).filter(|found| found.grade >= Grade::Doubtful);
     for condition in found {
@@ -244,7 +244,9 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
         };
         assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
         assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
-        let told = |indices: &[usize]| alike(indices.iter().map(|index| words(&whole, *index)));
+        let told = |indices: &[usize]| {
+            describe_group(indices.iter().map(|index| describe_configuration(&whole, *index)))
+        };
         assert_eq!(told(&[2]), "Length = 1, Rate = 9");
         assert_eq!(told(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
         assert_eq!(told(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");

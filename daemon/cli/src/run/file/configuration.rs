@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::experiment::{Experiment, LimitError, Network, RangeError, in_words};
+use super::experiment::{Experiment, LimitError, Network, RangeError, describe_warm_up};
 use super::field::{Field, FieldError};
 use super::matrix::Combination;
 use super::peers::PeerError;
@@ -159,13 +159,13 @@ fn read(
         }
     }
     if is_all(&warm_up, &limit, experiment.episode_steps) {
-        return Err(ConfigurationError::AllWarmUp(in_words(&warm_up)));
+        return Err(ConfigurationError::AllWarmUp(describe_warm_up(&warm_up)));
     }
     let configuration = Configuration {
         labels: Vec::new(),
         users: experiment.users.get(),
         agent,
-        warm_up: in_words(&warm_up),
+        warm_up: describe_warm_up(&warm_up),
         patience_s: experiment.patience_s,
         seeds,
     };

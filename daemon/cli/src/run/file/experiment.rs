@@ -156,7 +156,7 @@ impl Experiment {
 }
 
 /// Describes the rule.
-pub(super) fn in_words(warm_up: &WarmUp) -> String {
+pub(super) fn describe_warm_up(warm_up: &WarmUp) -> String {
     let count = |number: u64, what: &str| match number {
         0 => None,
         1 => Some(format!("the first {what}")),
@@ -195,10 +195,13 @@ mod tests {
     fn warm_up_episodes_are_left_out_as_in_paper() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
-        assert_eq!(in_words(&paper.warm_up()), "the first episode and the first step of each episode");
+        assert_eq!(
+            describe_warm_up(&paper.warm_up()),
+            "the first episode and the first step of each episode"
+        );
         let other = read("iterations = 10\nwarm_up = { iterations = 2 }");
-        assert_eq!(in_words(&other.warm_up()), "the first 2 iterations");
-        assert_eq!(in_words(&read("iterations = 10").warm_up()), "the first 5 iterations");
+        assert_eq!(describe_warm_up(&other.warm_up()), "the first 2 iterations");
+        assert_eq!(describe_warm_up(&read("iterations = 10").warm_up()), "the first 5 iterations");
     }
 
     #[test]
