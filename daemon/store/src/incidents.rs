@@ -59,8 +59,8 @@ impl PendingIncidents {
     }
 
     /// Adds an incident if the wall clock was stepped since the last call.
-    pub(super) fn look(&mut self, now: Stamp) {
-        let step = self.wall_clock.look(now);
+    pub(super) fn check_step(&mut self, now: Stamp) {
+        let step = self.wall_clock.check_step(now);
         self.add_step(step, now);
     }
 

@@ -31,7 +31,7 @@ impl WallClockWatch {
     }
 
     /// Returns a description if the wall clock was stepped since the last call.
-    pub(super) fn look(&mut self, now: Stamp) -> Option<String> {
+    pub(super) fn check_step(&mut self, now: Stamp) -> Option<String> {
         let step = (now.wall - self.last.wall) - (now.mono - self.last.mono);
         self.last = now;
         (step.abs() >= LEAST_STEP).then(|| {
@@ -70,12 +70,12 @@ mod tests {
     fn step_is_reported_once_with_amount_and_direction() {
         let mut watch = WallClockWatch::new(stamp(1_000, 0));
         // However long ago the last look was, both clocks advanced alike.
-        assert_eq!(watch.look(stamp(9_000_009, 9_000_000 - 1_000)), None);
+        assert_eq!(watch.check_step(stamp(9_000_009, 9_000_000 - 1_000)), None);
         let month = 30 * 86_400;
-        let forward = watch.look(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
+        let forward = watch.check_step(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
         assert!(forward.contains("set forward by 30.0 days"), "{forward}");
-        assert_eq!(watch.look(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
-        let back = watch.look(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
+        assert_eq!(watch.check_step(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
+        let back = watch.check_step(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
         assert!(back.contains("set back by 30.0 days"), "{back}");
     }
 

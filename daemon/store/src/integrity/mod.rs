@@ -63,7 +63,7 @@ impl Integrity {
     }
 
     /// Remembers the opened file, which shows whether a repair is possible.
-    pub(crate) fn look_at(&self, file: &Arc<File>) {
+    pub(crate) fn attach_file(&self, file: &Arc<File>) {
         *self.file.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(file);
         let is_repairable = self.is_repairable();
         self.damage.send_if_modified(|damage| {
@@ -101,7 +101,7 @@ impl Integrity {
     }
 
     /// Records damage. An earlier record stays.
-    pub(crate) fn found(&self, what: impl Into<String>) {
+    pub(crate) fn record_damage(&self, what: impl Into<String>) {
         let what = what.into();
         let is_repairable = self.is_repairable();
         let first = self.damage.send_if_modified(|known| {
@@ -128,7 +128,7 @@ impl Integrity {
     /// Records damage if the error reports it.
     pub fn note(&self, error: &DatabaseError) {
         if error.is_damage() {
-            self.found(error.to_string());
+            self.record_damage(error.to_string());
         }
     }
 

@@ -79,7 +79,7 @@ impl PageCheck {
         }
         let log = LogPages::of(&self.log, self.file.page_bytes)?;
         // The file may have grown, and the log has pages that are still to be appended to it.
-        self.file.look_at_length()?;
+        self.file.update_length()?;
         let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
         for number in log.iter().flat_map(LogPages::numbers) {
             let page = log.as_ref().map_or(Ok(None), |log| log.read(number))?;

@@ -89,12 +89,12 @@ impl PageFile {
             return Ok(None);
         }
         let mut file = Self { file, page_bytes, usable, pages: 0 };
-        file.look_at_length()?;
+        file.update_length()?;
         Ok(Some(file))
     }
 
     /// Reads the length of the file again, because it may have grown.
-    pub(crate) fn look_at_length(&mut self) -> io::Result<()> {
+    pub(crate) fn update_length(&mut self) -> io::Result<()> {
         let pages = self.file.metadata()?.len() / self.page_bytes as u64;
         self.pages = u32::try_from(pages).unwrap_or(u32::MAX);
         Ok(())

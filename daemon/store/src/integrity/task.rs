@@ -43,7 +43,7 @@ pub(crate) struct IntegrityCheck {
 impl IntegrityCheck {
     /// Starts the check. It stops all storing when it finds damage, and removes an earlier record of damage when there is none.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
-        integrity.look_at(&file);
+        integrity.attach_file(&file);
         let stop = CancellationToken::new();
         let stopped = stop.clone();
         let reads = TaskTracker::new();
@@ -140,7 +140,7 @@ async fn pass(
         "pages of the database look malformed, SQLite checks the whole file"
     );
     match sqlite_finds(&integrity.database, stop).await? {
-        Some(what) => integrity.found(format!("page {first} is malformed ({what})")),
+        Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
         // No other page refers to them.
         None => {
             tracing::info!(%database, "the database is not damaged: SQLite finds nothing wrong in the whole file");

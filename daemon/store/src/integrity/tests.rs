@@ -212,8 +212,8 @@ async fn first_damage_is_remembered() {
     let path = folder.path().join("peernet.sqlite");
     let integrity = Integrity::of(&path);
     integrity.recall().expect("nothing is known");
-    integrity.found("page 7 is malformed");
-    integrity.found("page 8 is malformed");
+    integrity.record_damage("page 7 is malformed");
+    integrity.record_damage("page 8 is malformed");
     let refusal = integrity.refusal().expect("nothing is stored");
     assert!(
         refusal.contains("page 7") && refusal.contains("peernetd doctor --repair --database"),
@@ -234,16 +234,16 @@ async fn repair_is_recommended_only_if_it_can_help() {
     connection.close().await.expect("closes");
     let file = Arc::new(File::open(&path).expect("opens"));
     let integrity = Integrity::of(&path);
-    integrity.look_at(&file);
-    integrity.found("page 7 is malformed");
+    integrity.attach_file(&file);
+    integrity.record_damage("page 7 is malformed");
     assert!(integrity.refusal().is_some_and(|refusal| refusal.contains("doctor --repair")));
 
     overwrite(&path, 0, &noise(1, 4096));
     // After a restart, the damage is recalled and the file is opened in the same way.
-    integrity.look_at(&file);
+    integrity.attach_file(&file);
     let other = Integrity::of(&path);
-    other.look_at(&file);
-    other.found("page 1 is malformed");
+    other.attach_file(&file);
+    other.record_damage("page 1 is malformed");
     for integrity in [integrity, other] {
         let refusal = integrity.refusal().expect("it is damaged");
         assert!(refusal.contains("newest backup") && !refusal.contains("--repair"), "{refusal}");

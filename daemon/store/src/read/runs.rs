@@ -116,12 +116,15 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    let late = late(readers, rows).await?;
+    let late = missed_deadlines(readers, rows).await?;
     rows.iter().map(|row| summary(row, totals.get(&row.number), late.get(&row.number))).collect()
 }
 
 /// Returns the missed deadlines among answered iterations, for the runs with a deadline.
-async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
+async fn missed_deadlines(
+    readers: &Readers,
+    rows: &[RunRow],
+) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
     if numbers.is_empty() {
@@ -145,7 +148,7 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
-    let late = late(readers, std::slice::from_ref(&row)).await?;
+    let late = missed_deadlines(readers, std::slice::from_ref(&row)).await?;
     Ok(Some(RunDetail {
         summary: summary(&row, totals.get(&number), late.get(&number))?,
         facts: facts(&row)?,

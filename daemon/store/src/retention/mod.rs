@@ -187,7 +187,7 @@ impl Retention {
             return Ok(Step::Done);
         }
         let now_s = seconds(storage_clock.read(connection, now.mono).await?);
-        let Some(work) = self.look(connection, now_s, now.mono).await? else {
+        let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
             self.deletions.rest(now_s);
             return Ok(Step::Done);
@@ -226,7 +226,7 @@ impl Retention {
     }
 
     /// Finds the next work.
-    async fn look(
+    async fn find_work(
         &mut self,
         connection: &mut SqliteConnection,
         now_s: i64,

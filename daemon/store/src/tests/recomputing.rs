@@ -6,7 +6,7 @@ use peernet_stream::{Event, Iteration, Outcome};
 
 use super::simulation::{Simulation, delays};
 use super::{Bed, generate};
-use crate::read::recompute::judge_again;
+use crate::read::recompute::rejudge_delays;
 use crate::types::{Judgement, Recomputed, RecomputedStage};
 
 /// Number of seconds before, within and after the run.
@@ -100,7 +100,7 @@ pub(super) async fn assert_sound(bed: &Bed, simulated: &Simulated) {
 
 pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulated) {
     let mut judged = 0;
-    let samples = judge_again(&bed.store.readers, run, |delay| {
+    let samples = rejudge_delays(&bed.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };

@@ -12,7 +12,7 @@ pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
 impl Bed {
     /// Makes an iteration before which `skipped` starts were skipped.
-    fn late(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
+    fn late_iteration(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let measure = Measure::Value(skipped, Unit::NONE);
@@ -23,14 +23,14 @@ impl Bed {
     /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in two commits.
     pub(super) async fn run_that_skips(&mut self) -> RunId {
         let run = RunId::random();
-        let mut warm_up = self.late(run, 1, 100.0);
+        let mut warm_up = self.late_iteration(run, 1, 100.0);
         warm_up.warm_up = true;
-        let mut late_warm_up = self.late(run, 2, 50.0);
+        let mut late_warm_up = self.late_iteration(run, 2, 50.0);
         (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout);
         let ends =
             [Outcome::Ok, Outcome::Timeout, Outcome::Failed("no".into()), Outcome::Lost("gone".into())];
         let rest = (3..).zip(ends).map(|(number, outcome)| {
-            Event::Iteration(Iteration { outcome, ..self.late(run, number, number as f64) })
+            Event::Iteration(Iteration { outcome, ..self.late_iteration(run, number, number as f64) })
         });
         let rest: Vec<Event> = rest.collect();
         let first = [warm_up, late_warm_up].map(Event::Iteration);
@@ -83,7 +83,7 @@ async fn invalid_counts_of_skipped_starts_block_nothing() {
     let run = RunId::random();
     let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
     for (number, skipped) in (1..).zip(odd) {
-        let iteration = Event::Iteration(bed.late(run, number, skipped));
+        let iteration = Event::Iteration(bed.late_iteration(run, number, skipped));
         let work = bed.batch(vec![iteration]);
         let committed = bed.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);

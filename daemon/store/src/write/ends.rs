@@ -35,7 +35,7 @@ impl Ends {
             return Ok(());
         }
         if before.is_some() {
-            self.left(connection, host).await?;
+            self.end_process(connection, host).await?;
         }
         sqlx::query("UPDATE host SET process = ? WHERE id = ?")
             .bind(process)
@@ -46,7 +46,11 @@ impl Ends {
     }
 
     /// Notes that the process of a host has ended, and with it the runs that are stored by now.
-    pub(super) async fn left(&mut self, connection: &mut SqliteConnection, host: i64) -> Result<(), Refusal> {
+    pub(super) async fn end_process(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+    ) -> Result<(), Refusal> {
         let newest =
             sqlx::query_scalar("SELECT coalesce(max(number), 0) FROM run").fetch_one(connection).await?;
         self.processes.push((host, newest));

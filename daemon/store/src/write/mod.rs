@@ -156,7 +156,7 @@ impl Writer {
                     parts.extend([second, first]);
                     continue;
                 }
-                Err(Refusal::Batch(reason)) => self.alone(part, now, reason).await?,
+                Err(Refusal::Batch(reason)) => self.store_single_batch(part, now, reason).await?,
             };
             self.unreported.merge(committed);
         }
@@ -195,7 +195,7 @@ impl Writer {
         if let Some(last_wall) = self.last_wall.take() {
             incidents.compare(now, last_wall);
         }
-        incidents.look(now);
+        incidents.check_step(now);
         if incidents.is_empty() && !self.storage_clock.is_due(now.mono) {
             return Ok(());
         }
@@ -281,7 +281,7 @@ impl Writer {
     }
 
     /// Stores one batch that was refused: without the iterations that are already stored, or in the quarantine.
-    async fn alone(
+    async fn store_single_batch(
         &mut self,
         part: &[Work],
         now: Stamp,

@@ -64,7 +64,7 @@ impl<'a> RejectedBatch<'a> {
             Some(events) => {
                 let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
                 for event in events {
-                    let (run, at) = (event.claim().run, happened(event));
+                    let (run, at) = (event.claim().run, event_time(event));
                     let run = match run {
                         Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
                         None => None,
@@ -92,7 +92,7 @@ impl<'a> RejectedBatch<'a> {
 }
 
 /// Returns the time of an event on its host's clock.
-fn happened(event: &Event) -> Option<WallTime> {
+fn event_time(event: &Event) -> Option<WallTime> {
     match event {
         Event::RunStarted(run) => Some(run.started),
         Event::RunEnded(end) => Some(end.ended),

@@ -81,7 +81,7 @@ impl Staging {
                 (Work::Goodbye(host), None) => {
                     // The host is unknown to a database that has taken the place of another.
                     if let Some(id) = self.entities.known_host(connection, *host).await? {
-                        self.ends.left(connection, id).await?;
+                        self.ends.end_process(connection, id).await?;
                     }
                     continue;
                 }

@@ -157,7 +157,7 @@ pub async fn repair(
         return Ok(None);
     }
     let old = OldFile::open(&path)?;
-    let new = beside(&path, ".repaired");
+    let new = sibling_path(&path, ".repaired");
     remove(&new)?;
     let salvaged = salvage(&old, &new, now, &mut progress).await;
     let (tables, lost) = match salvaged {
@@ -240,7 +240,7 @@ async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
         }
     }
-    Ok(fs::metadata(beside(path, "-wal")).map_or(true, |log| log.len() == 0))
+    Ok(fs::metadata(sibling_path(path, "-wal")).map_or(true, |log| log.len() == 0))
 }
 
 /// Writes the new file. Returns the tables and the number of lost iterations.
@@ -373,21 +373,21 @@ fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
         chown(new, Some(of.uid()), Some(of.gid()))?;
     }
     File::open(new)?.sync_all()?;
-    let damaged = beside(path, &format!(".damaged-{stamp}"));
+    let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
     fs::hard_link(path, &damaged)?;
     // A log that stays beside the new file would be carried over into it.
-    let log = beside(path, "-wal");
+    let log = sibling_path(path, "-wal");
     match fs::metadata(&log).map(|log| log.len()) {
         Ok(0) | Err(_) => remove_if_there(&log)?,
-        Ok(_) => fs::rename(&log, beside(&damaged, "-wal"))?,
+        Ok(_) => fs::rename(&log, sibling_path(&damaged, "-wal"))?,
     }
-    remove_if_there(&beside(path, "-shm"))?;
+    remove_if_there(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
 }
 
-fn beside(path: &Path, suffix: &str) -> PathBuf {
+fn sibling_path(path: &Path, suffix: &str) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
     path.push(suffix);
     path.into()
@@ -395,7 +395,9 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
 
 /// Removes files that an interrupted repair left behind.
 fn remove(new: &Path) -> Result<(), RepairError> {
-    for path in [new.to_owned(), beside(new, "-wal"), beside(new, "-shm"), beside(new, "-journal")] {
+    for path in
+        [new.to_owned(), sibling_path(new, "-wal"), sibling_path(new, "-shm"), sibling_path(new, "-journal")]
+    {
         remove_if_there(&path).map_err(|source| file_error(&path, source))?;
     }
     Ok(())

@@ -91,7 +91,7 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
         (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
     ];
     let mut clocks = [false; RelatedClocks::ALL.len()];
-    let samples = judge_again(readers, run, |delay| {
+    let samples = rejudge_delays(readers, run, |delay| {
         for (known, is_used) in RelatedClocks::ALL.iter().zip(&mut clocks) {
             *is_used |= delay.clocks == Some(*known);
         }
@@ -119,7 +119,7 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
 
 /// Judges the delays of a run on which its statistics are based, and calls `each` with them in the order of iterations and nodes.
 /// Returns the number of samples that were used, or `None` for an unknown run.
-pub(crate) async fn judge_again(
+pub(crate) async fn rejudge_delays(
     readers: &Readers,
     run: i64,
     mut each: impl FnMut(RejudgedDelay),
@@ -147,13 +147,13 @@ pub(crate) async fn judge_again(
         for row in &rows {
             let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
             let before = row.judged()?;
-            each(again(&mut clouds, row, (direction, is_observed), before).await?);
+            each(rejudge(&mut clouds, row, (direction, is_observed), before).await?);
         }
     }
 }
 
 /// Judges a delay again. The stamps of an observed system are those of two receivers, whose difference may be negative.
-async fn again(
+async fn rejudge(
     clouds: &mut Clouds<'_>,
     row: &Row,
     (direction, is_observed): (Direction, bool),
