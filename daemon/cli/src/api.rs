@@ -114,7 +114,7 @@ mod tests {
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
-        let told = format!("{error:#}");
-        assert!(told.starts_with("cannot ask") && told.contains("waited 0.3 s"), "{told}");
+        let message = format!("{error:#}");
+        assert!(message.starts_with("cannot ask") && message.contains("waited 0.3 s"), "{message}");
     }
 }

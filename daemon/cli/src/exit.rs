@@ -61,17 +61,17 @@ impl fmt::Display for Failure {
 /// Returns an error and its causes in one line, each text once: many errors contain the text of their cause, because they are
 /// mostly read without the chain.
 pub fn in_one_line(error: &anyhow::Error) -> String {
-    let mut told: Vec<String> = Vec::new();
+    let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
-        if told.iter().any(|text| text.contains(&cause)) {
+        if parts.iter().any(|text| text.contains(&cause)) {
             continue;
         }
-        if told.last().is_some_and(|text| cause.starts_with(text)) {
-            told.pop();
+        if parts.last().is_some_and(|text| cause.starts_with(text)) {
+            parts.pop();
         }
-        told.push(cause);
+        parts.push(cause);
     }
-    told.join(": ")
+    parts.join(": ")
 }
 
 #[cfg(test)]

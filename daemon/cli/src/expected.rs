@@ -7,7 +7,7 @@ const WORDS: [(&str, &str); 3] =
     [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
 
 /// Returns the text of the error in words for users.
-pub fn told(error: &Error) -> String {
+pub fn describe_error(error: &Error) -> String {
     let text = error.message();
     let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
     if kind.starts_with("struct ") {
@@ -63,7 +63,7 @@ mod tests {
             ("name = ", "string values must be quoted, expected literal string"),
         ] {
             let error = toml::from_str::<Numbers>(file).expect_err(file);
-            assert_eq!(told(&error), expected, "{file}");
+            assert_eq!(describe_error(&error), expected, "{file}");
         }
     }
 }

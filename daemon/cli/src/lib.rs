@@ -130,15 +130,15 @@ mod tests {
 
     #[test]
     fn command_of_daemon_is_reported_with_its_program() {
-        let told = |command: &str| {
+        let error_text = |command: &str| {
             let error = Line::try_parse_from(["peernet", command]).expect_err("it is unknown");
             with_program(error).to_string()
         };
         assert!(
-            told("doctor").contains("tip: the daemon has this command: peernetd doctor"),
+            error_text("doctor").contains("tip: the daemon has this command: peernetd doctor"),
             "{}",
-            told("doctor")
+            error_text("doctor")
         );
-        assert!(!told("dostor").contains("peernetd"), "{}", told("dostor"));
+        assert!(!error_text("dostor").contains("peernetd"), "{}", error_text("dostor"));
     }
 }

@@ -105,20 +105,20 @@ mod tests {
     fn typed_text_is_echoed_in_one_short_line() {
         let refused = |text: &str| Err::<String, _>(format!("{text:?} is none"));
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
-        let told = |word: &str| {
+        let message = |word: &str| {
             let error = command.clone().try_get_matches_from(["peernet", word]).expect_err(word);
             short::lines(&with_short_values(error).render().to_string()).into_owned()
         };
         let text = format!("a.b=\u{1b}[31m\n{}\nthe end", "x = 1\n".repeat(10_000));
-        let value = told(&format!("--set={text}"));
+        let value = message(&format!("--set={text}"));
         let first = value.lines().next().expect("a line");
         assert!(first.starts_with("error: invalid value 'a.b= [31m x = 1"), "{value}");
         assert!(first.contains("the end' for '--set <set>': "), "{value}");
         assert!(value.len() < 1200 && value.lines().count() < 5, "{value}");
-        let argument = told(&format!("--{text}"));
+        let argument = message(&format!("--{text}"));
         assert!(argument.starts_with("error: unexpected argument '--a.b"), "{argument}");
         assert!(argument.len() < 1200 && argument.lines().count() < 9, "{argument}");
-        assert!(told("--sett=1").contains("'--set'"), "what fits is said as the parser has it");
+        assert!(message("--sett=1").contains("'--set'"), "what fits is said as the parser has it");
     }
 
     #[test]

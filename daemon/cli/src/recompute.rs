@@ -101,9 +101,9 @@ fn rehearsal(facts: &[Fact]) -> Option<String> {
         Some(rest) => rest.strip_prefix(" of ").map(|cloud| format!("{cloud}'s")),
         None => None,
     };
-    let told: Vec<String> =
+    let parts: Vec<String> =
         facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
-    (!told.is_empty()).then(|| told.join(", "))
+    (!parts.is_empty()).then(|| parts.join(", "))
 }
 
 fn describe(run: i64, recomputed: &Recomputed) -> String {

@@ -32,10 +32,10 @@ mod tests {
     #[test]
     fn seconds_outside_range_are_refused() {
         assert_eq!((seconds("0", 0.0), seconds("86400", 1.0)), (Ok(0.0), Ok(86_400.0)));
-        for (text, told) in
+        for (text, expected) in
             [("0.5", "from 1 to 86400"), ("1e9", "from 1 to 86400"), ("x", "invalid float literal")]
         {
-            assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), told);
+            assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), expected);
         }
         assert_eq!(seconds("nan", 0.0).expect_err("no time").to_string(), "from 0 to 86400");
     }

@@ -59,8 +59,8 @@ mod tests {
         assert_eq!(value("random string"), "random string");
         assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
         let long = "x = 1\n".repeat(1000);
-        let told = value(&long);
-        assert!(told.starts_with("x = 1 x = 1") && told.ends_with("x = 1 "), "{told}");
-        assert!(told.chars().count() <= VALUE && !told.contains('\n'), "{told}");
+        let shortened = value(&long);
+        assert!(shortened.starts_with("x = 1 x = 1") && shortened.ends_with("x = 1 "), "{shortened}");
+        assert!(shortened.chars().count() <= VALUE && !shortened.contains('\n'), "{shortened}");
     }
 }

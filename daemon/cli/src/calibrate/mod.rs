@@ -48,7 +48,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
     let mut watch = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
     let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
-    let observed = watch.seen;
+    let observed = watch.observed;
     let failed = match &ended {
         Ended::Finished => None,
         Ended::Interrupted => Some(Failure::new(
@@ -90,8 +90,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Printed first: a full disk must not prevent the result from being shown.
     say(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
-        let told = "the result is above, but not all of its files are written";
-        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(told))
+        let message = "the result is above, but not all of its files are written";
+        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(message))
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));

@@ -38,7 +38,7 @@ pub(super) struct SweepObserver<'a> {
     plan: &'a Plan,
     clock: SharedClock,
     progress: Sweep,
-    pub(super) seen: Observed,
+    pub(super) observed: Observed,
     began: MonoTime,
     peer_wait: PeerWait,
     /// The peer was absent, or refused, at the first attempt.
@@ -58,7 +58,7 @@ impl<'a> SweepObserver<'a> {
             plan,
             progress: Sweep::new(plan, quiet, now),
             clock,
-            seen: Observed::default(),
+            observed: Observed::default(),
             began: now,
             peer_wait: PeerWait::new(now),
             turned_away: None,
@@ -72,23 +72,23 @@ impl<'a> SweepObserver<'a> {
     fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
-        let how = match (&before, &self.cloud_clock) {
+        let change = match (&before, &self.cloud_clock) {
             // A restarted program begins its artificial clock error and its count of steps again.
             (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
-                self.seen.reconnections += 1;
+                self.observed.reconnections += 1;
                 return None;
             }
-            (_, Some(HostClock { rehearsal: Some(how), .. })) => {
-                format!("another clock, which is made wrong on purpose ({how})")
+            (_, Some(HostClock { rehearsal: Some(change), .. })) => {
+                format!("another clock, which is made wrong on purpose ({change})")
             }
             (_, Some(_)) => "another clock".to_owned(),
             // The peer left again before its clock could be read.
             (_, None) => "a clock of which nothing is known".to_owned(),
         };
         self.over = true;
-        let name = self.seen.cloud.as_deref().unwrap_or("the peer");
+        let name = self.observed.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
-            "{name} went away and came back with {how}: the study ends with what was measured before"
+            "{name} went away and came back with {change}: the study ends with what was measured before"
         );
         Some(Ended::Failed(text))
     }
@@ -104,8 +104,8 @@ impl RunObserver for SweepObserver<'_> {
         match event {
             Event::RunStarted(run) => {
                 // There is one fact for each host with an artificial clock error.
-                self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
-                self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
+                self.observed.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
+                self.observed.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
                 self.peer_wait.record_answer(self.clock.mono());
                 self.progress.begin(self.peer_wait.last_present());
@@ -116,22 +116,22 @@ impl RunObserver for SweepObserver<'_> {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
-                self.seen.samples.push(sample);
+                self.observed.samples.push(sample);
                 // A failure at the first payload of a size would repeat.
                 if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
                     return Some(Ended::OwnReason(UnmeasurableSize(describe_unmeasurable(payload, reason))));
                 }
             }
-            Event::Clock(second) => self.seen.clocks.push(*second),
+            Event::Clock(second) => self.observed.clocks.push(*second),
             Event::RunEnded(run) => {
                 return Some(Ended::of_run(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),
-                IncidentKind::Disconnected | IncidentKind::Refused if self.seen.cloud.is_none() => {
+                IncidentKind::Disconnected | IncidentKind::Refused if self.observed.cloud.is_none() => {
                     self.turned_away = Some(incident.kind);
                 }
-                IncidentKind::Connected if self.seen.cloud.is_some() => {
+                IncidentKind::Connected if self.observed.cloud.is_some() => {
                     return self.came_back(running.and_then(cloud_clock));
                 }
                 _ => {}
@@ -160,9 +160,9 @@ impl RunObserver for SweepObserver<'_> {
         // A user who limits the time does not want to wait much longer for an absent peer.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
         let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, PeerWait::USUAL);
-        let name = self.seen.cloud.as_deref();
+        let name = self.observed.cloud.as_deref();
         let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, waits_for, now, most));
-        self.progress.show(&self.seen.samples, now, trouble);
+        self.progress.show(&self.observed.samples, now, trouble);
         self.peer_wait.reason_to_give_up(waits_for, now, most).map(Ended::Failed)
     }
 

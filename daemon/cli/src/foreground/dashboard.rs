@@ -28,16 +28,16 @@ mod tests {
 
     #[test]
     fn default_address_works_in_browser() {
-        let told = |text: &str| where_seen("it", &text.parse().expect("an address"), true);
+        let message = |text: &str| where_seen("it", &text.parse().expect("an address"), true);
         let four = "see it on the dashboard of the aggregator at 10.77.0.2 (usually http://10.77.0.2:8040)";
-        assert_eq!(told("tcp://10.77.0.2:5650"), four);
-        assert!(told("tcp://[fd00::2]:5550").ends_with("at fd00::2 (usually http://[fd00::2]:8040)"));
+        assert_eq!(message("tcp://10.77.0.2:5650"), four);
+        assert!(message("tcp://[fd00::2]:5550").ends_with("at fd00::2 (usually http://[fd00::2]:8040)"));
     }
 
     #[test]
     fn run_with_undelivered_events_is_announced_for_later() {
-        let told = where_seen("it", &"tcp://10.77.0.2:5650".parse().expect("an address"), false);
+        let message = where_seen("it", &"tcp://10.77.0.2:5650".parse().expect("an address"), false);
         let later = "it will be on the dashboard of the aggregator at 10.77.0.2:5650 once all events have been delivered";
-        assert_eq!(told, later);
+        assert_eq!(message, later);
     }
 }

@@ -28,11 +28,11 @@ pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
 /// Display of progress on standard error.
 pub(crate) struct Progress {
     shown: Shown,
-    said: MonoTime,
+    printed_at: MonoTime,
     /// `true` if there was trouble at the last update.
     troubled: bool,
     /// Reason of trouble that was printed last.
-    told: Option<String>,
+    last_reason: Option<String>,
 }
 
 enum Shown {
@@ -55,7 +55,7 @@ impl Progress {
                 Shown::Bar(bar)
             }
         };
-        Self { shown, said: now, troubled: false, told: None }
+        Self { shown, printed_at: now, troubled: false, last_reason: None }
     }
 
     /// Shows the state at `now` and the share that is done, 0 to 1, or in its place what is waited for.
@@ -74,11 +74,11 @@ impl Progress {
                 bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 bar.set_message(trouble.unwrap_or(text));
             }
-            Shown::Lines if now - self.said < LINE && !is_news => {}
+            Shown::Lines if now - self.printed_at < LINE && !is_news => {}
             Shown::Lines => {
-                let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.told));
+                let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.last_reason));
                 complain(trouble.unwrap_or_else(|| state().0));
-                self.said = now;
+                self.printed_at = now;
             }
         }
     }
@@ -101,13 +101,13 @@ impl Progress {
 }
 
 /// Removes the reason in brackets from the text if it was printed before: printed lines stay visible.
-fn without_repeated_reason(trouble: String, told: &mut Option<String>) -> String {
+fn without_repeated_reason(trouble: String, last_reason: &mut Option<String>) -> String {
     let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
-    if told.as_deref() == Some(reason) {
+    if last_reason.as_deref() == Some(reason) {
         return format!("{what};{wait}");
     }
-    *told = Some(reason.to_owned());
+    *last_reason = Some(reason.to_owned());
     trouble
 }
 
@@ -117,9 +117,9 @@ mod tests {
 
     #[test]
     fn lines_do_not_repeat_reason() {
-        let mut told = None;
+        let mut last_reason = None;
         let mut line = |reason: &str, wait: &str| {
-            without_repeated_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)
+            without_repeated_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut last_reason)
         };
         assert_eq!(
             line("refused (os error 111)", "it"),
@@ -127,6 +127,6 @@ mod tests {
         );
         assert_eq!(line("refused (os error 111)", "5 s"), "cloud is away; waiting for 5 s");
         assert_eq!(line("no room", "10 s"), "cloud is away (no room); waiting for 10 s");
-        assert_eq!(without_repeated_reason("no answer".to_owned(), &mut told), "no answer");
+        assert_eq!(without_repeated_reason("no answer".to_owned(), &mut last_reason), "no answer");
     }
 }

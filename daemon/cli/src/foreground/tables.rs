@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
-use crate::expected::told;
+use crate::expected::describe_error;
 use crate::small_file;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
@@ -25,8 +25,9 @@ pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
 }
 
 fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
-    let mut document: toml::Table =
-        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), told(&error)))?;
+    let mut document: toml::Table = text
+        .parse()
+        .map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), describe_error(&error)))?;
     let agent = document.get("agent").and_then(toml::Value::as_table);
     let agent: toml::Table = ["name", "clock_identity"]
         .iter()
@@ -35,7 +36,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
     document.retain(|key, _| TABLES.contains(&key));
     document.insert("agent".to_owned(), toml::Value::Table(agent));
     serde_path_to_error::deserialize(document)
-        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), told(error.inner())))
+        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), describe_error(error.inner())))
 }
 
 #[cfg(test)]

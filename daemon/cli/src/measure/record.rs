@@ -13,7 +13,7 @@ use peernet_analysis::record::{
 use peernet_external::environment;
 use peernet_external::exec::with_arguments;
 use peernet_inference::MODEL_HASH;
-use peernet_stream::{Placement as Told, PlacementKind};
+use peernet_stream::{Placement as ReportedPlacement, PlacementKind};
 use serde_json::{Map, Value};
 
 use super::Order;
@@ -66,7 +66,7 @@ pub(super) fn of(
             conditions: conditions.collect(),
         },
         cloud,
-        placement: placement.map(where_it_computed).unwrap_or_default(),
+        placement: placement.map(placement_record).unwrap_or_default(),
         model: placement.filter(|placement| placement.kind != PlacementKind::None).map(|placement| {
             ModelRecord {
                 name: placement.model.to_string(),
@@ -92,18 +92,18 @@ pub(super) fn of(
     }
 }
 
-fn where_it_computed(told: &Told) -> Placement {
+fn placement_record(reported: &ReportedPlacement) -> Placement {
     Placement {
-        kind: told.kind.name().to_owned(),
-        network: told.network.clone(),
-        address: told.address.clone(),
+        kind: reported.kind.name().to_owned(),
+        network: reported.network.clone(),
+        address: reported.address.clone(),
     }
 }
 
 /// Returns the hash of the model's file as reported by its host.
 fn sha256(facts: &[(String, String)]) -> Option<String> {
-    let told = facts.iter().find(|(name, _)| name == MODEL_HASH);
-    told.map(|(_, hash)| hash.clone())
+    let reported = facts.iter().find(|(name, _)| name == MODEL_HASH);
+    reported.map(|(_, hash)| hash.clone())
 }
 
 /// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this run's state.

@@ -199,8 +199,11 @@ mod tests {
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_end(&folder.path().join(OLD), "-wal"), with_end(&taken, "-wal")).expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
-        let told = describe_undelivered(folder.path()).await;
-        assert!(told.len() == 1 && told[0].starts_with("42 events wait for the aggregator at lab:5550, in "));
+        let descriptions = describe_undelivered(folder.path()).await;
+        assert!(
+            descriptions.len() == 1
+                && descriptions[0].starts_with("42 events wait for the aggregator at lab:5550, in ")
+        );
         let here = "tcp://127.0.0.1:5550".parse().expect("an address");
         let named = undelivered_in(&taken, &here).await.expect("it waits there");
         assert!(named.is_for(&here) && named.to_string().starts_with("42 events wait"), "{named}");
@@ -214,7 +217,10 @@ mod tests {
     async fn unreadable_spool_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(spool(folder.path(), "tcp://lab:5550"), "no database").expect("writable");
-        let told = describe_undelivered(folder.path()).await;
-        assert!(told.len() == 1 && told[0].contains("aggregator at lab:5550: cannot read"), "{told:?}");
+        let descriptions = describe_undelivered(folder.path()).await;
+        assert!(
+            descriptions.len() == 1 && descriptions[0].contains("aggregator at lab:5550: cannot read"),
+            "{descriptions:?}"
+        );
     }
 }

@@ -134,13 +134,14 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
     say(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
-    let told = |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
+    let size_text =
+        |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
     say(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
     say(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",
-        told(measured.memory[0]),
-        told(measured.memory[1]),
-        told(measured.peak)
+        size_text(measured.memory[0]),
+        size_text(measured.memory[1]),
+        size_text(measured.peak)
     ));
 }
 

@@ -136,8 +136,9 @@ fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     if let [(reason, _)] = reasons.as_slice() {
         return Some(reason.clone());
     }
-    let told = reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
-    (!reasons.is_empty()).then(|| told.collect::<Vec<_>>().join("; "))
+    let descriptions =
+        reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
+    (!reasons.is_empty()).then(|| descriptions.collect::<Vec<_>>().join("; "))
 }
 
 /// Checks that the options have a meaning together.

@@ -113,10 +113,10 @@ mod tests {
             let failure = of(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };
-        let (exit, told) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
-        assert!(exit == Exit::Usage && told.contains("not UTF-8"), "{told}");
-        let (exit, told) = refused(["--text-size".into(), "99999999999999".into()]);
-        assert!(exit == Exit::Usage && told.contains("lower its length"), "{told}");
+        let (exit, message) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
+        assert!(exit == Exit::Usage && message.contains("not UTF-8"), "{message}");
+        let (exit, message) = refused(["--text-size".into(), "99999999999999".into()]);
+        assert!(exit == Exit::Usage && message.contains("lower its length"), "{message}");
         assert_eq!(refused(["--dataset-loc".into(), "nowhere".into()]).0, Exit::NoInput);
     }
 }

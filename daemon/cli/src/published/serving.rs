@@ -119,8 +119,8 @@ impl Serving {
     pub(super) fn shortfall(&self) -> Option<String> {
         let AnswerCounts { wanted, answered, .. } = self.answers;
         let short = wanted.saturating_sub(answered);
-        let said = "the clients' results say why";
-        (short > 0).then(|| format!("{short} of {} never came here: {said}", counted(wanted, "iteration")))
+        let advice = "the clients' results say why";
+        (short > 0).then(|| format!("{short} of {} never came here: {advice}", counted(wanted, "iteration")))
     }
 
     /// Loads the model before the first request: errors show at once, and no client waits for it.
@@ -188,7 +188,7 @@ impl RunObserver for Serving {
         let served = running.served().borrow().clone();
         let inference =
             served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, p99(&served.inference)));
-        self.inference = inference.map_or_else(String::new, |told| format!(", inference {told}"));
+        self.inference = inference.map_or_else(String::new, |quantiles| format!(", inference {quantiles}"));
         self.sessions = served.sessions;
         let now = self.clock.mono();
         self.answers.update(served.answers, served.errors, served.missed, now);

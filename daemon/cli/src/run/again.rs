@@ -23,9 +23,9 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
     let mut changed = BTreeSet::new();
     for run in finished {
         match load_results(folder, record, &run) {
-            Ok(told) => {
-                changed.extend(told.iter().filter_map(|told| external_files.changed_since(told, &run)))
-            }
+            Ok(run_records) => changed.extend(
+                run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
+            ),
             Err(why) => {
                 complain(format_args!("run {} is done again: {why}", run.number));
                 record.forget(&run);
@@ -95,13 +95,13 @@ pub(super) fn load_results(
     folder.results(&record.plan, run).iter().map(of_user).collect()
 }
 
-fn mismatch(told: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
-    if told.reason != EndReason::Finished {
+fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
+    if run_record.reason != EndReason::Finished {
         return Some(Mismatch::Unfinished);
     }
-    if told.counts == Counts::default() {
+    if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
     let place = record.plan.place(run, &record.id);
-    (told.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
+    (run_record.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
 }

@@ -85,7 +85,7 @@ pub(super) async fn execute(
 ) -> Ended {
     let (to, mut from) = mpsc::channel(OUTPUT_CAPACITY);
     let mut reports: Vec<Option<ProgressReport>> = vec![None; orders.len()];
-    let mut handle = |index: usize, told: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match told {
+    let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
         ChildOutput::ProgressReport(now) => {
             reports[index] = Some(now);
             show(ChildEvent::ProgressReport(&reports));
@@ -115,10 +115,10 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, told)) = from.recv() => handle(index, told, &mut show),
+            Some((index, output)) = from.recv() => handle(index, output, &mut show),
             () = signals.next() => {
-                let (signal, told) = ending.request(Instant::now());
-                show(ChildEvent::Ending(&told));
+                let (signal, message) = ending.request(Instant::now());
+                show(ChildEvent::Ending(&message));
                 send(&pids, signal);
             }
             () = ending.expired() => {
@@ -127,8 +127,8 @@ pub(super) async fn execute(
             }
         }
     }
-    while let Ok((index, told)) = from.try_recv() {
-        handle(index, told, &mut show);
+    while let Ok((index, output)) = from.try_recv() {
+        handle(index, output, &mut show);
     }
     let gone = || Exited { code: None, reason: None };
     Ended {
@@ -150,7 +150,7 @@ fn send(processes: &[Option<Pid>], signal: Signal) {
 struct Child {
     process: tokio::process::Child,
     pid: Option<Pid>,
-    said: Arc<Mutex<VecDeque<String>>>,
+    error_lines: Arc<Mutex<VecDeque<String>>>,
     readers: [JoinHandle<()>; 2],
 }
 
@@ -176,8 +176,8 @@ impl Child {
             // A process that ends before it has read its order reports the reason.
             let _ = input.write_all(&order).await;
         }
-        let said = Arc::new(Mutex::new(VecDeque::new()));
-        let kept = Arc::clone(&said);
+        let error_lines = Arc::new(Mutex::new(VecDeque::new()));
+        let kept = Arc::clone(&error_lines);
         let readers = [
             tokio::spawn(pass_on(index, output, to)),
             tokio::spawn(async move {
@@ -193,7 +193,7 @@ impl Child {
             }),
         ];
         let pid = process.id().and_then(|pid| Pid::from_raw(i32::try_from(pid).ok()?));
-        Ok(Self { process, pid, said, readers })
+        Ok(Self { process, pid, error_lines, readers })
     }
 
     async fn ended(mut self) -> Exited {
@@ -202,8 +202,8 @@ impl Child {
             // Output that arrived until now is kept.
             let _ = tokio::time::timeout(OUTPUT_TIMEOUT, reader).await;
         }
-        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = said.iter().rev().find(|line| !line.trim().is_empty()).cloned();
+        let error_lines = self.error_lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = error_lines.iter().rev().find(|line| !line.trim().is_empty()).cloned();
         match status {
             Ok(status) => Exited { code: status.code(), reason: reason(status, last) },
             Err(error) => {

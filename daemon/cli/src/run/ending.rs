@@ -77,11 +77,14 @@ mod tests {
         let (mut ending, began) = (Ending::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
         assert!(!ending.is_requested());
-        let (signal, told) = ending.request(at(0));
-        assert!(signal == Signal::INT && told.contains("60 s"), "{told}");
+        let (signal, message) = ending.request(at(0));
+        assert!(signal == Signal::INT && message.contains("60 s"), "{message}");
         assert_eq!((ending.is_requested(), ending.until), (true, Some(at(60))));
-        let (signal, told) = ending.request(at(53));
-        assert!(signal == Signal::TERM && told.contains("within 7 s"), "not more than was promised: {told}");
+        let (signal, message) = ending.request(at(53));
+        assert!(
+            signal == Signal::TERM && message.contains("within 7 s"),
+            "not more than was promised: {message}"
+        );
         assert_eq!(ending.until, Some(at(60)));
         assert_eq!(ending.request(at(54)).0, Signal::KILL);
         assert_eq!(ending.until, None);

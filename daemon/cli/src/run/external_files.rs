@@ -19,8 +19,8 @@ impl ExternalFiles {
     }
 
     /// Returns a note if a run was measured with another text of that file.
-    pub(super) fn changed_since(&self, told: &RunRecord, run: &Run) -> Option<String> {
-        let (now, then) = (self.network(run)?, told.network_config.as_ref()?);
+    pub(super) fn changed_since(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
+        let (now, then) = (self.network(run)?, run_record.network_config.as_ref()?);
         (now.text != then.text).then(|| {
             format!(
                 "{} has changed since some runs were measured, not in the addresses that they use; each run.json has the text of its time",
@@ -41,14 +41,14 @@ mod tests {
         let external_files =
             ExternalFiles { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
         let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
-        let told = |then: Option<NetworkConfig>, configuration| {
+        let message = |then: Option<NetworkConfig>, configuration| {
             let record = RunRecord { network_config: then, ..RunRecord::default() };
             external_files.changed_since(&record, &run(configuration))
         };
-        let text = told(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
+        let text = message(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
         assert!(text.starts_with("net.yaml has changed"), "{text}");
-        assert_eq!(told(network("other.yaml", "devices: {a: b}"), 1), None);
+        assert_eq!(message(network("other.yaml", "devices: {a: b}"), 1), None);
         // An earlier version recorded no file, and a peer with an address needs none.
-        assert_eq!((told(None, 1), told(network("net.yaml", "x"), 0)), (None, None));
+        assert_eq!((message(None, 1), message(network("net.yaml", "x"), 0)), (None, None));
     }
 }

@@ -168,8 +168,8 @@ async fn carry_out(
         quiet: arguments.quiet,
     };
     let interrupted = execution.all(&to_do, &mut signals).await?;
-    let told = report::write(&folder, &record, external_files.plots)?;
-    say(format_args!("\n{told}"));
+    let report_text = report::write(&folder, &record, external_files.plots)?;
+    say(format_args!("\n{report_text}"));
     say(format_args!("\n{place}: {}", summary(&record)));
     let waiting = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {

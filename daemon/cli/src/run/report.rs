@@ -59,24 +59,24 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         figures(&all, comparison.lines.len(), folder.path())
             .map_err(|error| Failure::new(Exit::Unwritten, error))?;
     }
-    let mut told = vec![comparison.text()];
+    let mut parts = vec![comparison.text()];
     if let Some(users) = users {
         let forms =
             [("txt", users.text()), ("md", users.markdown()), ("csv", users.csv()), ("tex", users.latex())];
         save(folder.path(), "users", &forms)?;
-        told.push(users.text());
+        parts.push(users.text());
     }
     if let Some(sensors) = sensors {
         let forms = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
         save(folder.path(), "sensors", &forms)?;
         if sensors.are_all {
             // Stages after the sensor are empty, and the shortest sensing does not make the best sensor.
-            told.clear();
+            parts.clear();
         }
-        told.push(sensors.text());
+        parts.push(sensors.text());
     }
-    told.push(trust);
-    Ok(told.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
+    parts.push(trust);
+    Ok(parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
 }
 
 /// Draws the figures over all configurations. Bar charts need more than one.

@@ -18,14 +18,14 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     let mut header = vec!["run".to_owned()];
     header.extend(axes.into_iter().flatten().map(|(axis, _)| axis.clone()));
     // An axis with the number of users makes the column superfluous.
-    let told = (0..header.len() - 1).any(|axis| {
+    let axis_shows_users = (0..header.len() - 1).any(|axis| {
         plan.configurations
             .iter()
             .all(|one| one.labels.get(axis).is_some_and(|(_, label)| *label == one.users.to_string()))
     });
     let repeated = plan.repeats > 1;
     header.extend(repeated.then(|| "repeat".to_owned()));
-    let many = !told && plan.configurations.iter().any(|configuration| configuration.users > 1);
+    let many = !axis_shows_users && plan.configurations.iter().any(|configuration| configuration.users > 1);
     header.extend(many.then(|| "users".to_owned()));
     header.push("state".to_owned());
     let labels = header.len();

@@ -82,8 +82,8 @@ fn incomplete_results_are_measured_again() {
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || load_results(&folder, &record, run).err().map(|error| error.to_string());
-    assert_eq!(told().as_deref(), Some("its results are gone"));
+    let message = || load_results(&folder, &record, run).err().map(|error| error.to_string());
+    assert_eq!(message().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
@@ -94,11 +94,11 @@ fn incomplete_results_are_measured_again() {
         std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
     };
     says(&whole);
-    assert!(told().is_some_and(|why| why.contains("no data.csv")));
+    assert!(message().is_some_and(|why| why.contains("no data.csv")));
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
-    assert_eq!(told(), None);
+    assert_eq!(message(), None);
     says(&json!({ "format": 1 }));
-    assert!(told().is_some_and(|why| why.ends_with("does not say that the run was finished")));
+    assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.place(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
         ("reason", json!("the peer went away"), "does not say that the run was finished"),
@@ -109,15 +109,15 @@ fn incomplete_results_are_measured_again() {
         let mut other = whole.clone();
         other[key] = value;
         says(&other);
-        assert!(told().is_some_and(|told| told.ends_with(why)), "{other}: {:?}", told());
+        assert!(message().is_some_and(|message| message.ends_with(why)), "{other}: {:?}", message());
     }
     says(&whole);
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
     assert!(
-        told().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
+        message().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
     );
     data("itera");
-    assert!(told().is_some_and(|why| why.contains("cannot read")));
+    assert!(message().is_some_and(|why| why.contains("cannot read")));
 }
 
 #[test]
@@ -203,8 +203,8 @@ fn folder_belongs_to_one_experiment_and_program() {
     let link = temporary.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).expect("writable");
     let nowhere = Folder::open(&link).err().expect("leads nowhere");
-    let told = "is a link to nowhere, which is not there";
-    assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(told), "{nowhere}");
+    let message = "is a link to nowhere, which is not there";
+    assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(message), "{nowhere}");
 }
 
 #[test]
@@ -294,8 +294,8 @@ fn unknown_durations_are_readable() {
     let nothing = Estimates::new(vec![None; 4]);
     let one = table::outlook(&record.plan.runs[..1], &record, &nothing);
     assert_eq!(one, "1 of 4 runs to do, how long it takes is not known");
-    let told = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
-    let times: Vec<_> = told.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
+    let message = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
+    let times: Vec<_> = message.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
     assert_eq!(
         times.iter().map(|time| time.trim()).collect::<Vec<_>>(),
         ["0.2 s", "unknown", "5 s", "unknown"]
@@ -341,7 +341,7 @@ fn experiment_of_another_build_is_reported() {
     let runs = record.plan.runs.clone();
     assert_eq!(two_builds(&record, &runs, "2"), None, "nothing is measured yet");
     record.end(&runs[0], ended(Stage::Finished));
-    let told = two_builds(&record, &runs[1..], "2").expect("there are two");
-    assert!(told.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{told}");
+    let message = two_builds(&record, &runs[1..], "2").expect("there are two");
+    assert!(message.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{message}");
     assert_eq!((two_builds(&record, &runs[1..], "1"), two_builds(&record, &[], "2")), (None, None));
 }

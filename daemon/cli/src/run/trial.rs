@@ -244,12 +244,12 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
         };
         assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
         assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
-        let told = |indices: &[usize]| {
+        let described = |indices: &[usize]| {
             describe_group(indices.iter().map(|index| describe_configuration(&whole, *index)))
         };
-        assert_eq!(told(&[2]), "Length = 1, Rate = 9");
-        assert_eq!(told(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
-        assert_eq!(told(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
+        assert_eq!(described(&[2]), "Length = 1, Rate = 9");
+        assert_eq!(described(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
+        assert_eq!(described(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
         let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
         assert_eq!(words(&single, 0), "e");
     }

@@ -48,10 +48,15 @@ pub(super) type Rehearsed = BTreeMap<String, Rehearsal>;
 
 /// Collects them from the hosts' own reports, or from those of an edge: a cloud may report to another aggregator.
 pub(super) fn rehearsed(hosts: &[Host], links: &[Link]) -> Rehearsed {
-    let told = hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
+    let own_reports =
+        hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
     let links = links.iter().filter(|link| link.connected);
-    let heard = links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
-    heard.chain(told).filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?))).collect()
+    let edge_reports =
+        links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
+    edge_reports
+        .chain(own_reports)
+        .filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?)))
+        .collect()
 }
 
 impl fmt::Display for Rehearsal {

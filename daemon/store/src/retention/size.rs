@@ -22,15 +22,15 @@ const USED: &str = "SELECT (page_count - freelist_count) * page_size \
 pub(super) struct SizeLimit {
     /// The limit in bytes; 0 for none.
     limit: u64,
-    told: bool,
-    told_in_vain: bool,
+    is_reported: bool,
+    is_futility_reported: bool,
     /// Time at which nothing was left to delete.
-    in_vain: Option<MonoTime>,
+    nothing_left_at: Option<MonoTime>,
 }
 
 impl SizeLimit {
     pub(super) const fn new(limit: u64) -> Self {
-        Self { limit, told: false, told_in_vain: false, in_vain: None }
+        Self { limit, is_reported: false, is_futility_reported: false, nothing_left_at: None }
     }
 
     /// Returns whether something has to be deleted.
@@ -39,8 +39,8 @@ impl SizeLimit {
         connection: &mut SqliteConnection,
         now: MonoTime,
     ) -> Result<bool, sqlx::Error> {
-        let in_vain = self.in_vain.is_some_and(|at| now - at < PAUSE);
-        Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
+        let is_paused = self.nothing_left_at.is_some_and(|at| now - at < PAUSE);
+        Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
     /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs, at any age. Returns whether more may remain.
@@ -55,15 +55,15 @@ impl SizeLimit {
             let TrimResult { rows: deleted, through } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
             if deleted > 0 {
-                if !self.told {
+                if !self.is_reported {
                     tracing::warn!(
                         limit_bytes = self.limit,
                         "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
                          its time; raise the limit, or ask for shorter periods"
                     );
-                    self.told = true;
+                    self.is_reported = true;
                 }
-                self.in_vain = None;
+                self.nothing_left_at = None;
                 note(connection, now, deleted).await?;
                 return Ok(true);
             }
@@ -76,15 +76,15 @@ impl SizeLimit {
 
     /// Logs that nothing may be deleted, and pauses.
     pub(super) fn give_up(&mut self, now: MonoTime) {
-        if !self.told_in_vain {
+        if !self.is_futility_reported {
             tracing::warn!(
                 limit_bytes = self.limit,
                 "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
                  the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
             );
-            self.told_in_vain = true;
+            self.is_futility_reported = true;
         }
-        self.in_vain = Some(now);
+        self.nothing_left_at = Some(now);
     }
 }
 

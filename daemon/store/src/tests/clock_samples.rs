@@ -150,8 +150,8 @@ async fn seconds_of_window_survive_wall_clock_set_back() {
     store(&mut bed, samples).await;
     assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 20);
-    let told = series(&bed, 1_000).await.points;
-    let sent: Vec<u32> = told.iter().map(|point| point.probes.sent).collect();
+    let read = series(&bed, 1_000).await.points;
+    let sent: Vec<u32> = read.iter().map(|point| point.probes.sent).collect();
     assert_eq!(sent, [[10; 5], [30; 5]].concat(), "they are of the same seconds");
 }
 
@@ -166,9 +166,9 @@ async fn later_window_counts_for_repeated_seconds() {
         // The clock was set back by five seconds.
         let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
         store(&mut bed, set_back.clone()).await;
-        let told = series(&bed, 1_000).await.points;
+        let read = series(&bed, 1_000).await.points;
         let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
-        assert_eq!(told, expected.map(point).collect::<Vec<_>>());
+        assert_eq!(read, expected.map(point).collect::<Vec<_>>());
         // A bucket with the step shows the time after it.
         for point in series(&bed, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
@@ -226,8 +226,8 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     let median = up.median.expect("has one");
     assert_eq!(median.value, Span::from_micros(3_994));
     let rate = |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|it| it.bits_per_second);
-    let (told, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
-    assert_eq!(told, sent.map(f64::trunc), "to the bit");
+    let (read, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
+    assert_eq!(read, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
     let wide = bed
         .store

@@ -43,9 +43,9 @@ async fn foreign_events_do_not_change_run() {
     }
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE run = 1").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM incident WHERE run = 1").await, 0);
-    let told = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
+    let incidents_query = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
                 WHERE host.name = 'cloud' AND incident.kind = 'refused'";
-    assert_eq!(bed.count(told).await, 1, "once for each run");
+    assert_eq!(bed.count(incidents_query).await, 1, "once for each run");
     let own = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
                WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'taken' AND run.reported_uuid IS NOT NULL";
     assert_eq!(bed.count(own).await, 1);

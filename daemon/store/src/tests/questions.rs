@@ -123,9 +123,9 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
     let filter = IterationFilter { unsuccessful: true, after: 3, limit: 10 };
     let bad = bed.store.iterations(1, &filter).await.expect("answers");
-    let told: Vec<_> =
+    let failures: Vec<_> =
         bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
-    assert_eq!(told, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
+    assert_eq!(failures, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
     let lost = bed.store.iteration(1, 3).await.expect("answers").expect("exists");
     assert_eq!((lost.rank, lost.previous, lost.next), (None, Some(2), Some(4)));
 }

@@ -77,15 +77,15 @@ async fn rebuilt_statistics_equal_incremental_ones() {
             .execute(&mut connection)
             .await
             .expect("spoils");
-        let mut told = Vec::new();
-        let rebuilt = rebuild(&mut connection, None, |so_far| told.push(*so_far)).await.expect("rebuilds");
+        let mut reports = Vec::new();
+        let rebuilt = rebuild(&mut connection, None, |so_far| reports.push(*so_far)).await.expect("rebuilds");
         assert_same(&table(&mut connection).await, &grown);
         let again: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(again, judged);
         let ok = bed.count("SELECT sum(ok) FROM run").await.unsigned_abs();
         assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
-        assert_eq!(told.last(), Some(&rebuilt));
+        assert_eq!(reports.last(), Some(&rebuilt));
         connection.close().await.expect("closes");
     }
 }

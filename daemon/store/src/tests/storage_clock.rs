@@ -64,8 +64,8 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
         .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
         .await
         .expect("stores");
-    let told = incidents(&bed).await;
-    let [step] = &told[..] else { panic!("{told:?}") };
+    let stored = incidents(&bed).await;
+    let [step] = &stored[..] else { panic!("{stored:?}") };
     assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
     assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
 
@@ -75,9 +75,9 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
     bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
     let mut pending = PendingIncidents::new(STAMP);
     bed.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
-    let told = incidents(&bed).await;
-    assert_eq!(told.len(), 2);
-    assert!(told.iter().any(|step| step.text.contains("3600.0 s less")), "{told:?}");
+    let stored = incidents(&bed).await;
+    assert_eq!(stored.len(), 2);
+    assert!(stored.iter().any(|step| step.text.contains("3600.0 s less")), "{stored:?}");
 }
 
 #[tokio::test]
@@ -91,9 +91,9 @@ async fn incident_waits_until_database_is_writable() {
     other.close().await.expect("unlocks");
     bed.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
     bed.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
-    let told = incidents(&bed).await;
+    let stored = incidents(&bed).await;
     assert_eq!(
-        told.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
+        stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
         [("storage", "it refused")]
     );
 }
@@ -142,9 +142,9 @@ async fn data_is_deleted_after_its_period_of_running_time() {
     look(&mut bed, 24 * 60..24 * 60 + 26).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
-    let told = bed.store.incidents(1_000, None).await.expect("answers");
+    let stored = bed.store.incidents(1_000, None).await.expect("answers");
     let deleted: Vec<&str> =
-        told.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
+        stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(
         "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {seconds} statistics per second of 1 run \
          (seconds_days = 1)"

@@ -82,17 +82,17 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
 }
 
 /// Adds the seven totals of a direction; NULL where they were not reported.
-fn direction(told: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    to.add(told.map(|told| column(told.bytes)))?;
-    to.add(told.map(|told| column(told.messages)))?;
-    let known = told.copied().unwrap_or_default();
+fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    to.add(reported.map(|reported| column(reported.bytes)))?;
+    to.add(reported.map(|reported| column(reported.messages)))?;
+    let known = reported.copied().unwrap_or_default();
     let datagrams = [known.datagrams, known.lost, known.duplicated, known.reordered, known.retransmitted];
     datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
 }
 
 /// Adds the three figures of a transport's round trip.
-fn round_trip(told: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let trip = told.and_then(|told| told.round_trip);
+fn round_trip(reported: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let trip = reported.and_then(|reported| reported.round_trip);
     to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
     to.add(trip.map(|trip| trip.smoothed.nanos()))?;
     to.add(trip.map(|trip| trip.variation.nanos()))

@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_told() {
-        for (text, told) in [
+        for (text, message) in [
             ("name = 'a'", "either field"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
@@ -231,7 +231,7 @@ mod tests {
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 }

@@ -216,7 +216,7 @@ mod tests {
         for fine in ["users = 64", "duration_s = 0.5", "patience_s = 0", "patience_s = 86400.0"] {
             assert_eq!(read(fine).check(), Ok(()), "{fine}");
         }
-        for (wrong, told) in [
+        for (wrong, message) in [
             ("users = 65", "experiment.users: 65 is too many"),
             ("duration_s = 0.0", "experiment.duration_s: 0.0 is not"),
             ("duration_s = 1e308", "experiment.duration_s: 1e308 is not"),
@@ -226,7 +226,7 @@ mod tests {
             ("patience_s = inf", "experiment.patience_s: inf is not"),
         ] {
             let error = read(wrong).check().expect_err(wrong);
-            assert!(error.to_string().starts_with(told), "{error}");
+            assert!(error.to_string().starts_with(message), "{error}");
         }
     }
 }

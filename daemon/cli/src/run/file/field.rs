@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn unknown_path_is_reported() {
-        for (path, document, told) in [
+        for (path, document, message) in [
             ("a..b", "", "no path"),
             ("a\nb", "", "no path"),
             ("a[x]", "", "no place in a list"),
@@ -157,7 +157,7 @@ mod tests {
             ("a[0]", "a = { b = 1 }", "a is no list"),
         ] {
             let error = set(path, document).expect_err(path);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 

@@ -20,7 +20,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::expected::told;
+use crate::expected::describe_error;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
@@ -76,7 +76,7 @@ struct KeyError {
 impl fmt::Display for KeyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // The path of the whole document is a dot.
-        f.write_str(&format!("{}: {}", self.path, told(&self.source)).replace(".: ", ": "))
+        f.write_str(&format!("{}: {}", self.path, describe_error(&self.source)).replace(".: ", ": "))
     }
 }
 

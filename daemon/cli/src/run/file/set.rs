@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(value("a.b='18446744073709551615'"), Value::String("18446744073709551615".to_owned()));
         assert_eq!(value("a.b="), Value::String(String::new()));
         assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
-        for (text, told) in [
+        for (text, message) in [
             ("a.b", "FIELD=VALUE"),
             ("a..b=1", "no path"),
             ("axis[0].values=[1]", "in the file"),
@@ -102,7 +102,7 @@ mod tests {
             ("a.b=-99_999_999_999_999_999_999", "too large"),
         ] {
             let error = Set::read(text).expect_err(text);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 }

@@ -45,8 +45,8 @@ fn axes_multiply_and_last_changes_fastest() {
          [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
          set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 }, 'experiment.users' = 3 }\n",
     );
-    let told: Vec<String> = all.iter().map(labels).collect();
-    assert_eq!(told, ["1/closed", "1/5 Hz", "2/closed", "2/5 Hz"]);
+    let combinations: Vec<String> = all.iter().map(labels).collect();
+    assert_eq!(combinations, ["1/closed", "1/5 Hz", "2/closed", "2/5 Hz"]);
     assert_eq!(all.iter().map(|one| one.users).collect::<Vec<_>>(), [1, 3, 1, 3]);
     assert_eq!(all[0].agent.pipelines[0].load, LoadConfig::Closed {});
     assert_eq!(all[3].agent.pipelines[0].load, LoadConfig::Rate { hz: 5.0 });
@@ -68,20 +68,20 @@ fn exclusion_removes_configurations_with_all_its_labels() {
     };
     assert_eq!(left("[{ A = 1, B = '20' }]"), ["1/10", "2/10", "2/20", "3/10", "3/20"]);
     assert_eq!(left("[{ A = [1, 2] }]"), ["3/10", "3/20"]);
-    for (exclude, told) in [
+    for (exclude, message) in [
         ("[{ C = 1 }]", "experiment.exclude[0]: there is no axis C; there is A, B"),
         ("[{ A = 1 }, { A = 4 }]", "experiment.exclude[1]: A is never 4; there is 1, 2, 3"),
         ("[{}]", "names no axis"),
         ("[{ A = [1, 2, 3] }]", "no combination is left"),
     ] {
         let error = configurations(&with(exclude)).expect_err(exclude).to_string();
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }
 
 #[test]
 fn mistake_is_reported_with_file_key_and_axis() {
-    for (more, told) in [
+    for (more, message) in [
         ("[serve]\n", "serve: an experiment has no such table"),
         ("[network]\nconfig = 'x'\nport = 1\n", "e.toml: network.port: unknown field"),
         (
@@ -121,7 +121,7 @@ fn mistake_is_reported_with_file_key_and_axis() {
         ),
     ] {
         let error = wrong(more);
-        assert!(error.contains(told), "{told} is not in: {error}");
+        assert!(error.contains(message), "{message} is not in: {error}");
     }
     let placement = "[[axis]]\nname = 'A'\n[[axis.value]]\nlabel = 'x'\n\
                      set = { 'pipeline.placement' = { kind = 'local', model = 'm' } }\n";
