@@ -48,7 +48,7 @@ pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET
     arg_required_else_help = true,
     after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
 )]
-struct Line {
+struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
     /// As the paper types it: `peernet --server …`, `peernet --client …`.
@@ -111,15 +111,15 @@ fn with_program(mut error: clap::Error) -> clap::Error {
 
 /// Runs the program `peernet`: parses the command line and executes the command.
 pub fn main() -> ExitCode {
-    let line = match Line::try_parse() {
+    let line = match Cli::try_parse() {
         Ok(line) => line,
         Err(error) => return output::explain(with_program(error)).into(),
     };
     let done = match line {
-        Line { command: Some(command), .. } => command.run(),
-        Line { published: Some(published), .. } => published::run(&published),
+        Cli { command: Some(command), .. } => command.run(),
+        Cli { published: Some(published), .. } => published::run(&published),
         // The parser requires one of the two.
-        Line { .. } => Ok(()),
+        Cli { .. } => Ok(()),
     };
     output::end(done).into()
 }
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn command_of_daemon_is_reported_with_its_program() {
         let error_text = |command: &str| {
-            let error = Line::try_parse_from(["peernet", command]).expect_err("it is unknown");
+            let error = Cli::try_parse_from(["peernet", command]).expect_err("it is unknown");
             with_program(error).to_string()
         };
         assert!(

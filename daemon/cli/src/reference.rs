@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clap::{Arg, ArgAction, Command, CommandFactory};
 
-use crate::Line;
+use crate::Cli;
 
 /// Path of the document from the root of the checkout.
 const FILE: &str = "docs/cli.md";
@@ -16,7 +16,7 @@ const USUAL: [&str; 2] = ["help", "version"];
 
 #[test]
 fn command_line_is_well_formed() {
-    Line::command().debug_assert();
+    Cli::command().debug_assert();
 }
 
 #[test]
@@ -37,7 +37,7 @@ fn reference_matches_help_of_program() {
 
 /// Returns the text of all commands, one section each.
 fn reference() -> String {
-    let mut command = Line::command();
+    let mut command = Cli::command();
     command.build();
     let mut text = String::new();
     section(&mut text, &command, "peernet");

@@ -121,10 +121,10 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     fn read(line: &str) -> Arguments {
-        let line = Line::try_parse_from(line.split_whitespace()).expect("a published command line");
+        let line = Cli::try_parse_from(line.split_whitespace()).expect("a published command line");
         line.published.expect("its options stand on the top level")
     }
 
@@ -153,8 +153,8 @@ mod tests {
 
     #[test]
     fn subcommand_needs_no_published_option() {
-        let line = Line::try_parse_from(["peernet", "status"]).expect("a command");
+        let line = Cli::try_parse_from(["peernet", "status"]).expect("a command");
         assert!(line.command.is_some() && line.published.is_none());
-        assert!(Line::try_parse_from(["peernet", "--client", "status"]).is_err());
+        assert!(Cli::try_parse_from(["peernet", "--client", "status"]).is_err());
     }
 }

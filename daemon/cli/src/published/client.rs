@@ -128,7 +128,7 @@ mod tests {
     use peernet_sensors::SensorConfig;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     #[test]
     fn sensor_program_keeps_its_arguments() {
@@ -141,7 +141,7 @@ mod tests {
             file.display()
         );
         let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
-        let arguments = Line::try_parse_from(words).expect("a published command line").published;
+        let arguments = Cli::try_parse_from(words).expect("a published command line").published;
         let arguments = arguments.expect("its options stand on the top level");
         let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
         let order = order(&arguments, &devices).expect("a pipeline");

@@ -101,7 +101,7 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     #[test]
     fn invalid_sensor_options_are_usage_errors() {
@@ -109,7 +109,7 @@ mod tests {
             let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
-            let line = Line::try_parse_from(words).expect("a published command line");
+            let line = Cli::try_parse_from(words).expect("a published command line");
             let failure = of(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };
