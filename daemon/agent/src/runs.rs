@@ -1,4 +1,7 @@
-//! The last run of every pipeline, for whoever has to tell of it once more.
+//! The latest run of every pipeline.
+//!
+//! After a welcome by a database that lacks what it once stored, the outbox repeats the starts of the runs in
+//! progress.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -6,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use peernet_logger::{RunId, Slug};
 use peernet_stream::{Event, RunDescription};
 
-/// Runs by pipeline; clones are the same.
+/// Runs by pipeline; clones share them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Runs(Arc<Mutex<BTreeMap<Slug, Known>>>);
 
@@ -17,12 +20,12 @@ struct Known {
 }
 
 impl Runs {
-    /// A run began; the last one of its pipeline is forgotten.
+    /// Records that a run began, in place of the pipeline's previous one.
     pub(crate) fn began(&self, description: RunDescription) {
         self.lock().insert(description.pipeline.clone(), Known { description, ended: false });
     }
 
-    /// A run of `pipeline` ended.
+    /// Records that a run of `pipeline` ended.
     pub(crate) fn ended(&self, pipeline: &Slug, run: RunId) {
         if let Some(known) = self.lock().get_mut(pipeline)
             && known.description.run == run
@@ -31,13 +34,13 @@ impl Runs {
         }
     }
 
-    /// The run of `pipeline` that is under way.
+    /// Returns the run of `pipeline` that is in progress.
     pub(crate) fn current(&self, pipeline: &Slug) -> Option<RunId> {
         let runs = self.lock();
         runs.get(pipeline).filter(|known| !known.ended).map(|known| known.description.run)
     }
 
-    /// The beginnings of all runs under way.
+    /// Returns the start events of all runs in progress.
     pub(crate) fn beginnings(&self) -> Vec<Event> {
         let runs = self.lock();
         let open = runs.values().filter(|known| !known.ended);

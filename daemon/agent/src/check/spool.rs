@@ -1,4 +1,4 @@
-//! What can be wrong with `[spool]`.
+//! Checks `[spool]`.
 
 use std::path::Path;
 
@@ -6,11 +6,11 @@ use super::{Report, usable};
 use crate::config::{AgentConfig, SpoolConfig};
 use crate::outbox::Look;
 
-/// Fewest bytes that a spool may hold: 1 MiB.
+/// Smallest limit of a spool in bytes: 1 MiB.
 const MIN_LIMIT_BYTES: u64 = 1 << 20;
-/// Most bytes that it may hold: 1 TiB.
+/// Largest limit in bytes: 1 TiB.
 const MAX_LIMIT_BYTES: u64 = 1 << 40;
-/// Longest time between two syncs: a minute.
+/// Longest interval between two syncs: a minute.
 const MAX_SYNC_INTERVAL_MS: u64 = 60_000;
 
 pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
@@ -27,7 +27,7 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
         report.add("spool.limit_bytes", text);
     }
     report.at_most("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
-    // Without a name of its own the file is in the state_dir, which is checked.
+    // Without `spool.file` the file is in `state_dir`, which is checked on its own.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
             report
@@ -40,8 +40,8 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     check_content(report, config);
 }
 
-/// What stands at the path already. A file that is not a spool is renamed at the start if it has the default path; elsewhere it
-/// is an error.
+/// Checks what exists at the path already. A file at the default path that is not a spool is renamed at the start; at
+/// a configured path it is an error, because it may be somebody's data.
 fn check_content(report: &mut Report, config: &AgentConfig) {
     let path = config.spool.path(&config.agent.state_dir);
     let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
