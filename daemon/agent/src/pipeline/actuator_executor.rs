@@ -24,7 +24,7 @@ pub(super) enum ActError {
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     actuator: Arc<Mutex<Box<dyn Actuator>>>,
-    /// Whether the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
+    /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
 }
 

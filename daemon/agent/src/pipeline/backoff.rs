@@ -3,8 +3,8 @@
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can: a model's queue
-/// may be full, or every picture broken.
+/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can, for
+/// example because a model's queue is full or every picture is broken.
 #[derive(Debug, Default)]
 pub(super) struct FailureBackoff {
     failures: u32,
@@ -12,11 +12,11 @@ pub(super) struct FailureBackoff {
 }
 
 impl FailureBackoff {
-    /// Failures in a row without a pause: a few samples may be bad.
+    /// Number of failures in a row without a pause, because a few samples may be bad.
     const FREE: u32 = 3;
     const LONGEST: Span = Span::from_seconds(1);
 
-    /// Records how an iteration ended.
+    /// Records the outcome of an iteration that ended at `now`.
     pub(super) fn record_outcome(&mut self, outcome: &Outcome, now: MonoTime) {
         if *outcome == Outcome::Ok {
             *self = Self::default();
@@ -24,11 +24,12 @@ impl FailureBackoff {
         }
         self.failures = self.failures.saturating_add(1);
         let over = self.failures.saturating_sub(Self::FREE);
+        // 2 ms, 4 ms and so on. The bound of the exponent prevents an overflow.
         let pause = Span::from_millis(1 << over.min(10)).min(Self::LONGEST);
         self.until = (over > 0).then(|| now + pause);
     }
 
-    /// Returns the end of the pause; `None` if there is none now.
+    /// Returns the end of the pause; `None` if the loop does not pause.
     pub(super) fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
         self.until.filter(|until| *until > now)
     }

@@ -97,8 +97,8 @@ impl<'a> PipelineLoop<'a> {
         pipeline_loop
     }
 
-    /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived while there was no
-    /// connection is recorded as lost, because it is old by now.
+    /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived while
+    /// there was no connection is recorded as lost, because it is old by now.
     fn resume_pending_sample(&mut self) {
         let came = self.resources.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
         let since =
@@ -138,7 +138,7 @@ impl<'a> PipelineLoop<'a> {
             self.ending = Some(LoopEnd::Limit);
             return true;
         }
-        // Asked last: a run that is over does not wait.
+        // Checked last: a run that is over does not wait for the pause.
         if self.backoff.paused_until(now).is_some() {
             return false;
         }
@@ -207,7 +207,7 @@ impl<'a> PipelineLoop<'a> {
     pub(super) fn abandon(&mut self, reason: &str) {
         let waiting = self.waiting.take().map(|waiting| waiting.pending);
         for pending in std::mem::take(&mut self.in_flight).into_iter().chain(waiting) {
-            // The peer or the model has what was measured of it. Only its beginning is known here.
+            // The peer or the model has the recorder with what was measured. Only the beginning is known here.
             let (log, _) =
                 iteration::begin(&self.context.host.clock, self.context.host.id, pending.start.intended);
             let ended = self.context.host.clock.stamp();
@@ -246,6 +246,7 @@ impl<'a> PipelineLoop<'a> {
                 let pending = pending();
                 let reason = printable_line(&error.to_string()).into_owned();
                 self.sensor_failures = self.sensor_failures.saturating_add(1);
+                // Exactly at the threshold, so that a row of failures is one incident.
                 if self.sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }

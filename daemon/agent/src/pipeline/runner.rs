@@ -1,4 +1,6 @@
-//! The life of a pipeline: assembled, waiting for its place, running, finished.
+//! The life of a pipeline: set up, connect, run, end.
+//!
+//! After a reconnect the same run continues if peer, model and device are the same.
 
 use std::any::Any;
 use std::panic::AssertUnwindSafe;
@@ -24,8 +26,7 @@ use crate::incidents::{IncidentContext, remark};
 use crate::live::Display;
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// Runs one pipeline until it finishes, fails, or the agent stops; its failure is its own affair and ends
-/// nothing else.
+/// Runs one pipeline until it finishes, fails, or the agent stops. A failure or panic ends this pipeline only.
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
@@ -45,12 +46,12 @@ pub(crate) async fn run(
     }
 }
 
-/// The reason why a pipeline could not start or had to stop.
+/// Reason why a pipeline could not start or had to stop.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PipelineError {
     #[error(transparent)]
     Assemble(#[from] AssembleError),
-    /// The host's own model cannot be loaded.
+    /// The model of this host cannot be loaded.
     #[error(transparent)]
     Model(#[from] LoadError),
     #[error("loading the model panicked")]
@@ -64,17 +65,17 @@ pub(super) enum PipelineError {
     Panicked { message: String },
 }
 
-/// A pipeline and what it reports to.
+/// A pipeline and the parts of the agent that it reports to.
 pub(super) struct Runner {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
     pub(super) context: PipelineContext,
     pub(super) stop: CancellationToken,
-    /// How long iterations under way may take when the agent stops.
+    /// Time that iterations in flight may take when the agent stops.
     pub(super) patience: Duration,
 }
 
-/// Why a pipeline waits for its peer.
+/// Reason why a pipeline waits for its peer.
 #[derive(Debug, PartialEq, Eq)]
 enum Trouble {
     Away,
@@ -89,7 +90,7 @@ impl Trouble {
         }
     }
 
-    /// How it will go on.
+    /// Returns the text about further attempts.
     fn outlook(&self) -> String {
         let (shortest, longest) =
             (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
@@ -116,7 +117,8 @@ impl Runner {
                 self.end(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
-            // A peer that came back as something else, on another device say, is another configuration.
+            // A peer that came back with another model or device is another configuration, whose statistics must not
+            // be mixed with those before.
             if let Some(mut other) = run.take_if(|run| !run.is_at(&placement.describe())) {
                 self.end(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
             }
@@ -140,6 +142,8 @@ impl Runner {
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
             self.end(run.as_mut(), reason);
+            // The next iteration reports the skipped starts before it. There is none after the last ones, so that the
+            // log reports them.
             if resources.schedule.unreported_skips() > 0 {
                 let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
@@ -160,7 +164,7 @@ impl Runner {
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
-    /// Measures at one placement; midnight begins a new run on the way.
+    /// Measures at one placement until it is lost or the pipeline ends; at midnight a new run begins.
     async fn measure(
         &self,
         resources: &mut PipelineResources,
@@ -178,7 +182,7 @@ impl Runner {
         }
     }
 
-    /// The pipeline's own task panicked: its run ends, and the others go on.
+    /// Ends the run after a panic of the pipeline's own task. Other pipelines are not affected.
     fn panicked(&self, panic: &(dyn Any + Send)) -> PipelineError {
         let message = panic.downcast_ref::<String>().map(String::as_str);
         let message =
@@ -193,7 +197,7 @@ impl Runner {
         self.begin_run(facts, placement.describe(), conditions, warm)
     }
 
-    /// Begins a run and reports it; `warm` when it directly continues another.
+    /// Begins a run and reports its start; `warm` is `true` if it directly continues another.
     pub(super) fn begin_run(
         &self,
         mut facts: Vec<(String, String)>,
@@ -213,26 +217,28 @@ impl Runner {
         }
     }
 
-    /// Opens the placement, however long that takes. `None` when the agent stops.
+    /// Opens the placement, with as many attempts as it takes. Returns `None` if the agent stops.
     async fn connect(
         &self,
         resources: &mut PipelineResources,
         run: Option<RunId>,
     ) -> Result<Option<Placement>, PipelineError> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
-        // has been said.
+        // Each trouble is reported once and not at every attempt. In mid-run the loss of the peer has been reported
+        // already.
         let mut said = run.map(|_| Trouble::Away);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
-            // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
+            // The schedule continues meanwhile: starts that come due while there is no connection are skipped and
+            // counted.
             resources.schedule.catch_up(self.context.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {
                     self.connected(&placement, run);
                     return Ok(Some(placement));
                 }
+                // Another attempt cannot help while the configuration is the same.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
                 Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), reconnect_backoff.grow()),
@@ -269,7 +275,7 @@ impl Runner {
         self.display.set_placement(description);
     }
 
-    /// Reports what the transport remarks on the connection, as long as it is there.
+    /// Reports remarks of the transport about the connection while it is open.
     fn follow_remarks(&self, placement: &Placement, peer: HostId) {
         let Some(mut remarks) = placement.remarks() else { return };
         let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());

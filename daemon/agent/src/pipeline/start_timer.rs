@@ -37,13 +37,14 @@ impl StartTimer {
         Ok(Self { timer, clock, set: None })
     }
 
-    /// Waits until `at`; returns at once when that has passed. Cancelling and waiting again for the same
-    /// moment costs nothing.
+    /// Waits until `at`; returns at once if that has passed. Cancelling the wait and repeating it for the same moment
+    /// needs no system call.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.
     pub(crate) async fn until(&mut self, at: MonoTime) -> io::Result<()> {
-        // The clock may be a rehearsed one: only the difference is the kernel's business.
+        // `at` may be a time of a clock with injected faults, which the kernel does not know. Only the difference is
+        // used.
         let left = at - self.clock.mono();
         if left.nanos() <= 0 {
             return Ok(());

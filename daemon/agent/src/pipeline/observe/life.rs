@@ -1,4 +1,4 @@
-//! The life of a pipeline that observes: connecting, waiting for publishers, running, finished.
+//! The life of a pipeline that observes: connect, wait for publishers, run, end.
 
 use std::time::Duration;
 
@@ -15,14 +15,14 @@ use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// How long a topic may be without a publisher before that is reported.
+/// Time without a publisher after which a topic is reported.
 const QUIET: Duration = Duration::from_secs(10);
 
-/// Observes until the run reaches its limit or the agent stops. What ends the node, such as a master that is away, is
-/// waited for.
+/// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master
+/// is away, this waits for it to come back.
 ///
 /// # Errors
-/// The configuration or the types of the topics must be changed first.
+/// When the configuration or the types of the topics have to be changed first.
 pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
     let mut underway: Option<(Run, Observation<'_>)> = None;
@@ -42,7 +42,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
             None => {
                 let peer = PeerStamps::open(runner, config).await;
                 if peer.is_none() && config.peer.is_some() {
-                    // The agent stops.
+                    // `open` gives up only if the agent stops.
                     source.close().await;
                     return Ok(());
                 }
@@ -61,7 +61,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
                 SessionEnded::Stopped => break Some(EndReason::Stopped),
                 SessionEnded::SourceLost(error) => {
                     report_trouble(runner, run.id(), Some(&error.to_string()));
-                    // The run goes on with the next source.
+                    // The run continues with the next source.
                     break None;
                 }
             }
@@ -91,7 +91,7 @@ async fn begin(
     runner.begin_run(facts(config, source, told), description, conditions, warm)
 }
 
-/// What the run's page says of the observed system.
+/// Returns the facts about the observed system for the run's page.
 fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Vec<(String, String)> {
     let mut facts = vec![("Observed".to_owned(), source.describe())];
     for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
@@ -111,8 +111,8 @@ fn publishers(topic: &Topic, peer: Option<&PeerTold>) -> String {
     places.join(", ")
 }
 
-/// Subscribes to both topics, however long that takes, and waits before a run for publishers of both. `None` when the
-/// agent stops.
+/// Subscribes to both topics, with as many attempts as it takes, and before a run waits for publishers of both.
+/// Returns `None` if the agent stops.
 async fn connect(
     runner: &Runner,
     config: &ObserveConfig,
@@ -154,8 +154,7 @@ async fn connect(
     }
 }
 
-/// Waits until both topics have publishers, unless a run is under way already. Returns whether it goes on: not when the
-/// agent stops.
+/// Waits until both topics have publishers, unless a run is in progress. Returns `false` if the agent stops.
 async fn await_publishers(
     runner: &Runner,
     config: &ObserveConfig,
@@ -166,7 +165,7 @@ async fn await_publishers(
     let mut is_reported = false;
     loop {
         source.follow_publishers()?;
-        // Made before looking, so that nothing that happens in between is missed.
+        // Created before the check, so that no change in between is missed.
         let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
         source.check_types(config.pair_by)?;
         let Some(trouble) = source.trouble().filter(|_| run.is_none()) else { return Ok(true) };
@@ -186,7 +185,7 @@ async fn await_publishers(
     }
 }
 
-/// Reports what keeps a topic silent during a run, or that it is over.
+/// Reports the reason why topics are silent during a run, or with `None` that they no longer are.
 pub(super) fn report_trouble(runner: &Runner, run: RunId, trouble: Option<&str>) {
     match trouble {
         Some(trouble) => {

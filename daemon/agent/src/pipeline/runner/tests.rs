@@ -1,4 +1,4 @@
-//! Pipelines of which a part panics.
+//! Tests of pipelines of which a part panics.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -26,7 +26,7 @@ use crate::runs::Runs;
 
 const PIPELINE: &str = "line";
 
-/// A clock that breaks once, when it is told to, for who reads it.
+/// A clock that panics once, when it is broken, for one kind of reader.
 #[derive(Debug)]
 struct Fragile {
     clock: SystemClock,
@@ -37,7 +37,7 @@ struct Fragile {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Reader {
     Any,
-    /// The thread of the sensor, which is named after the pipeline.
+    /// The thread of the sensor, which has the name of the pipeline.
     Sensor,
 }
 
@@ -61,7 +61,7 @@ impl Clock for Fragile {
     }
 }
 
-/// A host with one pipeline, and where its events come out.
+/// Returns a host with one pipeline, and the exit of its event queue.
 fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, Exit) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
@@ -102,8 +102,8 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     (context, pipeline, display, exit.expect("there is an aggregator"))
 }
 
-/// Runs a pipeline until the clock breaks for one who reads it. Returns why the run ended, which is what is shown and
-/// reported, too.
+/// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
+/// it is shown and reported as well.
 async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
     let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false), reader });
@@ -152,8 +152,8 @@ async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
     assert!(reason.contains("the sensor's thread has died"), "{reason}");
 }
 
-/// A pipeline in a run, whose sensor has just given a sample that `asked` had asked for; the connection was away.
-/// Returns the iterations that are recorded by the time the sample has been taken up.
+/// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
+/// `asked` had requested.
 async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";

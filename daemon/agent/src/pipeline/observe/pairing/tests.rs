@@ -1,4 +1,4 @@
-//! Every message is resolved once, whatever comes in whatever order.
+//! Tests of pairing: each message is resolved once, whatever its order of arrival.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -63,12 +63,12 @@ fn order_pairs_the_oldest_and_never_with_a_later_input() {
     pairing.take_input(None, at(1), 1);
     pairing.take_input(None, at(2), 2);
     assert_eq!(pairing.take_output(None, at(3), 11), paired(1, 11));
-    // Handed over late: it was received before the input message that waits.
+    // Passed on late: it was received before the input message that waits.
     assert_eq!(pairing.take_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
     assert_eq!(pairing.take_output(None, at(4), 13), paired(2, 13));
 }
 
-/// What happens, and the milliseconds that pass before it.
+/// An event of a generated history.
 #[derive(Clone, Copy, Debug)]
 enum Happening {
     Input(Option<i64>),
@@ -94,10 +94,10 @@ fn happenings() -> impl Strategy<Value = Vec<(i64, Happening)>> {
     ]
 }
 
-/// Keys and moments of the messages of a topic, by their numbers.
+/// Keys and reception times of the messages of a topic, by number.
 type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
 
-/// Removes what a resolution names from the messages that wait, and checks that it may be resolved so.
+/// Removes the messages of a resolution from those that wait, and checks that the resolution is allowed.
 fn settle(
     resolution: &Numbered,
     now: MonoTime,
@@ -156,12 +156,12 @@ proptest! {
                 }
                 prop_assert!(pairing.next_deadline().is_none_or(|deadline| deadline > now));
             }
-            // Nothing is forgotten, and no more waits than may.
+            // No message is lost, and no more wait than the capacity.
             prop_assert!(inputs.len() <= CAPACITY && outputs.len() <= CAPACITY);
             prop_assert_eq!(pairing.inputs.len(), inputs.len());
             prop_assert_eq!(pairing.outputs.len(), outputs.len());
             prop_assert_eq!(pairing.is_settled(), inputs.is_empty());
-            // What could be paired does not wait.
+            // Messages that could be paired do not wait.
             let waiting: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
             prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting.contains(&key))));
         }
