@@ -1,4 +1,6 @@
-//! Where measuring hands over its events: never waiting, never losing one uncounted.
+//! The queue between the tasks that make events and the outbox.
+//!
+//! Queuing never waits, and every event that is lost is counted.
 
 pub(crate) mod counter;
 mod tap;
@@ -17,17 +19,17 @@ use tokio::sync::mpsc;
 
 use crate::config::HostConfig;
 
-/// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
+/// Places for iterations. The outbox empties the queue every few milliseconds.
 const PLACES: usize = 4096;
-/// Places kept for other events: without the start of its run an iteration means nothing.
+/// Places reserved for other events, because an iteration is useless without the start of its run.
 const RESERVE: usize = 512;
 
-/// Where events go in; clones are the same.
+/// Sending end of the queue; clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct EventQueue {
-    /// To the outbox; `None` for an agent without an aggregator.
+    /// Channel to the outbox; `None` for an agent without an aggregator.
     outbox: Option<Arc<Entrance>>,
-    /// To the program that runs the agent; `None` when it does not listen.
+    /// Channel to the program that runs the agent; `None` if it does not observe the events.
     tap: Option<EventTap>,
 }
 
@@ -38,7 +40,7 @@ struct Entrance {
     counter: EventCounter,
 }
 
-/// The outbox task's end: what came in, and what did not fit.
+/// Receiving end of the queue, with the count of events that did not fit.
 #[derive(Debug)]
 pub(crate) struct Exit {
     pub(crate) queue: mpsc::Receiver<Event>,
@@ -46,20 +48,20 @@ pub(crate) struct Exit {
     pub(crate) counter: EventCounter,
 }
 
-/// What was dropped for want of a place.
+/// Events that were dropped because the queue was full.
 #[derive(Debug)]
 pub(crate) struct Overflow {
     clock: SharedClock,
-    /// How many since they were last taken.
+    /// Number of events that were dropped since the gaps were last taken.
     dropped: AtomicU64,
-    /// Which, by pipeline and run.
+    /// Gaps by pipeline and run.
     gaps: Mutex<BTreeMap<Origin, Gap>>,
 }
 
-/// Pipeline and run.
+/// Pipeline and run that an event concerns.
 type Origin = (Option<Slug>, Option<RunId>);
 
-/// An entrance and an exit with a queue between them.
+/// Creates a queue and returns its two ends.
 pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, Exit) {
     let (sender, queue) = mpsc::channel(PLACES + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
@@ -68,31 +70,31 @@ pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue,
 }
 
 impl EventQueue {
-    /// A feed into nothing, for an agent without an aggregator.
+    /// Returns a queue that discards its events, for an agent without an aggregator.
     pub(crate) const fn nowhere() -> Self {
         Self { outbox: None, tap: None }
     }
 
-    /// The same feed, of which every event also goes to `tap`.
+    /// Returns the same queue, whose events also go to `tap`.
     pub(crate) fn tapped(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }
 
-    /// Hands in an iteration of `pipeline`.
+    /// Queues an iteration of `pipeline`.
     pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
         let run = iteration.run;
         let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
         let Some(entrance) = &self.outbox else { return };
         entrance.count(Some(pipeline), Some(run));
-        // Looking and sending are two steps: each thread that hands in at the same moment may take one place of the
-        // reserve, which is larger than there are such threads.
+        // Checking for room and sending are two steps, so that each thread that queues at the same moment may use one
+        // reserved place. There are more reserved places than such threads.
         let room = entrance.queue.capacity() > RESERVE;
         if !room || entrance.queue.try_send(event).is_err() {
             entrance.overflow.count(Some(pipeline), Some(run));
         }
     }
 
-    /// Hands in anything else, which concerns `pipeline` or none.
+    /// Queues an event that is not an iteration; `pipeline` is the pipeline that it concerns, if any.
     pub(crate) fn event(&self, pipeline: Option<&Slug>, event: Event) {
         let run = event.run();
         let Some(event) = self.tap(event) else { return };
@@ -103,7 +105,7 @@ impl EventQueue {
         }
     }
 
-    /// Shows the event to whoever listens, and gives it back if the outbox wants it, too.
+    /// Passes the event to the tap, and returns it if it also goes to the outbox.
     fn tap(&self, event: Event) -> Option<Event> {
         let Some(tap) = &self.tap else { return Some(event) };
         if self.outbox.is_none() {
@@ -116,14 +118,14 @@ impl EventQueue {
 }
 
 impl Entrance {
-    /// Before it is handed in: from then on it can be lost.
+    /// Counts an event. This is done before it is queued, because it can be lost from then on.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         self.counter.count(pipeline, run, self.overflow.clock.wall());
     }
 }
 
-/// Where events go in, counted by `counter`, and the end at which the outbox takes them out; nowhere without an
-/// aggregator.
+/// Creates the queue of an agent, whose events are counted by `counter`. Without an aggregator the queue discards its
+/// events and has no receiving end.
 pub(crate) fn entrance(
     config: &HostConfig,
     clock: &SharedClock,
@@ -138,21 +140,21 @@ pub(crate) fn entrance(
 
 #[cfg(test)]
 impl Exit {
-    /// The next event.
+    /// Waits for the next event.
     pub(crate) async fn next(&mut self) -> Option<Event> {
         self.queue.recv().await
     }
 }
 
 impl Overflow {
-    /// Events that were dropped and not taken yet.
+    /// Returns the number of dropped events whose gaps were not taken yet.
     pub(crate) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Takes what was dropped since the last call, to be reported.
+    /// Removes and returns the gaps since the last call, to be reported.
     pub(crate) fn take_gaps(&self) -> Vec<Gap> {
-        // Nearly always nothing was dropped: no lock then.
+        // Usually nothing was dropped: then the lock is not taken.
         if self.dropped() == 0 {
             return Vec::new();
         }

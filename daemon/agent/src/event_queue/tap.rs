@@ -1,4 +1,4 @@
-//! What a program that runs the agent in the foreground sees of its events.
+//! Copies of events for a program that runs the agent in the foreground.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_stream::Event;
 use tokio::sync::mpsc;
 
-/// The way to the program; clones are the same. Measuring does not wait for it either.
+/// Channel to the program; clones share it. Measuring does not wait for it.
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
@@ -18,14 +18,14 @@ impl EventTap {
         Self { listener, missed: Arc::default() }
     }
 
-    /// Hands an event to the program, if it has room for it now.
+    /// Sends an event to the program, if the channel has room.
     pub(super) fn offer(&self, event: Event) {
         if self.listener.try_send(event).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Events that did not fit.
+    /// Returns the number of events that did not fit.
     pub(crate) fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }

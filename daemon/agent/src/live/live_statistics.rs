@@ -1,4 +1,4 @@
-//! The live picture of the whole agent.
+//! The live statistics of the whole agent.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,7 +8,7 @@ use peernet_stream::{Outcome, PipelineLive, PipelineState, Placement};
 
 use super::ring::{Ring, Shown};
 
-/// What a pipeline shows of itself. The pipeline's task writes; the lock is held for microseconds.
+/// Live state of a pipeline. The pipeline's task writes it; the lock is held for microseconds.
 #[derive(Debug)]
 pub(crate) struct Display {
     pipeline: Slug,
@@ -26,7 +26,7 @@ struct Face {
 }
 
 impl Display {
-    /// A pipeline that is starting.
+    /// Creates the state of a pipeline that is starting.
     pub(crate) fn new(pipeline: Slug, load: String, placement: Placement) -> Self {
         let face = Face {
             state: PipelineState::Starting,
@@ -38,27 +38,27 @@ impl Display {
         Self { pipeline, load, face: Mutex::new(face) }
     }
 
-    /// What the pipeline does now.
+    /// Sets the state that is shown for the pipeline.
     pub(crate) fn set_state(&self, state: PipelineState) {
         self.face().state = state;
     }
 
-    /// Since when the sensor is set up, or asked for a sample on its thread; `None` when it is not.
+    /// Sets the time since which the sensor is being set up or its thread is asked for a sample; `None` if neither.
     pub(crate) fn set_senses_since(&self, since: Option<MonoTime>) {
         self.face().senses_since = since;
     }
 
-    /// The pipeline began a run.
+    /// Sets the run in progress.
     pub(crate) fn set_run(&self, run: RunId) {
         self.face().run = Some(run);
     }
 
-    /// More is known of where it computes.
+    /// Sets the placement, once more is known of it.
     pub(crate) fn set_placement(&self, placement: Placement) {
         self.face().placement = placement;
     }
 
-    /// Adds an iteration that is not warm-up and ended within the second `at`.
+    /// Adds an iteration that is not warm-up and ended within the second `at` (Unix time).
     pub(crate) fn record(&self, at: i64, outcome: &Outcome, tree: &Tree) {
         self.face().ring.record(at, outcome, tree);
     }
@@ -78,16 +78,16 @@ impl Display {
     }
 
     fn face(&self) -> MutexGuard<'_, Face> {
-        // A panic under the lock leaves numbers that are at worst incomplete.
+        // After a panic under the lock the numbers are at worst incomplete.
         self.face.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// All pipelines of the agent.
+/// Live statistics of all pipelines; clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveStatistics(Arc<[Arc<Display>]>);
 
-/// What was put into an update: to be handed back once the update is on its way.
+/// Seconds that an update contains; passed to [`LiveStatistics::delivered`] once the update is sent.
 #[derive(Debug)]
 pub(crate) struct Receipt(Vec<Shown>);
 
@@ -96,25 +96,25 @@ impl LiveStatistics {
         Self(displays.into())
     }
 
-    /// Every pipeline with the seconds that changed since those of the last receipt.
+    /// Returns every pipeline with the seconds that changed since the last delivered receipt.
     pub(crate) fn look(&self) -> (Vec<PipelineLive>, Receipt) {
         let (pipelines, shown) = self.0.iter().map(|display| display.live()).unzip();
         (pipelines, Receipt(shown))
     }
 
-    /// Since when a pipeline waits for its sensor, if it does.
+    /// Returns the time since which a pipeline waits for its sensor, if it does.
     pub(crate) fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
         self.0.iter().find(|display| display.pipeline == *pipeline)?.face().senses_since
     }
 
-    /// The update of this receipt is on its way: what it held need not be shown again.
+    /// Marks the seconds of a receipt as sent.
     pub(crate) fn delivered(&self, receipt: &Receipt) {
         for (display, shown) in self.0.iter().zip(&receipt.0) {
             display.face().ring.shown(shown);
         }
     }
 
-    /// The receiver was restarted and knows nothing.
+    /// Marks all seconds as not sent, because the receiver was restarted and has none.
     pub(crate) fn start_over(&self) {
         for display in self.0.iter() {
             display.face().ring.forget_shown();

@@ -1,4 +1,4 @@
-//! The last seconds of one pipeline.
+//! The latest seconds of one pipeline.
 
 use std::collections::VecDeque;
 
@@ -7,27 +7,29 @@ use peernet_stream::{Outcome, Second};
 
 use super::cell::Cell;
 
-/// Seconds kept.
+/// Number of seconds that are kept.
 const KEPT: usize = 64;
-/// Seconds in one update at most: after an outage the newest go first and the others follow.
+/// Largest number of seconds in one update. After an outage the newest are sent first.
 const SENT: usize = 8;
-/// A second further before the newest one means that the wall clock was set back: iterations are recorded when they end.
+/// Largest distance in seconds by which an iteration may be recorded before the newest one. Iterations are recorded
+/// when they end, so that a larger distance means that the wall clock was set back.
 const STEP: i64 = 1;
 
-/// One cell per second in which something ended, oldest first.
+/// Cells of the seconds in which an iteration ended, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Ring {
     cells: VecDeque<Cell>,
     version: u64,
 }
 
-/// What of a ring was put into an update: (second, version).
+/// Seconds of a ring that are in an update: (second, version).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown(Vec<(i64, u64)>);
 
 impl Ring {
-    /// Adds an iteration that ended within the second `at`.
+    /// Adds an iteration that ended within the second `at` (Unix time).
     pub(super) fn record(&mut self, at: i64, outcome: &Outcome, tree: &Tree) {
+        // The version orders changes and marks, so that a second that changes while an update is sent is sent again.
         self.version += 1;
         let version = self.version;
         let cell = self.cell(at);
@@ -37,7 +39,7 @@ impl Ring {
 
     fn cell(&mut self, at: i64) -> &mut Cell {
         if self.cells.back().is_some_and(|newest| at < newest.at - STEP) {
-            // Seconds that come a second time are others.
+            // Seconds that occur again after the clock was set back replace the earlier ones.
             self.cells.retain(|cell| cell.at < at);
         }
         let after = self.cells.iter().rposition(|cell| cell.at <= at);
@@ -56,14 +58,14 @@ impl Ring {
         &mut self.cells[index]
     }
 
-    /// The seconds that changed since they were last shown, newest first.
+    /// Returns the seconds that changed since they were last sent, newest first.
     pub(super) fn changed(&self) -> (Vec<Second>, Shown) {
         let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(SENT);
         let (seconds, shown) = changed.map(|cell| (cell.second(), (cell.at, cell.version))).unzip();
         (seconds, Shown(shown))
     }
 
-    /// Notes that an update was handed on.
+    /// Marks the seconds of an update as sent.
     pub(super) fn shown(&mut self, shown: &Shown) {
         for (at, version) in &shown.0 {
             if let Some(cell) = self.cells.iter_mut().find(|cell| cell.at == *at) {
@@ -72,7 +74,7 @@ impl Ring {
         }
     }
 
-    /// Every second is to be shown again: the receiver has lost what it knew.
+    /// Marks all seconds as not sent.
     pub(super) fn forget_shown(&mut self) {
         for cell in &mut self.cells {
             cell.shown = 0;

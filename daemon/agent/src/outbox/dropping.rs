@@ -1,19 +1,19 @@
-//! Tells the log that events are being dropped: when it begins, once a minute while it goes on, and when it is over.
+//! Logs that events are being dropped: at the beginning, once a minute, and at the end.
 
 use peernet_clock::{MonoTime, Span};
 
 const SAY_EVERY: Span = Span::from_seconds(60);
-/// Without a loss for so long it is over.
+/// Time without a further loss after which a period of losses is over.
 const OVER_AFTER: Span = Span::from_seconds(5);
 
-/// Watches the number of events that were dropped.
+/// Watches the number of dropped events.
 #[derive(Debug, Default)]
 pub(super) struct Dropping {
     seen: Option<u64>,
     spell: Option<Spell>,
 }
 
-/// A time in which events are dropped.
+/// A period in which events are dropped.
 #[derive(Clone, Copy, Debug)]
 struct Spell {
     before: u64,
@@ -21,17 +21,17 @@ struct Spell {
     said: MonoTime,
 }
 
-/// What is worth a line.
+/// Report for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Said {
-    /// So many were dropped in this spell, and it goes on.
+    /// Events are being dropped; the number is that of this period so far.
     Dropping(u64),
-    /// It is over.
+    /// The period is over; the number is its total.
     Over(u64),
 }
 
 impl Dropping {
-    /// So many were dropped by `now`, ever.
+    /// Updates the total number of dropped events at `now`, and returns a report if one is due.
     pub(super) fn look(&mut self, dropped: u64, now: MonoTime) -> Option<Said> {
         let seen = self.seen.replace(dropped).unwrap_or(dropped);
         match &mut self.spell {
@@ -66,7 +66,7 @@ mod tests {
     fn a_spell_is_told_at_its_beginning_once_a_minute_and_at_its_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let mut dropping = Dropping::default();
-        // What was dropped before the start is no news.
+        // Events that were dropped before the start are not reported.
         assert_eq!(dropping.look(7, at(0)), None);
         assert_eq!(dropping.look(9, at(1)), Some(Said::Dropping(2)));
         let told: Vec<_> = (2..130).filter_map(|s| dropping.look(9 + s as u64, at(s))).collect();

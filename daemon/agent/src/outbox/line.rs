@@ -1,4 +1,4 @@
-//! The way to the aggregator: dialled, open, and dialled again.
+//! The connection to the aggregator over time: dialling, open, dialling again.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,11 +10,11 @@ use peernet_networks::Address;
 
 use super::connection::{Connection, ConnectionError};
 
-/// The state of the connection.
+/// State of the connection.
 pub(super) enum Line {
-    /// Waiting for the next try, or trying.
+    /// Waiting for the next attempt, or connecting.
     Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
-    /// There is one.
+    /// A connection is open.
     Open(Connection),
 }
 
@@ -24,18 +24,18 @@ impl fmt::Debug for Line {
     }
 }
 
-/// What happened on the line.
+/// Event of the connection.
 pub(super) enum Happened {
     Connected(Connection),
     Failed(ConnectionError),
     Gone(ConnectionError),
     Message(Bytes),
-    /// There is room on it again.
+    /// The socket has room again.
     Room,
 }
 
 impl Line {
-    /// Tries after a pause.
+    /// Starts a connection attempt after a pause.
     pub(super) fn dial(address: &Address, pause: Duration) -> Self {
         let address = address.clone();
         let dialling = async move {
@@ -45,7 +45,7 @@ impl Line {
         Self::Dialling(dialling.boxed())
     }
 
-    /// Waits for something to happen; for room as well when it is `blocked`. Dropping the future loses nothing.
+    /// Waits for the next event; for room as well if it is `blocked`. Dropping the future loses nothing.
     pub(super) async fn next(&mut self, blocked: bool) -> Happened {
         match self {
             Self::Dialling(dialling) => match dialling.await {
@@ -53,7 +53,7 @@ impl Line {
                 Err(reason) => Happened::Failed(reason),
             },
             Self::Open(connection) => match connection.receive(blocked).await {
-                // What is not one frame is no message of ours; decoding says so.
+                // A message that is not a single frame is invalid; decoding reports it.
                 Ok(Some(message)) => Happened::Message(message.part_bytes(0).unwrap_or_default()),
                 Ok(None) => Happened::Room,
                 Err(reason) => Happened::Gone(reason),

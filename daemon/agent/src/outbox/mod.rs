@@ -1,8 +1,16 @@
-//! The way to the aggregator: events that must all arrive, and live figures that must be fresh.
+//! The outbox: sends durable events and live updates to the aggregator.
 //!
-//! Pipelines hand their events to the [`EventQueue`] and go on. One task takes them from there, drives the sending end
-//! of the event stream (`peernet_stream::Sending`, which batches, numbers and repeats), and owns the
-//! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
+//! Tasks put their events into the [`EventQueue`] and continue. The outbox task takes them from there, drives the
+//! sending end of the event stream (`peernet_stream::Sending`, a state machine that batches, numbers and repeats),
+//! and owns the connection. A second task owns the [spool], the file in which batches are safe until the aggregator
+//! has stored them; so neither the outbox nor a live update ever waits for a disk.
+//!
+//! A batch is sent after it was written to the spool. While the disk of the spool fails, batches are sent from
+//! memory: otherwise nothing would store them.
+//!
+//! Memory is bounded at every step: the queue, the batches before the spool, the spool, the batches in flight. The
+//! last resort is to drop the newest event, to count it by run, and to insert a gap. `produced = stored + waiting +
+//! dropped` holds at all times.
 
 mod connection;
 mod dropping;
@@ -39,16 +47,16 @@ use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
-/// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
-/// few enough that a live update behind them is still live.
+/// Largest number of batches of usual length in flight: enough to keep the aggregator busy over one round trip and
+/// one write to its disk, few enough that a live update behind them is still current.
 const WINDOW: u32 = 32;
-/// Places in memory that iterations leave to the other events.
+/// Places in memory that are reserved for events other than iterations.
 const RESERVE: u64 = 1024;
 
-/// The spool of this host; none without an aggregator.
+/// Opens the spool of this host; returns `None` without an aggregator.
 ///
 /// # Errors
-/// When it cannot be had.
+/// When it cannot be opened.
 pub(crate) async fn open_spool(
     config: &AgentConfig,
     host: HostId,
@@ -62,28 +70,28 @@ pub(crate) async fn open_spool(
     OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
 }
 
-/// Everything that the outbox needs from the rest of the agent.
+/// The parts of the agent that the outbox uses.
 #[derive(Debug)]
 pub(crate) struct Sources {
     pub(crate) clock: SharedClock,
-    /// Takes the incidents of the outbox itself.
+    /// Receives the incidents of the outbox itself.
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
     pub(crate) live: LiveSources,
 }
 
-/// The outbox task; it ends with this, as it would in a crash.
+/// The outbox task. Dropping this aborts the task, as a crash would.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     task: AbortOnDropHandle<Result<(), SpoolTaskError>>,
-    /// Takes the moment by which it must have ended.
+    /// Receives the deadline for the end of the task.
     stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
     accounting: watch::Receiver<Accounting>,
 }
 
 impl Outbox {
-    /// Starts sending to `address`.
+    /// Starts the task that sends to `address`.
     pub(crate) fn start(
         config: &AgentConfig,
         address: Address,
@@ -105,7 +113,7 @@ impl Outbox {
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
         let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
-        // Large, for the state machine lives in it.
+        // On the heap, because the future contains the large state machine.
         let work = Box::pin(sender.run(address, reconnect_backoff, told));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
@@ -115,19 +123,19 @@ impl Outbox {
         Self { task: AbortOnDropHandle::new(task), stop, ended, accounting }
     }
 
-    /// Cancelled when the task has ended, however that came.
+    /// Returns a token that is cancelled when the task has ended for any reason.
     pub(crate) fn ended(&self) -> CancellationToken {
         self.ended.clone()
     }
 
-    /// What became of the events.
+    /// Returns the current counts of events.
     pub(crate) fn accounting(&self) -> Accounting {
         self.accounting.borrow().clone()
     }
 
-    /// Makes everything safe, hands over what is taken until `deadline`, and takes leave.
+    /// Stops the task: writes all events to the spool, sends events until `deadline`, and says goodbye.
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
-        // A task that has ended already says why below.
+        // If the task has ended already, its result below is the reason.
         let _ = self.stop.send(deadline);
         let failed = |cause| Failure { part: "outbox".to_owned(), cause };
         let ended = self.task.await.map_err(|died| failed(died.into()))?;
@@ -147,7 +155,7 @@ fn sending(config: &AgentConfig) -> SendingConfig {
         memory,
         reserve_events: RESERVE.min(memory.events / 8),
         compression: spool.compression.into(),
-        // Longer than the way there and back on any link: it takes an aggregator without room to be asked again.
+        // Longer than the round trip of any link: time until an aggregator without room is asked again.
         first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),

@@ -1,4 +1,4 @@
-//! Counting with real files in shared memory.
+//! Tests of counting with real files in shared memory.
 
 use tempfile::TempDir;
 
@@ -8,7 +8,7 @@ fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }
 
-/// A file that stands for a spool, in a folder of its own.
+/// Returns a file in place of a spool, and its folder.
 fn spool() -> (TempDir, CountOwner) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("spool.sqlite");
@@ -123,7 +123,7 @@ fn files_of_others_are_never_removed() {
     let name = counter.name().expect("a file");
     drop(counter);
     let path = Path::new(SHARED_MEMORY).join(&name);
-    // The file of an earlier version names no spool.
+    // The file of an earlier version contains no identity of a spool.
     File::options()
         .write(true)
         .open(&path)

@@ -1,4 +1,4 @@
-//! The outbox task: between the feed, the sending end of the event stream, the spool, and the connection.
+//! The outbox task. It connects the event queue, the sending end of the event stream, the spool, and the connection.
 
 mod event_intake;
 mod live_lane;
@@ -26,20 +26,20 @@ use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 
-/// How often the feed is emptied while events come. Looking is cheaper than being woken for each event, above all for
-/// the pipeline that would have to do the waking.
+/// Interval at which the queue is emptied while events come. It is polled, because waking the task for each event
+/// would cost the pipeline more.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
+/// Longest wait for the aggregator's answer to the hello. Its machine may be busy, but not for longer.
 const WELCOME: Duration = Duration::from_secs(5);
 
-/// How long the last words may wait for room, and how long they may take to go out then.
+/// Longest wait for room for the last update and the goodbye, and then for their being sent.
 const LINGER: Duration = Duration::from_millis(250);
 
-/// How long closing the spool may take: what is in it is safe without.
+/// Longest time for closing the spool. Its content is safe without it.
 const CLOSING: Duration = Duration::from_secs(2);
 
-/// What the task works with.
+/// State of the outbox task.
 #[derive(Debug)]
 pub(super) struct Sender {
     machine: Sending,
@@ -49,9 +49,9 @@ pub(super) struct Sender {
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
     reports: Reports,
-    /// Frames that the connection had no room for: a window of batches at most.
+    /// Frames for which the connection had no room: a window of batches at most.
     held: VecDeque<Vec<u8>>,
-    /// The last try to reach the aggregator failed.
+    /// `true` if the last attempt to reach the aggregator failed.
     away: bool,
 }
 
@@ -70,10 +70,11 @@ impl Sender {
         Self { machine, spool, intake, live, accounting, clock, reports, held, away: false }
     }
 
-    /// Sends until it is told to stop, and by when: then what is left is made safe, and sent as long as it is taken.
+    /// Sends until `stop` names a deadline. Then the remaining events are written to the spool, and sent as long as
+    /// the aggregator stores them.
     ///
     /// # Errors
-    /// When the spool's task has gone.
+    /// When the spool's task has ended.
     pub(super) async fn run(
         mut self,
         address: Address,
@@ -83,13 +84,14 @@ impl Sender {
         let mut looks = tokio::time::interval(LOOK);
         let mut shows = tokio::time::interval(live::INTERVAL);
         for ticks in [&mut looks, &mut shows] {
+            // One tick is enough after a stall, because each empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
         let mut stopping = pin!(told(stop));
         let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
-        // Whether the connection is there, but nothing was heard on it yet.
+        // Whether a connection is open on which nothing has been received yet.
         let mut unanswered = false;
         let mut line = Line::dial(&address, Duration::ZERO);
         loop {
@@ -129,12 +131,14 @@ impl Sender {
                         line = Line::dial(&address, reconnect_backoff.grow());
                     }
                     Happened::Message(frame) => {
+                        // Only a valid message proves that an aggregator answers: other programs may accept
+                        // connections as well.
                         if self.hear(&frame) {
                             unanswered = false;
                             reconnect_backoff.reset();
                         }
                     }
-                    // It is filled below.
+                    // Frames are sent below.
                     Happened::Room => {}
                 },
                 () = &mut welcome, if unanswered => {
@@ -151,7 +155,7 @@ impl Sender {
                 () = &mut alarm, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {
-                // What comes in now does not wait for company.
+                // During shutdown an event does not wait for its batch to fill.
                 self.take();
                 self.machine.flush(self.clock.wall());
             }
@@ -168,12 +172,12 @@ impl Sender {
         Ok(())
     }
 
-    /// Empties the feed, and lets time pass for the machine.
+    /// Moves all queued events to the state machine, and advances its time.
     fn take(&mut self) {
         self.intake.drain(&mut self.machine, self.clock.stamp());
     }
 
-    /// There is no connection.
+    /// Handles the loss of the connection, or a failed attempt.
     fn lost(&mut self) {
         self.machine.disconnected();
         self.held.clear();
@@ -192,7 +196,7 @@ impl Sender {
             );
         }
         let connections = self.live.untold_ends();
-        // Else the last update tells of them.
+        // If a session is up, the last update contains the ends of these connections.
         if connections > 0 && !self.machine.is_up() {
             tracing::warn!(
                 connections,
@@ -217,22 +221,23 @@ impl Sender {
         }
     }
 
-    /// What is said when everything has ended: how it ended, and goodbye. The aggregator hears of this host no more, and
-    /// shows for good what it heard last.
+    /// Returns the last frames of a session: a live update and the goodbye, in this order. The aggregator shows the
+    /// state of that update until the host comes back; from it follows whether the host left with nothing waiting.
     fn last_words(&mut self) -> Vec<Vec<u8>> {
         let update = || self.live.update(&self.machine, self.clock.wall(), self.count()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// What is in memory only is lost with it; how much that is goes into the spool, for the next start to tell.
+    /// Handles events that are only in memory at the end: they are lost, and their number goes into the spool, for
+    /// the next start to report.
     async fn give_up(&mut self, by: Instant) {
         if self.machine.is_spooled() {
             return;
         }
         self.take();
         if self.machine.is_appending() {
-            // It may still get there.
+            // A write in progress may still succeed.
             let appended = self.appended(by).await;
             self.spooled(Done::Appended(appended));
         }
@@ -242,7 +247,7 @@ impl Sender {
         let counted = self.intake.is_counted();
         let unsafe_events = self.machine.unspooled_events();
         if counted && self.machine.has_sent_unspooled() {
-            // What of it is stored is asked of the aggregator: to write that all is lost would be wrong.
+            // Only the aggregator knows which of these it stored. Writing now that all are lost would be wrong.
             tracing::warn!(
                 events = unsafe_events,
                 "stopped before these events were in the spool or known to be stored; after the next start a gap will say \
@@ -278,7 +283,7 @@ impl Sender {
         }
     }
 
-    /// What becomes of the write to the spool that is under way.
+    /// Waits for the result of the append in progress.
     async fn appended(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
         loop {
             match tokio::time::timeout_at(by, self.spool.done()).await {
@@ -291,7 +296,7 @@ impl Sender {
     }
 }
 
-/// By when to end, once somebody says so.
+/// Waits for the deadline that `stop` names; for ever if it is dropped.
 async fn told(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,

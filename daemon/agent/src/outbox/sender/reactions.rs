@@ -1,4 +1,4 @@
-//! What the outbox does about the machine's wishes, the spool's answers and the aggregator's words.
+//! Handles actions of the state machine, results of the spool, and messages of the aggregator.
 
 use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 
@@ -9,7 +9,7 @@ use crate::outbox::shutdown::OutboxState;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
-    /// Does what the machine wants.
+    /// Performs the actions that the state machine wants.
     pub(super) fn act(&mut self, line: &Line) -> Result<(), SpoolTaskError> {
         if self.live.is_due()
             && let Line::Open(connection) = line
@@ -20,6 +20,8 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
+                    // Recorded before it is sent. If the process is killed in between, the aggregator is asked about
+                    // a batch that it does not have, which does no harm.
                     if let Some(sent) = self.machine.sent_unspooled() {
                         self.intake.note_sent_unspooled(sent);
                     }
@@ -45,7 +47,7 @@ impl Sender {
         Ok(())
     }
 
-    /// The spool's task did something.
+    /// Handles a result of the spool's task.
     pub(super) fn spooled(&mut self, done: Done) {
         let now = self.clock.stamp();
         let notice = match done {
@@ -78,7 +80,7 @@ impl Sender {
         }
     }
 
-    /// A message came. Returns whether it was an aggregator that spoke.
+    /// Handles a received frame. Returns whether it is a message of an aggregator.
     pub(super) fn hear(&mut self, frame: &[u8]) -> bool {
         let message: ToAgent = match codec::decode(frame) {
             Ok(message) => message,
@@ -129,7 +131,7 @@ impl Sender {
         }
     }
 
-    /// The machine's account and what has not reached it.
+    /// Returns the counts of the state machine, with the events that have not reached it.
     pub(super) fn count(&self) -> Accounting {
         let mut account = self.machine.accounting();
         self.intake.add_to(&mut account);

@@ -1,4 +1,4 @@
-//! What is done with the open file: one transaction per call.
+//! Operations on an open spool file, each in one transaction.
 
 use std::fmt;
 use std::fs::File;
@@ -22,7 +22,7 @@ use super::tail;
 use crate::event_queue::counter;
 use crate::lock::FileLock;
 
-/// A spool file that is open, of one stream of one host.
+/// An open spool file: the stream of one host.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolFile {
     path: PathBuf,
@@ -30,18 +30,18 @@ pub(in crate::outbox) struct SpoolFile {
     identity: (u64, u64),
     connection: SqliteConnection,
     reserve: Reserve,
-    /// Whether this process counts what is handed in.
+    /// `true` if this process counts the events that are queued.
     counts: bool,
     _lock: FileLock,
 }
 
-/// What was read.
+/// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches that are as they were written, as far as that can be checked: the first one cannot when the
-    /// one before it is not there.
+    /// Contiguous batches that are unchanged, as far as that can be checked. The first one cannot be checked if the
+    /// previous one is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
-    /// Why there are no more of them, if that is not how it should be.
+    /// Damage that ends the list; `None` if it ends for another reason.
     pub(in crate::outbox) rotten: Option<String>,
 }
 
@@ -57,13 +57,14 @@ impl SpoolFile {
         Ok(Self { path, identity, connection, reserve, counts, _lock: lock })
     }
 
-    /// Its path.
+    /// Returns the path of the file.
     pub(in crate::outbox) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Writes batches and what is counted up to the last of them: all or nothing. Without batches it is on the medium
-    /// afterwards, and a full disk need not stand in its way: how much was lost must not be lost as well.
+    /// Writes batches together with the totals up to the last of them, or nothing. Without batches the totals are
+    /// synced to the disk, and the reserve is used if the disk is full, because the number of lost events must not be
+    /// lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -71,6 +72,7 @@ impl SpoolFile {
     ) -> Result<(), Trouble> {
         const ACTION: &str = "append to";
         self.in_place()?;
+        // Batches must not use the last room: without a complete reserve nothing could be deleted on a full disk.
         if !self.reserve.take() && !batches.is_empty() {
             return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
         }
@@ -86,21 +88,24 @@ impl SpoolFile {
             }
             appended => appended?,
         }
+        // The file now has the losses of the earlier process, whose counts are no longer needed.
         if let Some(counter) = resolved {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // What is sent next may be stored over there: a power cut must not make the file forget who sent it.
+            // The aggregator may store what is sent next. A power cut must not make the file forget which process
+            // sent it.
             self.sync(ACTION).await?;
         }
         Ok(())
     }
 
-    /// Reads batches from a number on, at least one, until they exceed so many bytes.
+    /// Reads batches from number `from` on: at least one, until their length exceeds `bytes`.
     pub(in crate::outbox) async fn load(&mut self, from: u64, bytes: usize) -> Result<Loaded, Trouble> {
         let mut loaded = Loaded { batches: Vec::new(), rotten: None };
         let mut size = 0;
-        // A damaged page in front of it is no reason not to read on: what follows a hole cannot be checked either.
+        // A damaged page before `from` must not prevent reading. After a gap the first batch cannot be checked
+        // either.
         let mut before = match self.chain_before(from).await {
             Err(Trouble::Corrupt { .. }) => None,
             chain => chain?,
@@ -112,7 +117,7 @@ impl SpoolFile {
                     (size, before) = (size + batch.body.len(), Some(batch.chain));
                     loaded.batches.push(batch);
                 }
-                // The end, unless it is the very batch that was asked for.
+                // A missing batch is the end of the list, unless it is the first one.
                 Ok(Err(Rot::Missing)) if !loaded.batches.is_empty() => break,
                 Ok(Err(rot)) => {
                     loaded.rotten = Some(self.rotten(number, rot));
@@ -130,7 +135,7 @@ impl SpoolFile {
         Ok(loaded)
     }
 
-    /// Deletes the batches up to a number and remembers the chain of that batch.
+    /// Deletes the batches up to number `through` and stores the chain of that batch.
     pub(in crate::outbox) async fn delete_through(
         &mut self,
         through: u64,
@@ -147,7 +152,7 @@ impl SpoolFile {
         }
     }
 
-    /// The file belongs to another stream from now on, which begins at `first`, behind so many events.
+    /// Changes the file to another stream, which begins at batch `first` after `events_before` events.
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
@@ -167,11 +172,12 @@ impl SpoolFile {
             .await;
         renewed.map_err(self.trouble(ACTION))?;
         self.in_place()?;
-        // A power cut must not bring the old stream back: what was stored in the new one would be sent once more.
+        // Without this sync a power cut could restore the old stream, and what was stored in the new one would be
+        // sent again.
         self.sync(ACTION).await
     }
 
-    /// Gives the disk what a backlog needed, some at a time.
+    /// Returns part of the unused pages to the file system, after a backlog. Returns whether there is more to do.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, Trouble> {
         let shrunk = vacuum(&mut self.connection).await;
         match shrunk.map_err(self.trouble("shrink")) {
@@ -184,18 +190,18 @@ impl SpoolFile {
         }
     }
 
-    /// The log, in which all is before it is in the file.
+    /// Returns SQLite's log, to which every change is written before it is moved to the file.
     pub(in crate::outbox) fn log(&self) -> Log {
         Log(beside(&self.path, "-wal"))
     }
 
-    /// Moves the log into the file and closes it.
+    /// Moves the log to the file and closes the file.
     pub(in crate::outbox) async fn close(self) -> Result<(), Trouble> {
         let path = self.path;
         self.connection.close().await.map_err(|source| Trouble::new("close", path, source))
     }
 
-    /// The connection, for tests that make the disk small.
+    /// Returns the connection, for tests that limit the size of the file.
     #[cfg(test)]
     pub(super) fn connection(&mut self) -> &mut SqliteConnection {
         &mut self.connection
@@ -211,7 +217,7 @@ impl SpoolFile {
         self.end(action, written).await
     }
 
-    /// Empties the log first: what is counted again and again then takes no more of the disk each time.
+    /// Empties the log first, so that repeated writes of the totals do not make it longer each time.
     async fn append_on_full_disk(&mut self, action: &'static str, totals: &Totals) -> Result<(), Trouble> {
         checkpoint(&mut self.connection).await.map_err(self.trouble(action))?;
         self.try_to_append(action, &[], totals).await
@@ -222,14 +228,14 @@ impl SpoolFile {
         self.end("delete from", deleted).await
     }
 
-    /// Empties the log first, which may hold more than the reserve, and gives the disk what was deleted.
+    /// Empties the log first, which may be longer than the reserve, and returns the deleted pages to the file system.
     async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
         checkpoint(&mut self.connection).await.map_err(self.trouble("delete from"))?;
         self.try_to_delete(through, chain).await?;
         self.shrink_on_full_disk().await
     }
 
-    /// Gives the disk all that is free.
+    /// Returns all unused pages to the file system.
     async fn shrink_on_full_disk(&mut self) -> Result<(), Trouble> {
         let given = async {
             checkpoint(&mut self.connection).await?;
@@ -238,7 +244,7 @@ impl SpoolFile {
         given.await.map_err(self.trouble("shrink"))
     }
 
-    /// The chain of the batch before; `None` when it is not known any more.
+    /// Returns the chain of the batch before `number`; `None` if it is no longer known.
     async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, Trouble> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
@@ -264,7 +270,7 @@ impl SpoolFile {
         let Some((since, events, kept, body)) = row else { return Ok(Err(Rot::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
-            // Behind a hole it cannot be checked here; what follows it can.
+            // A batch after a gap cannot be checked here; the one after it can.
             Ok(chain) if before.is_none_or(|before| before.then(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
@@ -276,20 +282,20 @@ impl SpoolFile {
         format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
     }
 
-    /// Waits until the log is on the medium.
+    /// Waits until the log is on the disk.
     async fn sync(&mut self, action: &'static str) -> Result<(), Trouble> {
         let synced = ended(&mut self.log().sync()).await;
         synced.map_err(|error| self.trouble(action)(sqlx::Error::Io(error)))
     }
 
-    /// Commits what went well, and undoes what did not.
+    /// Commits a transaction that succeeded, and rolls back one that failed.
     async fn end(&mut self, action: &'static str, result: Result<(), sqlx::Error>) -> Result<(), Trouble> {
         let ended = match result {
             Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
             Err(error) => Err(error),
         };
         if let Err(error) = ended {
-            // After some errors SQLite has undone it already, and says that there is nothing to undo.
+            // After some errors SQLite has rolled back already and reports that there is nothing to roll back.
             if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await {
                 tracing::debug!(%error, "nothing to roll back in the spool");
             }
@@ -298,7 +304,7 @@ impl SpoolFile {
         self.in_place()
     }
 
-    /// Whether the path still names the open file: two words of the file system's cache.
+    /// Checks that the path still names the open file. This is cheap: the file system answers from its cache.
     fn in_place(&self) -> Result<(), Trouble> {
         match identity(&self.path) {
             Ok(identity) if identity == self.identity => Ok(()),
@@ -312,7 +318,7 @@ impl SpoolFile {
     }
 }
 
-/// What is wrong with a batch.
+/// Damage of one batch.
 #[derive(Debug, thiserror::Error)]
 enum Rot {
     #[error("is not there")]
@@ -321,20 +327,20 @@ enum Rot {
     Changed,
 }
 
-/// SQLite's log file.
+/// SQLite's log file (write-ahead log).
 #[derive(Clone, Debug)]
 pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
-    /// Puts on the disk what is in the log, on a thread that may block: a memory card takes seconds now and then.
+    /// Syncs the log to the disk, on a thread that may block, because a memory card sometimes takes seconds.
     ///
-    /// The file is opened for it: SQLite does not lock the log, so that closing it again takes no lock away. (The
-    /// spool's own file must never be opened beside SQLite: closing that would.)
+    /// The log is opened for it. SQLite does not lock the log, so that closing this descriptor releases no lock. (The
+    /// spool's own file must never be opened besides SQLite: closing that descriptor would release SQLite's locks.)
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
         let path = self.0.clone();
         tokio::task::spawn_blocking(move || match File::open(path) {
             Ok(log) => log.sync_data(),
-            // There is none before the first transaction.
+            // There is no log before the first transaction.
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             Err(error) => Err(error),
         })

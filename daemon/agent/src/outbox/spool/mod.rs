@@ -1,9 +1,12 @@
-//! The spool: batches on this host's disk until the aggregator has them.
+//! The spool: batches on this host's disk until the aggregator has stored them.
 //!
-//! An SQLite file of its own (`migrations/spool`). One task owns the connection and does what the state machine asks
-//! for, in order; answers come back over a channel, so that nothing waits for the disk. Each append is one
-//! transaction. A crash of the process loses nothing that was appended; a power cut loses at most what was appended
-//! since the log was last synced, which is done every sync interval.
+//! It is a separate SQLite file (`migrations/spool`). One task owns the connection and executes the orders of the
+//! state machine one after the other; results come back over a channel, so that nothing else waits for the disk. Each
+//! append is one transaction, which also updates the totals, so that both agree whenever the process is killed.
+//!
+//! A crash of the process loses nothing that was appended. A power cut loses at most the appends since the log was
+//! last synced: it is synced every sync interval and not at each batch, because the flash of a robot is not made for
+//! five syncs per second.
 
 mod aside;
 mod error;

@@ -1,4 +1,4 @@
-//! The task that owns the file: orders in, answers out.
+//! The task that owns the spool file. It receives orders and sends results.
 
 use std::io;
 use std::time::Duration;
@@ -15,23 +15,23 @@ use super::file::{Loaded, SpoolFile};
 use super::sync::Syncing;
 use super::tally;
 
-/// The state machine has at most one order of each of the four kinds under way.
+/// Capacity of the channels. The state machine has at most one order of each of the four kinds in progress.
 const ORDERS: usize = 8;
 
-/// What the task is to do.
+/// An operation that the task is asked to do.
 #[derive(Clone, Debug)]
 pub(in crate::outbox) enum Order {
-    /// Answered by [`Done::Appended`].
+    /// Appends batches; answered by [`Done::Appended`].
     Append { batches: Vec<SpooledBatch>, totals: Totals },
-    /// Answered by [`Done::Loaded`].
+    /// Reads batches; answered by [`Done::Loaded`].
     Load { from: u64, bytes: usize },
-    /// Answered by [`Done::Deleted`].
+    /// Deletes batches; answered by [`Done::Deleted`].
     Delete { through: u64, chain: Chain },
-    /// Answered by [`Done::Renewed`].
+    /// Begins another stream; answered by [`Done::Renewed`].
     Renew { stream: StreamId, previous: StreamId, first: u64, events_before_first: u64 },
 }
 
-/// What became of an order.
+/// Result of an order.
 #[derive(Debug)]
 pub(in crate::outbox) enum Done {
     Appended(Result<(), SpoolTaskError>),
@@ -40,16 +40,16 @@ pub(in crate::outbox) enum Done {
     Renewed(Result<(), SpoolTaskError>),
 }
 
-/// The reason why the task has not done what it is to do.
+/// Reason why an order failed.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolTaskError {
     /// The file cannot be read or written.
     #[error(transparent)]
     File(#[from] Trouble),
-    /// The task is not there any more.
+    /// The task has ended.
     #[error("the spool's task ended")]
     Ended,
-    /// The task has more orders than the state machine ever gives.
+    /// The channel is full, which the state machine never causes.
     #[error("the spool was given more orders than it can have: {0:?}")]
     Overloaded(Box<Order>),
     /// The disk does not answer in time.
@@ -60,7 +60,7 @@ pub(in crate::outbox) enum SpoolTaskError {
     Panicked(#[from] JoinError),
 }
 
-/// The other end of the task; it ends with this.
+/// Handle of the task. Dropping it aborts the task.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolTask {
     orders: mpsc::Sender<Order>,
@@ -77,10 +77,10 @@ impl SpoolTask {
         Self { orders, done, task }
     }
 
-    /// Hands over an order, without waiting.
+    /// Sends an order to the task, without waiting.
     ///
     /// # Errors
-    /// When the task is not there any more or has too many orders, which must not happen.
+    /// When the task has ended, or its channel is full, which must not happen.
     pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), SpoolTaskError> {
         self.orders.try_send(order).map_err(|error| match error {
             TrySendError::Closed(_) => SpoolTaskError::Ended,
@@ -88,12 +88,12 @@ impl SpoolTask {
         })
     }
 
-    /// The next answer; `None` when the task is not there any more.
+    /// Waits for the next result; `None` if the task has ended.
     pub(in crate::outbox) async fn done(&mut self) -> Option<Done> {
         self.done.recv().await
     }
 
-    /// Ends the task when it has done what it was given, and the file with it.
+    /// Waits until all orders are done, closes the file, and ends the task.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
         let Self { orders, done, task } = self;
         drop((orders, done));
@@ -121,7 +121,7 @@ async fn work(
             order = orders.recv() => {
                 let Some(order) = order else { break };
                 let done = obey(&mut file, &mut syncing, order).await;
-                // Nobody is there when the outbox has left; the order is done all the same.
+                // The outbox may have ended; the order is done all the same.
                 let _ = answers.send(done).await;
             }
         }
@@ -153,7 +153,7 @@ async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done
     }
 }
 
-/// A file that cannot be written because it is broken is not opened again.
+/// Marks a file that turned out to be broken, so that the next start moves it aside.
 fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), SpoolTaskError> {
     if let Err(trouble @ Trouble::Corrupt { .. }) = &result {
         condemn(file.path(), &trouble.to_string());
@@ -161,7 +161,7 @@ fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(
     Ok(result?)
 }
 
-/// A step at a time: what is to be written goes first.
+/// Shrinks the file step by step, until an order comes.
 async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
     while orders.is_empty() {
         match file.shrink().await {

@@ -1,4 +1,4 @@
-//! Files that are broken, and rows that are.
+//! Tests of broken files and broken rows.
 
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};
@@ -40,7 +40,7 @@ async fn a_file_that_never_was_a_spool_is_left_alone() {
     assert!(refused.contains("notes is not a spool") && refused.contains("[spool] file"), "{refused}");
     assert_eq!(fs::read(&notes).expect("there"), b"not for you");
 
-    // Another program's database, by the name of the agent's own or not, and also while all of it is in its log.
+    // The database of another program is refused, also at the default path, and also while all of it is in its log.
     let options = SqliteConnectOptions::new().filename(place.path()).create_if_missing(true);
     let options = options.journal_mode(SqliteJournalMode::Wal);
     let mut other = options.connect().await.expect("opens");
@@ -75,7 +75,7 @@ async fn a_file_whose_tables_are_broken_is_put_aside() {
     let (mut file, _) = place.sound().await;
     file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
-    // All pages but the first, which says what kind of file it is.
+    // All pages but the first, which has the header.
     let length = fs::metadata(place.path()).expect("there").len();
     let mut broken = fs::File::options().write(true).open(place.path()).expect("opens");
     broken.seek(SeekFrom::Start(4096)).expect("seeks");

@@ -1,4 +1,4 @@
-//! Disks that are full, and files that go away.
+//! Tests of full disks and of files that are moved.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -7,7 +7,7 @@ use peernet_stream::Chain;
 
 use super::*;
 
-/// Lets the file grow by so many pages and no further.
+/// Limits the growth of the file to `more` pages.
 async fn limit(file: &mut SpoolFile, more: i64) {
     let pages: i64 =
         sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
@@ -41,7 +41,7 @@ async fn the_room_for_deleting_outlives_the_process_whose_successor_may_find_non
     let place = Place::new();
     let reserve = || {
         let held = fs::metadata(place.folder.path().join("spool.sqlite-reserve"));
-        // Where the file system cannot hold room there is none.
+        // `None` on a file system that cannot allocate space.
         held.ok().map(|held| (held.ino(), held.blocks()))
     };
     let (file, _) = place.sound().await;

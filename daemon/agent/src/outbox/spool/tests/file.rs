@@ -1,4 +1,4 @@
-//! What is written is there again.
+//! Tests of writing a spool and reading it back.
 
 use peernet_stream::{Chain, Reached, StreamId, Usage};
 
@@ -65,7 +65,7 @@ async fn an_emptied_spool_knows_where_it_was() {
 
 #[tokio::test]
 async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
-    // While the disk failed, batches 3 to 5 went from memory and were acknowledged.
+    // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let made = batches(Chain::START, 1..=7, 10);

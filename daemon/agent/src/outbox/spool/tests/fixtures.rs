@@ -1,7 +1,8 @@
-//! The spools in `tests/fixtures/spools`, one of each migration, as SQL text: what waits in them is still sent.
+//! Tests that read the spools in `tests/fixtures/spools`, one of each migration, as SQL text: events that wait in
+//! them must still be sent.
 //!
-//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. A file that is there
-//! is never written again.
+//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. An
+//! existing file is never overwritten.
 
 use std::borrow::Cow;
 use std::fs;
@@ -17,7 +18,7 @@ use super::super::open::MIGRATIONS;
 use super::tally::batch;
 use super::*;
 
-/// The texts of the events in each of them.
+/// Texts of the events in each of them.
 const WAITING: [&str; 4] = ["first", "second", "third", "fourth"];
 
 fn fixtures() -> PathBuf {
@@ -43,7 +44,7 @@ fn event(text: &str) -> Event {
     })
 }
 
-/// The same in a file as the program of that migration left it.
+/// Copies the spool to a file with the schema of an earlier migration.
 async fn as_of_version(new: &Path, old: &Path, version: i64) {
     let mut connection = connect(old).await;
     let migrations = MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();

@@ -1,4 +1,4 @@
-//! How much of the disk it takes.
+//! Tests of the disk space of a spool.
 
 use peernet_stream::Chain;
 

@@ -1,4 +1,4 @@
-//! What a killed process took with it.
+//! Tests of the losses of a killed process.
 
 use peernet_logger::{RunId, Slug};
 use peernet_stream::{HandedIn, KILLED, SentUnspooled};
@@ -10,13 +10,13 @@ fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }
 
-/// So many events of a run are handed in.
+/// Counts `events` events of a run.
 fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
     let pipeline: Slug = "line".parse().expect("a name");
     (0..events).for_each(|n| counter.count(Some(&pipeline), Some(run), at(n.cast_signed())));
 }
 
-/// So many events of a run are in batches, and so many lost ones are told.
+/// Returns totals after `events` more events of a run are in batches, and gaps for `told` lost events.
 fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
     let mut handed_in = HandedIn { last: Some(at(1)), ..HandedIn::default() };
     handed_in.taken.add(Some(run), events);
@@ -41,7 +41,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (10, 4, 0));
     assert_eq!(lost(&state), [(Some(run), 4, KILLED.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
-    // Killed again before it could tell of that, and with an event of its own.
+    // Killed again before it could report that, with an event of its own.
     hand_in(&counter, second, 1);
     drop((file, counter));
 

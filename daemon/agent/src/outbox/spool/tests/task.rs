@@ -1,4 +1,4 @@
-//! The task and its two channels.
+//! Tests of the task and its channels.
 
 use std::time::Duration;
 
@@ -60,7 +60,7 @@ async fn trouble_is_told_in_words() {
 async fn a_file_that_turns_out_to_be_broken_is_put_aside_at_the_next_start() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
-    // What SQLite itself would find: the tree of the table leads to a page of another one.
+    // Damage that SQLite itself detects: the tree of the table leads to a page of another table.
     sqlx::raw_sql(
         "PRAGMA writable_schema = ON;
          UPDATE sqlite_schema SET rootpage = (SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex__sqlx_migrations_1') WHERE name = 'batch';
