@@ -1,4 +1,4 @@
-//! Runs `chronyc`: the library for chrony's protocol is GPL and so not linked.
+//! Runs `chronyc`. The library for chrony's protocol is not used, because it is GPL.
 
 use std::io;
 use std::process::{ExitStatus, Stdio};
@@ -12,19 +12,19 @@ use super::chrony::{Tracking, TrackingError, Trust, silent};
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
-/// How long `chronyc` may take; it gives up after some seconds by itself when nobody answers.
+/// Longest time that `chronyc` may take. It gives up after some seconds itself if chronyd does not answer.
 pub(super) const PATIENCE: Duration = Duration::from_secs(2);
-/// Most bytes of its output that are read; a line has about 150.
+/// Largest number of bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
 
-/// The reason why chrony says nothing.
+/// Reason why there is no answer of chrony.
 #[derive(Debug, thiserror::Error)]
 enum ChronycError {
     #[error("cannot run {command}: {source}")]
     Run { command: String, source: io::Error },
     #[error("no answer within {} s", PATIENCE.as_secs())]
     Timeout,
-    /// What it printed when it failed.
+    /// Error text that `chronyc` printed.
     #[error("{0}")]
     Complaint(String),
     #[error("{command}: {status}")]
@@ -35,14 +35,14 @@ enum ChronycError {
     Outdated,
 }
 
-/// Asks chrony, again and again.
+/// Queries chrony repeatedly.
 #[derive(Debug)]
 pub(super) struct Chronyc {
     command: String,
     arguments: Vec<String>,
     clock: SharedClock,
     trust: Trust,
-    /// Whether it was said already that there is none.
+    /// `true` once it was logged that chrony is not installed.
     told: bool,
 }
 
@@ -53,7 +53,7 @@ impl Chronyc {
         Self { command, arguments, clock, trust, told: false }
     }
 
-    /// What chrony says now; `None` when there is no chrony on this host.
+    /// Queries chrony; `None` if it is not installed on this host.
     pub(super) async fn ask(&mut self) -> Option<SourceReport> {
         match self.track().await {
             Ok(answer) => Some(answer),
@@ -94,7 +94,7 @@ impl Chronyc {
         }
     }
 
-    /// How it ended, and the first lines of its output and of its errors.
+    /// Runs `chronyc`. Returns its exit status and the first lines of its output and its errors.
     async fn print(&self) -> io::Result<(ExitStatus, String, String)> {
         let mut child = Command::new(&self.command)
             .args(&self.arguments)
@@ -102,6 +102,7 @@ impl Chronyc {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
+            // The timeout drops this future.
             .kill_on_drop(true)
             .spawn()?;
         let (output, errors) = (child.stdout.take(), child.stderr.take());
@@ -110,7 +111,7 @@ impl Chronyc {
     }
 }
 
-/// The first line of a pipe, which is read to its end.
+/// Returns the first line of a pipe, which is read to its end.
 async fn first_line(pipe: Option<impl AsyncRead + Unpin>) -> io::Result<String> {
     let mut bytes = Vec::new();
     if let Some(pipe) = pipe {

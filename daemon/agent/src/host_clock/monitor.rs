@@ -6,7 +6,7 @@ use peernet_stream::IncidentKind;
 use super::{Clocksource, Vmclock};
 use crate::incidents::{IncidentContext, Incidents, far_in_words};
 
-/// Shortest time between two incidents about a slew: a clock whose rate is wrong disturbs every look.
+/// Shortest time between two incidents about a slew, because a clock with a wrong rate is disturbed at every check.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
 
 /// Consequence of a disturbance of the wall clock.
@@ -24,7 +24,7 @@ pub(super) struct HostClockMonitor {
     wall_epoch: u32,
     slew_reported: Option<MonoTime>,
     clocksource: Clocksource,
-    /// Name of the clocksource at the last look.
+    /// Name of the clocksource at the last check.
     clocksource_name: String,
     vmclock: Vmclock,
 }
@@ -50,17 +50,17 @@ impl HostClockMonitor {
         }
     }
 
-    /// Returns the name of the clocksource from which the kernel read the time at the last look.
+    /// Returns the name of the clocksource from which the kernel read the time at the last check.
     pub(super) fn clocksource(&self) -> &str {
         &self.clocksource_name
     }
 
-    /// Looks at all clocks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the wall clock was disturbed, and
-    /// [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running one was.
+    /// Checks all clocks once. Afterwards [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the
+    /// wall clock was disturbed, and [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running clock was.
     pub(super) fn look(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.look(readings);
-        // The clock itself notices a step, but no slew. After a sleep, claims from before it no longer hold.
+        // The clock itself notices a step, but not a slew. After a sleep earlier claims no longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }
@@ -79,7 +79,8 @@ impl HostClockMonitor {
         }
     }
 
-    /// Begins new epochs after a change of clocksource: its rate differs, and the kernel does not tell how well it joined the two.
+    /// Begins new epochs after a change of clocksource, because its rate differs, and the kernel does not say how
+    /// exactly it continued the time.
     fn look_at_clocksource(&mut self) -> Option<String> {
         let name = self.clocksource.name();
         if name == self.clocksource_name {
@@ -93,7 +94,8 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins new epochs after a disruption that the hypervisor announces, which no clock of the machine itself can show.
+    /// Begins new epochs after a disruption that the hypervisor announces and that no clock of the machine itself can
+    /// show.
     fn look_at_vmclock(&mut self) -> Option<String> {
         let device = self.vmclock.disrupted()?.display().to_string();
         self.begin_epochs();
@@ -103,7 +105,7 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins a new epoch of both clocks: older stamps cannot be compared with new ones.
+    /// Begins a new epoch of both clocks, because older stamps cannot be compared with new ones.
     fn begin_epochs(&mut self) {
         self.clock.begin_epoch();
         self.clock.begin_wall_epoch();
@@ -153,16 +155,16 @@ mod tests {
     use super::*;
     use crate::event_queue::{EventQueue, EventTap};
 
-    /// A monitor with a clock that the test moves and that drifts.
+    /// A monitor with a clock that drifts and that the test moves.
     struct ClockTestbed {
         manual: Arc<ManualClock>,
         clock: SharedClock,
         monitor: HostClockMonitor,
         incidents: Incidents,
         events: mpsc::Receiver<Event>,
-        /// Root of its sysfs.
+        /// Root of the monitor's sysfs.
         sys: tempfile::TempDir,
-        /// Its vmclock device.
+        /// The monitor's vmclock device.
         vmclock: File,
     }
 
@@ -186,7 +188,7 @@ mod tests {
             Self { manual, clock, monitor, incidents, events, sys, vmclock }
         }
 
-        /// Looks ten times a second.
+        /// Checks ten times a second.
         fn look_for(&mut self, seconds: usize) {
             for _ in 0..seconds * 10 {
                 self.manual.advance(Span::from_millis(100));

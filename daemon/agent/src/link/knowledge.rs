@@ -1,4 +1,4 @@
-//! What an edge knows of its own clocks and a cloud's. No I/O: time comes in as an argument.
+//! The state of a link's clock relation on the edge. No I/O: the time is an argument.
 
 use std::collections::BTreeSet;
 
@@ -20,10 +20,11 @@ use super::told_clock::ToldClock;
 use crate::host_clock::shown;
 use crate::same_clock::NotProven;
 
-/// A second is closed no later than this after its end, unless nothing came back any more or the wall clock was set.
+/// Longest time between the end of a second and the time at which it counts as closed, unless exchanges stopped or
+/// the wall clock was set.
 const MOST_OVERDUE: Span = Span::from_seconds(2);
 
-/// The relation of the two clocks and what the current second adds to it.
+/// The clock relation of a link, and what the current second adds to it.
 #[derive(Debug)]
 pub(super) struct Knowledge {
     peer: HostId,
@@ -37,24 +38,24 @@ pub(super) struct Knowledge {
     reports: ClockReports,
 }
 
-/// Samples and restarts to report.
+/// Samples to record and incidents to report.
 #[derive(Debug, Default)]
 #[must_use]
 pub(super) struct News {
-    /// Seconds that are over.
+    /// Samples of the seconds that are over.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
-    /// The cloud's wall clock was set or ran off, on which no delay depends.
+    /// `true` if the cloud's wall clock was set or drifted away; no delay depends on it.
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess: Option<ExcessSkew>,
     pub(super) lost_proof: Option<LostProof>,
 }
 
-/// A message that has arrived, and how many bits it had.
+/// A message that has arrived, and its number of bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
-    /// The difference of the wall clocks' stamps.
+    /// Difference of the wall-clock stamps.
     pub(super) raw: Span,
     pub(super) bits: Option<f64>,
 }
@@ -85,18 +86,18 @@ impl Knowledge {
         knowledge
     }
 
-    /// A session over this network was opened.
+    /// Records that a session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
         self.networks.join(network);
     }
 
-    /// A session over this network is over.
+    /// Records that a session over this network is over.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         self.networks.leave(network);
     }
 
-    /// The session that probed is over and its probes are counted: the last sample of each network without sessions ends here. Another
-    /// session probes from now on.
+    /// Records the last sample of each network without sessions, after the session that probed is over and its probes
+    /// are counted. Another session probes from now on.
     pub(super) fn settle_sessions(&mut self, now: Stamp) -> News {
         let mut news = self.turn(now);
         for network in self.networks.take_ended(0) {
@@ -109,7 +110,7 @@ impl Knowledge {
         news
     }
 
-    /// An exchange of data over a network finished: judges the delays of its two ways.
+    /// Handles a completed exchange of data over a network: judges the delays of both directions.
     pub(super) fn judge(
         &mut self,
         network: &NetworkName,
@@ -120,7 +121,7 @@ impl Knowledge {
         let mut news = self.turn(now);
         let Judged { learned, up, down } =
             self.told(whose(observation), |relation| relation.judge(observation));
-        // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
+        // The raw value that is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
         self.learned(learned, observation, now, &mut news);
         self.second.judged(network, Direction::Up, &up, there.bits);
@@ -128,7 +129,7 @@ impl Knowledge {
         ([up, down], news)
     }
 
-    /// An exchange of data finished during which one of the hosts says that its related clock was interrupted.
+    /// Handles a completed exchange of data during which one of the hosts' related clocks was interrupted.
     pub(super) fn stepped(
         &mut self,
         network: &NetworkName,
@@ -145,8 +146,8 @@ impl Knowledge {
         (delays, news)
     }
 
-    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second learns of them:
-    /// the first stamp is that of another receiver, not of the departure.
+    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second
+    /// learns from them, because the first stamp is that of another receiver and not of the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &ToldClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
@@ -170,7 +171,7 @@ impl Knowledge {
         ]
     }
 
-    /// Something became of a probe, which was authenticated or not.
+    /// Handles the result of a probe.
     pub(super) fn probed(&mut self, result: &ProbeResult, authenticated: bool, now: Stamp) -> News {
         let mut news = self.turn(now);
         let all = self.second.authenticated.unwrap_or(true);
@@ -193,35 +194,35 @@ impl Knowledge {
                 self.learn(observation, now, &mut news);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // It counts as lost.
+            // It was counted as lost before.
             ProbeResult::Late => {}
         }
         news
     }
 
-    /// It is proven that both processes read one clock.
+    /// Handles the proof that both processes read one clock.
     pub(super) fn clock_proven(&mut self) {
         self.relation.set_same_clock(true);
         self.reports.proof_regained();
     }
 
-    /// It is not proven that both processes read one clock.
+    /// Handles an attempt that did not prove that both processes read one clock.
     pub(super) fn clock_not_proven(&mut self) {
         self.relation.set_same_clock(false);
     }
 
-    /// It is no longer proven that both processes read one clock.
+    /// Handles the loss of the proof that both processes read one clock.
     pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> News {
         self.clock_not_proven();
         News { lost_proof: self.reports.proof_lost(why, now), ..News::default() }
     }
 
-    /// The own free-running clock is in this epoch already.
+    /// Sets the epoch of this host's free-running clock.
     pub(super) fn begin_epoch_of_edge(&mut self, epoch: u32) {
         self.edge.begin_epoch(epoch);
     }
 
-    /// What became known of the own clocks.
+    /// Handles new information about this host's clocks.
     pub(super) fn edge_says(&mut self, clock: PeerClock, now: RawTime) {
         if let Some(epoch) = self.edge.tell(clock, now) {
             self.told((epoch, None), |relation| relation.edge_stepped(epoch));
@@ -229,7 +230,7 @@ impl Knowledge {
         self.disciplines(now);
     }
 
-    /// What the peer says of its clocks.
+    /// Handles new information from the cloud about its clocks.
     pub(super) fn cloud_says(&mut self, clock: PeerClock, now: RawTime) -> News {
         let before = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.tell(clock, now) {
@@ -240,14 +241,15 @@ impl Knowledge {
         News { is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before, ..News::default() }
     }
 
-    /// Closes the second if it is over.
+    /// Closes the current second if it is over.
     pub(super) fn turn(&mut self, now: Stamp) -> News {
         let mut news = News::default();
         self.begin_window(now, &mut news);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
             news.lost_proof = self.reports.second_over(now.raw);
-            // A clock that was set back closes it early, one that was set forward as if it had been on time.
+            // If the clock was set back, the second is closed early; if it was set forward, it is closed as if it had
+            // been on time.
             let end = self.second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
@@ -256,7 +258,7 @@ impl Knowledge {
         news
     }
 
-    /// Closes the second now: nothing more will come.
+    /// Closes the current second now, because nothing more will come.
     pub(super) fn finish(&mut self, now: Stamp) -> News {
         let mut news = self.turn(now);
         let offset = self.relation.offset(now.raw, now.wall);
@@ -264,30 +266,31 @@ impl Knowledge {
         news
     }
 
-    /// The second of a network that is over if it is the last one, else what the current one holds so far.
+    /// Returns the sample of the previous second of a network if it is available, else one of the current second so
+    /// far.
     pub(super) fn now(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;
         let last = self.window.last_second(network).filter(|last| current && last.at == previous);
-        // What holds since a step is not told under the name of the window before it.
+        // After a step the new offset must not appear under the id of the window before it.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
-    /// What is shown of the clocks of the two hosts: the edge's, the cloud's.
+    /// Returns the shown state of the clocks of the edge and the cloud.
     pub(super) fn clocks(&self) -> (HostClock, HostClock) {
         (shown(self.edge.clock()), shown(self.cloud.clock()))
     }
 
-    /// Returns whether the exchange is believed.
+    /// Adds an exchange to the relation. Returns whether it was accepted.
     fn learn(&mut self, observation: &ExchangeObservation, now: Stamp, news: &mut News) -> bool {
         let learned = self.told(whose(observation), |relation| relation.learn(observation));
         self.learned(learned, observation, now, news);
         !matches!(learned, Learned::Refused(_))
     }
 
-    /// Tells the relation something that came with these epochs of the related clocks of edge and cloud. If what was learnt is void
-    /// from now on, a new epoch says by whose fault.
+    /// Passes something to the relation that came with these epochs of the related clocks of edge and cloud. If the
+    /// relation restarts, the window becomes void, and a new epoch says whose clock was stepped.
     fn told<T>(&mut self, (edge, cloud): (u32, Option<u32>), tell: impl FnOnce(&mut Relation) -> T) -> T {
         let before = self.relation.counts().restarts;
         let answer = tell(&mut self.relation);
@@ -326,7 +329,8 @@ impl Knowledge {
         self.second.exchanged(&observation.exchange, settings.max_drift_ppm);
     }
 
-    /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
+    /// Begins a new window after a step. The exchanges of the current second belong to the clocks before the step, so
+    /// that it is closed without an offset.
     fn begin_window(&mut self, now: Stamp, news: &mut News) {
         if self.window.is_void() {
             let is_current = now.wall.unix_seconds() == self.second.at;
@@ -336,7 +340,7 @@ impl Knowledge {
         }
     }
 
-    /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
+    /// Closes the second with the state at `at`, its end, and begins the second of `now`.
     fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, news: &mut News) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
@@ -386,20 +390,20 @@ impl Knowledge {
         }
     }
 
-    /// Tells the relation what the time daemons claim of its clocks at this time.
+    /// Passes the current claims of the time daemons to the relation.
     fn disciplines(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
 }
 
-/// The edge's clocks when its wall clock showed `at`, a moment ago.
+/// Returns the edge's clocks at the wall-clock time `at`, shortly before `now`.
 fn edge_time(now: Stamp, at: WallTime) -> Stamp {
     let since = (now.wall - at).max(Span::ZERO).min(MOST_OVERDUE);
     Stamp { wall: at, raw: now.raw - since, ..now }
 }
 
-/// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.
+/// Returns the epochs of edge and cloud in an exchange, which may arrive before the announcement of a new epoch.
 const fn whose(observation: &ExchangeObservation) -> (u32, Option<u32>) {
     (observation.edge_epoch, observation.cloud_epoch)
 }

@@ -1,4 +1,4 @@
-//! This host and a cloud.
+//! The link between this host and a cloud.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -28,23 +28,24 @@ use super::words::{
 use crate::incidents::IncidentContext;
 use crate::same_clock::NotProven;
 
-/// A session waits no longer for the proof that both ends read one clock: a cloud that has connected answers within a millisecond.
+/// Longest wait of a session for the proof that both ends read one clock. A cloud that has connected answers within a
+/// millisecond.
 const FIRST_PROOF: Duration = Duration::from_millis(500);
 
-/// What this host has to do with one cloud, over whatever networks. Locks are held for microseconds, never while waiting;
-/// that of the connections is taken by live updates alone.
+/// The link to one cloud, over whatever networks. Locks are held for microseconds, never while waiting; that of the
+/// connections is taken by live updates only.
 #[derive(Debug)]
 pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
     pub(super) cloud: LinkedCloud,
-    /// Whether it is proven that both processes read one clock; `None` until the first attempt is over.
+    /// `true` if it is proven that both processes read one clock; `None` until the first attempt is over.
     same_clock: watch::Sender<Option<bool>>,
-    /// Sessions with the cloud, the oldest first; none any more when the link is over.
+    /// Sessions with the cloud, oldest first; empty when the link is over.
     pub(super) sessions: watch::Sender<Vec<Session>>,
     pub(super) pace: ProbePace,
     knowledge: Mutex<Knowledge>,
     pub(super) probing: Mutex<Probing>,
-    /// The reflector that the configuration names for the cloud.
+    /// Reflector that the configuration names for the cloud.
     reflector: Option<NamedReflector>,
     connections: Mutex<Connections>,
 }
@@ -54,9 +55,9 @@ pub(crate) struct Link {
 pub(super) struct LinkedCloud {
     pub(super) id: HostId,
     pub(super) name: Slug,
-    /// Its clock.
+    /// Identity of its clock.
     pub(super) clock: ClockIdentity,
-    /// Which clocks of the two hosts are related.
+    /// Clocks of the two hosts that are related.
     pub(super) clocks: RelatedClocks,
 }
 
@@ -68,7 +69,7 @@ impl Link {
         let relation = Relation::new(settings);
         let told = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
         let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
-        // The announcement of the latest interruption may still be on its way.
+        // The announcement of the latest interruption may not have arrived yet.
         knowledge.begin_epoch_of_edge(clock.epoch());
         let named = shared.probes.reflectors.get(&accepted.name);
         let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
@@ -92,11 +93,11 @@ impl Link {
         link
     }
 
-    /// Judges the delays of an exchange over a network that came back, sets them in its tree, and returns how long both ways took
-    /// together by the hosts' monotonic clocks: known even when a wall clock was stepped meanwhile.
+    /// Judges the delays of an answered exchange over a network and sets them in its tree. Returns the sum of both
+    /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped meanwhile.
     pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
         let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
-            // It never came back: nothing relates the clocks, and of the two ways none is known to have ended.
+            // Without an answer no clock is related, and neither direction is known to have ended.
             return None;
         };
         let transport = transport(&exchange.log, up, down, arrived);
@@ -110,7 +111,7 @@ impl Link {
         transport
     }
 
-    /// Without witness one of the clocks was stepped meanwhile, and says so.
+    /// Judges an exchange. It has no observation if one of the clocks was stepped meanwhile, as its host reports.
     fn judge(
         &self,
         network: &NetworkName,
@@ -127,19 +128,19 @@ impl Link {
         }
     }
 
-    /// Judges the delays of messages that others sent, one in each direction, by what is known. Nothing is learnt from them.
+    /// Judges the delays of messages that others sent, one in each direction. Nothing is learnt from them.
     pub(crate) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         lock(&self.knowledge).judge_stamps(up, down)
     }
 
-    /// Something became of a probe, which was authenticated or not.
+    /// Handles the result of a probe.
     pub(super) fn probed(&self, result: &ProbeResult, authenticated: bool) {
         let now = self.shared.host.clock.stamp();
         let news = lock(&self.knowledge).probed(result, authenticated, now);
         self.tell(news);
     }
 
-    /// A second may be over.
+    /// Closes the current second if it is over.
     pub(super) fn turn(&self) {
         let now = self.shared.host.clock.stamp();
         self.adjust_pace(now.mono);
@@ -147,27 +148,27 @@ impl Link {
         self.tell(news);
     }
 
-    /// There will be nothing more.
+    /// Closes the current second at the end of the link.
     pub(super) fn finish(&self) {
         let now = self.shared.host.clock.stamp();
         let news = lock(&self.knowledge).finish(now);
         self.tell(news);
     }
 
-    /// What became known of the own clocks.
+    /// Handles new information about this host's clocks.
     pub(super) fn edge_says(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
         lock(&self.knowledge).edge_says(clock, now);
     }
 
-    /// What the cloud says of its clocks.
+    /// Handles new information from the cloud about its clocks.
     pub(super) fn cloud_says(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
         let news = lock(&self.knowledge).cloud_says(clock, now);
         self.tell(news);
     }
 
-    /// It is proven that both processes read one clock, or it no longer is.
+    /// Handles the result of an attempt to prove that both processes read one clock.
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
@@ -189,13 +190,13 @@ impl Link {
                 tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}");
             }
         }
-        // After the knowledge: who is told that there is a proof may ask for delays at once.
+        // Sent after the knowledge was updated, because a receiver may ask for delays at once.
         self.same_clock.send_replace(Some(is_proven));
         self.adjust_pace(now.mono);
         self.tell(news);
     }
 
-    /// Waits until it is known whether both processes read one clock, no longer than [`FIRST_PROOF`].
+    /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF`].
     pub(crate) async fn first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
         let known = same_clock.wait_for(Option::is_some);
@@ -208,12 +209,13 @@ impl Link {
         *self.same_clock.borrow() == Some(true)
     }
 
-    /// The cloud's name.
+    /// Returns the cloud's name.
     pub(crate) const fn name(&self) -> &Slug {
         &self.cloud.name
     }
 
-    /// Probes the reflector that the configuration names for the cloud, if it names one, as long as it is polled.
+    /// Probes the reflector that the configuration names for the cloud, if there is one, as long as the future is
+    /// polled.
     pub(super) async fn probe_named_reflector(&self) -> Infallible {
         match &self.reflector {
             Some(reflector) => reflector.probe(&self.shared, &self.cloud.name, &self.pace).await,
@@ -221,29 +223,29 @@ impl Link {
         }
     }
 
-    /// A session was opened.
+    /// Records that a session was opened.
     pub(super) fn join(&self, session: Session) {
         lock(&self.knowledge).join(&session.network);
         self.sessions.send_modify(|sessions| sessions.push(session));
     }
 
-    /// A session is over. Returns whether it was the last one.
+    /// Records that a session is over. Returns whether it was the last one.
     pub(super) fn leave(&self, id: u64, network: &NetworkName) -> bool {
         lock(&self.knowledge).leave(network);
         self.sessions.send_modify(|sessions| sessions.retain(|session| session.id != id));
         self.sessions.borrow().is_empty()
     }
 
-    /// The session that probed is over, and its probes are counted.
+    /// Records that the session that probed is over and its probes are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
         let news = lock(&self.knowledge).settle_sessions(now);
         self.tell(news);
     }
 
-    /// As it is shown: a link for each network in use.
+    /// Returns the live state: a link for each network in use.
     pub(super) fn live(&self) -> Vec<LinkLive> {
-        // Cloned, because reading statistics takes longer than sessions may wait to join.
+        // Cloned, because reading statistics takes longer than a session may wait to join.
         let sessions = self.sessions.borrow().clone();
         let mut networks: BTreeMap<NetworkName, Vec<Slug>> = BTreeMap::new();
         for session in &sessions {
@@ -307,7 +309,7 @@ impl Link {
     }
 }
 
-/// The receiver's stamp less the sender's.
+/// Returns the receiver's stamp minus the sender's.
 fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
     match &tree.get(transit)?.measure {
         Measure::Transit(transit) => Some(transit.received? - transit.sent),
@@ -315,10 +317,12 @@ fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
     }
 }
 
-/// Both ways together: what the edge waited less what the cloud took, each by its own monotonic clock.
+/// Returns the sum of both directions: the edge's waiting time minus the time on the cloud, each by its own monotonic
+/// clock.
 fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
     let tree = log.tree();
     let waited = log.offset(arrived.mono) - tree.get(up)?.start;
-    // The cloud's nodes count from the moment at which the message was there.
+    // The starts of the cloud's nodes count from the arrival of the message. A negative result means that the cloud's
+    // times are wrong.
     Some(waited - tree.get(down)?.start).filter(|span| !span.is_negative())
 }

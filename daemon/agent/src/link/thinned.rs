@@ -1,13 +1,13 @@
-//! A bounded choice out of many values.
+//! Downsampling to a bounded number of values.
 
-/// Values kept at most.
+/// Largest number of values that are kept.
 const MOST: usize = 256;
 
-/// Every n-th of the values it was given, with n as small as its bound allows: an even choice over the whole time.
+/// Every n-th of the values, with n as small as the bound allows, so that the choice is even over the whole time.
 #[derive(Debug)]
 pub(super) struct Thinned<T> {
     kept: Vec<T>,
-    /// Every so many are kept.
+    /// Distance between two values that are kept.
     stride: u64,
     seen: u64,
 }
@@ -36,7 +36,7 @@ impl<T: Copy> Thinned<T> {
         self.seen += 1;
     }
 
-    /// The value in the middle of those kept, by `key`; the upper one of two.
+    /// Returns the median of the kept values by `key`; the upper one of two.
     pub(super) fn median<K: Ord>(&self, key: impl Fn(&T) -> K) -> Option<T> {
         let mut sorted = self.kept.clone();
         sorted.sort_unstable_by_key(key);

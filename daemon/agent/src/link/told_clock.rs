@@ -1,22 +1,22 @@
-//! What one of the two hosts of a relation told of its clocks. No I/O.
+//! The latest announcement of one host of a relation about its clocks. No I/O.
 
 use peernet_clock::{Discipline, Interval, RawTime, Span};
 use peernet_networks::PeerClock;
 
-/// A host tells of its clocks so soon after it read them that no more than this passes until the other host has it.
+/// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
 const ON_THE_WAY: Span = Span::from_seconds(1);
 
-/// The clock of a host that a relation relates, and what the host told of it last.
+/// The related clock of a host, and the host's latest announcement.
 #[derive(Debug)]
 pub(super) struct ToldClock {
     clock: PeerClock,
-    /// When that was told, by the free-running clock of this host.
+    /// Time of the announcement, by this host's free-running clock.
     at: RawTime,
-    /// Whether the free-running clock is the related one, else the wall clock.
+    /// `true` if the free-running clock is related, `false` if the wall clock is.
     is_free_running: bool,
-    /// Epoch of the related clock, as far as known.
+    /// Epoch of the related clock, as far as it is known.
     epoch: u32,
-    /// Whether claims that are told were made before this epoch.
+    /// `true` if the announced claims were made before this epoch.
     outdated: bool,
 }
 
@@ -26,7 +26,7 @@ impl ToldClock {
         Self { clock, at, is_free_running, epoch, outdated: false }
     }
 
-    /// Takes what the host tells now. Returns the epoch of the related clock if it is a new one.
+    /// Handles an announcement. Returns the epoch of the related clock if it is a new one.
     pub(super) fn tell(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
         let epoch = epoch_of(&clock, self.is_free_running);
         (self.clock, self.at) = (clock, at);
@@ -34,8 +34,8 @@ impl ToldClock {
         epoch.filter(|told| *told > self.epoch)
     }
 
-    /// Takes the epoch of the related clock that an exchange knows of, perhaps before the host tells it. Returns whether it is a new
-    /// one: what was claimed before is no claim about the clock after it.
+    /// Sets the epoch of the related clock from an exchange, which may arrive before the announcement. Returns
+    /// whether it is a new one: earlier claims are void then.
     pub(super) fn begin_epoch(&mut self, epoch: u32) -> bool {
         let is_new = epoch > self.epoch;
         if is_new {
@@ -45,24 +45,26 @@ impl ToldClock {
         is_new
     }
 
-    /// What the host told last.
+    /// Returns the latest announcement.
     pub(super) const fn clock(&self) -> &PeerClock {
         &self.clock
     }
 
-    /// Epoch of the related clock, as far as known.
+    /// Returns the epoch of the related clock, as far as it is known.
     pub(super) const fn epoch(&self) -> u32 {
         self.epoch
     }
 
-    /// Epoch of its wall clock.
+    /// Returns the epoch of the wall clock.
     pub(super) const fn wall_epoch(&self) -> u32 {
         self.clock.epoch
     }
 
-    /// What its time daemon claims of the related clock at a time of this host's free-running clock: what the clock shows minus true
-    /// time. The claim is about the wall clock. That is ahead of a free-running clock by what the host found out when it told of
-    /// both; since then the free-running clock went off true time by what the limit of drift allows.
+    /// Returns the claim of the time daemon about the related clock at a time of this host's free-running clock: the
+    /// clock's reading minus true time.
+    ///
+    /// The daemon's claim is about the wall clock. The announcement says how far the wall clock is ahead of the
+    /// free-running one; since then the free-running clock may have drifted from true time by the drift limit.
     pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<Discipline> {
         let claim = self.clock.discipline.filter(|_| !self.outdated)?;
         if !self.is_free_running {
@@ -76,7 +78,7 @@ impl ToldClock {
     }
 }
 
-/// Returns the epoch of the related clock, where the host tells it.
+/// Returns the epoch of the related clock, if the host announces it.
 fn epoch_of(clock: &PeerClock, is_free_running: bool) -> Option<u32> {
     if is_free_running { clock.raw.as_ref().map(|raw| raw.epoch) } else { Some(clock.epoch) }
 }

@@ -1,4 +1,4 @@
-//! Steps, jumps, lost proofs and doubts about the clocks in words for people.
+//! Texts for people about steps, jumps, lost proofs and violated assumptions.
 
 use peernet_clock::Doubt;
 use peernet_logger::Slug;
@@ -6,7 +6,7 @@ use peernet_logger::Slug;
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
 use crate::incidents::far_in_words;
 
-/// That a clock was stepped, by how much, and whose.
+/// Returns the text of a restart: whose clock was stepped, and by how much.
 pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
     let whose = match (restart.edge, restart.cloud) {
         (true, false) => format!("the clock of {edge} was stepped or ran off"),
@@ -15,7 +15,7 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         (false, false) => format!("the clock of {edge} or {cloud} was stepped or ran off without notice"),
     };
     let moved = restart.moved.map_or_else(String::new, |moved| {
-        // The offset is the cloud's clock less the edge's; it is told of the one that moved.
+        // `moved` is the change of the cloud's clock minus the edge's. The text names the clock that moved.
         let own = restart.edge && !restart.cloud;
         let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
@@ -38,14 +38,14 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
     format!("{whose}{moved}; {outlook}")
 }
 
-/// That the wall clock of a cloud was set or ran off, on which delays do not depend.
+/// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
 pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
     format!(
         "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
     )
 }
 
-/// That a jump is suspected, with both explanations.
+/// Returns the text of a suspected jump, with both possible causes.
 pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
     let far = far_in_words(jump.moved);
@@ -57,7 +57,7 @@ pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> S
     )
 }
 
-/// That it is no longer proven that both processes read one clock, and why.
+/// Returns the text of a lost proof that both processes read one clock, with the reason.
 pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
     let others = untold_in_words(lost.untold);
     format!(
@@ -67,7 +67,7 @@ pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -
     )
 }
 
-/// How many events were not reported since the last report.
+/// Returns the text about events that were not reported since the last report.
 fn untold_in_words(untold: u32) -> String {
     match untold {
         0 => String::new(),
@@ -76,7 +76,7 @@ fn untold_in_words(untold: u32) -> String {
     }
 }
 
-/// That the exchanges prove a skew beyond the limit.
+/// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_in_words(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
     let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));

@@ -1,4 +1,4 @@
-//! What the answers of a cloud prove, and for how long. No I/O: times come in as arguments.
+//! Judges the answers of a cloud: what they prove, and for how long. No I/O: times are arguments.
 
 use std::io;
 use std::time::Duration;
@@ -7,19 +7,19 @@ use peernet_clock::{MonoTime, RawTime, Span};
 
 use super::messages::{Answer, Nonce, Question};
 
-/// Pause between two answers that prove it.
+/// Pause between two questions while answers prove it.
 const PAUSE: Duration = Duration::from_secs(2);
-/// A proof holds so long after the answer that gave it.
+/// Time that a proof holds after its answer.
 const VALIDITY: Span = Span::from_seconds(5);
-/// An answer proves nothing if it took longer: another clock could be as far away.
+/// Longest round trip of an answer that proves something. Within it another clock could differ by as much.
 const MOST_TAKEN: Span = Span::from_millis(5);
-/// So many answers that took longer are followed by the next question at once.
+/// Number of slow answers in a row after each of which the next question follows at once.
 const QUICK_RETRIES: u32 = 8;
 
-/// The reason why it is not proven that both processes read one clock.
+/// Reason why it is not proven that both processes read one clock.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum NotProven {
-    /// The clocks of the two cannot be one, or the cloud cannot reach the socket.
+    /// The two clocks cannot be one, or the cloud cannot reach the socket.
     #[error("the cloud has not connected to a clock socket of this process")]
     NotConnected,
     /// The connection ended.
@@ -28,55 +28,55 @@ pub(crate) enum NotProven {
     /// The process at the other end of the connection does not serve the session.
     #[error("the process that connected is not the one that serves the session")]
     Foreign,
-    /// The validity of the last proof is over.
+    /// The last proof has expired.
     #[error("the cloud's process has not answered in time")]
     Expired,
-    /// The processes are in two time namespaces.
+    /// The processes are in different time namespaces.
     #[error("the two processes are in different time namespaces")]
     TimeNamespace,
-    /// This process is shown other times than the kernel's.
+    /// This process does not read the kernel's time.
     #[error("a preloaded library shows this process other times than the kernel's")]
     OwnTime,
-    /// The cloud's process is shown other times than the kernel's.
+    /// The cloud's process does not read the kernel's time.
     #[error("a preloaded library shows the cloud's process other times than the kernel's")]
     PeerTime,
-    /// What the cloud read was not between two reads of this process.
+    /// The cloud's reading was not between two readings of this process.
     #[error("the cloud's free-running clock is {0} off what this process reads")]
     OtherClock(Span),
 }
 
-/// What this process knows of its own clocks when an answer is there.
+/// State of this process's own clocks when an answer has arrived.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OwnClock {
-    /// What the free-running clock showed after the answer.
+    /// Reading of the free-running clock after the answer.
     pub(super) raw: RawTime,
     pub(super) mono: MonoTime,
     pub(super) shows_kernel_time: bool,
 }
 
-/// What an answer says.
+/// Result of an answer.
 #[derive(Debug)]
 pub(super) enum Outcome {
     /// Both processes read one clock.
     Proven,
-    /// It took too long to prove anything.
+    /// The answer took too long to prove anything.
     Slow,
-    /// They do not.
+    /// The processes do not read one clock.
     Refuted(NotProven),
-    /// Whoever answered does not serve the session.
+    /// The process that answered does not serve the session.
     Foreign,
 }
 
-/// The proof of one session.
+/// State of the proof for one session.
 #[derive(Debug)]
 pub(super) struct Proof {
     session: [u8; 16],
     time_namespace: u64,
-    /// The question under way: its nonce, and what the free-running clock showed before it was sent.
+    /// Nonce of the open question, and the reading of the free-running clock before it was sent.
     asked: Option<(Nonce, RawTime)>,
-    /// Answers in a row that took too long.
+    /// Number of answers in a row that took too long.
     slow: u32,
-    /// When the last answer proved it.
+    /// Time of the last answer that proved it.
     proven: Option<MonoTime>,
 }
 
@@ -85,16 +85,18 @@ impl Proof {
         Self { session, time_namespace, asked: None, slow: 0, proven: None }
     }
 
-    /// Makes the next question, with a nonce that was never used before; the free-running clock showed `before`.
+    /// Creates the next question, with a nonce that was never used before; `before` is the reading of the
+    /// free-running clock.
     pub(super) fn ask(&mut self, nonce: Nonce, before: RawTime) -> Question {
         self.asked = Some((nonce, before));
         Question { nonce }
     }
 
-    /// Takes an answer, or `None` for bytes that are none.
+    /// Handles an answer; `None` if the received bytes are not an answer.
     ///
-    /// The session's id is random and goes over the session alone: who knows it is the process at its other end. The name of the socket
-    /// is no secret to the processes of this machine (`/proc/net/unix`). The nonce keeps an old answer from being taken for a new one.
+    /// The session's id is random and sent over the session only, so that whoever knows it is the process at its
+    /// other end. The name of the socket is not a secret among the processes of this machine (`/proc/net/unix`). The
+    /// nonce prevents the replay of an old answer.
     pub(super) fn answered(&mut self, answer: Option<Answer>, own: OwnClock) -> Outcome {
         let asked = self.asked.take();
         let (Some(answer), Some((nonce, before))) = (answer, asked) else { return self.foreign() };
@@ -124,17 +126,17 @@ impl Proof {
         Outcome::Proven
     }
 
-    /// How long to wait before the next question.
+    /// Returns the time to wait before the next question.
     pub(super) const fn pause(&self) -> Duration {
         if self.slow == 0 || self.slow > QUICK_RETRIES { PAUSE } else { Duration::ZERO }
     }
 
-    /// How long the proof holds from now on without another answer; `None` while there is none.
+    /// Returns how long the proof holds without another answer; `None` without a proof.
     pub(super) fn holds_for(&self, now: MonoTime) -> Option<Span> {
         Some((self.proven? + VALIDITY - now).max(Span::ZERO))
     }
 
-    /// Ends the proof if its validity is over. Returns whether it did.
+    /// Ends the proof if it has expired. Returns whether it has.
     pub(super) fn expire(&mut self, now: MonoTime) -> bool {
         let is_over = self.holds_for(now) == Some(Span::ZERO);
         if is_over {
@@ -175,12 +177,12 @@ mod tests {
         OwnClock { raw: raw(micros), mono: mono(seconds), shows_kernel_time: true }
     }
 
-    /// The answer that proves it, read 20 µs after the question was asked at 100 µs.
+    /// Returns an answer that proves it, read 20 µs after the question at 100 µs.
     fn good(nonce: Nonce) -> Answer {
         Answer { nonce, session: SESSION, time_namespace: NAMESPACE, shows_kernel_time: true, raw: raw(120) }
     }
 
-    /// A proof with a question at 100 µs.
+    /// Returns a proof with a question at 100 µs.
     fn asked() -> Proof {
         let mut proof = Proof::new(SESSION, NAMESPACE);
         proof.ask([1; 16], raw(100));

@@ -1,3 +1,5 @@
+//! Tests of the proof with real sockets.
+
 use std::io::{ErrorKind, Read, Write};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
@@ -23,7 +25,7 @@ fn system() -> SharedClock {
     Arc::new(SystemClock::new(identity))
 }
 
-/// The system's clock, rehearsed without any error.
+/// Returns the system's clock with clock fault injection, but no faults.
 fn rehearsed() -> SharedClock {
     let clock = system();
     let (identity, since) = (clock.identity().clone(), clock.wall());
@@ -48,7 +50,7 @@ fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionH
     }
 }
 
-/// Runs the edge's end; what it tells comes out.
+/// Starts the edge's end; returns the receiver of its results.
 fn proving(
     peers: ClockPeers,
     clock: SharedClock,
@@ -122,7 +124,7 @@ async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
     let clock = system();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());
-    // Somebody listens and accepts nobody: connecting blocks once the queue is full, and must not here.
+    // The listener accepts nobody, so that connecting would block once its queue is full. It must not block here.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();
@@ -147,7 +149,7 @@ async fn garbage_and_silence_are_passed_over_for_the_cloud() {
         stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
         let mut question = [0; Question::BYTES];
         stream.read_exact(&mut question).expect("it was asked");
-        // Closed, with unread bytes as a reset.
+        // Closed; with unread bytes it is a reset.
         match stream.read(&mut question) {
             Ok(bytes) => assert_eq!(bytes, 0),
             Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
@@ -169,7 +171,7 @@ async fn cloud_closes_connection_that_asks_garbage() {
     assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
 }
 
-/// It takes as long as a proof is valid.
+/// Takes as long as a proof is valid.
 #[tokio::test]
 async fn proof_expires_when_answers_stop_and_returns_with_them() {
     let clock = system();

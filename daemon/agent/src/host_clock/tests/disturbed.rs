@@ -1,4 +1,4 @@
-//! Steps, and clocks that are wrong on purpose.
+//! Tests of steps and of clocks with injected faults.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, Span, SteppedClo
 use super::{system_clock, watched};
 use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 
-/// The machine's clock, made wrong.
+/// Returns the machine's clock with injected faults.
 fn rehearsed(config: &RehearsalConfig) -> SharedClock {
     let truth = system_clock();
     let description = config.description(truth.wall());

@@ -1,4 +1,4 @@
-//! The whole of it, against real clocks, real daemons and a clock that moves when told to.
+//! Tests of the whole module, with real clocks, real daemons and a clock that the test moves.
 
 mod chronyd;
 mod disturbed;
@@ -19,7 +19,7 @@ fn system_clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
 }
 
-/// The task, running until the guard goes.
+/// Starts the task, which runs until the guard is dropped.
 fn watched(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,

@@ -1,4 +1,4 @@
-//! What a real chrony says becomes an interval that contains the truth, with the right sign.
+//! Tests with real chrony: its claims become intervals that contain the truth, with the right sign.
 
 use peernet_clock::{DelaySource, Span};
 use peernet_networks::PeerClock;
@@ -8,7 +8,7 @@ use super::chronyd::Chronyd;
 use super::{system_clock, watched};
 use crate::config::ClockConfig;
 
-/// What is published first after chrony was asked.
+/// Waits for the first state after chrony was queried.
 async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
     let asked = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
     asked.await.expect("the task runs").clone()
@@ -17,8 +17,8 @@ async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
 #[tokio::test]
 async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
     let server = Chronyd::server();
-    // chrony adds `offset` to what it measures of a server that has the same clock: it takes true time to be 50 ms
-    // later than the clock shows, or earlier.
+    // chrony adds `offset` to its measurement of a server with the same clock: it assumes that true time is 50 ms
+    // ahead of the clock, or behind it.
     for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
         let client = Chronyd::client(&server, offset_s);
         let clock = system_clock();

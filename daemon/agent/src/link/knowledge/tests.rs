@@ -1,4 +1,4 @@
-//! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
+//! Tests of seconds, windows and restarts. The relation itself is tested in the crate `clock`.
 
 use peernet_clock::{DelaySource, Discipline, Exchange, Interval, RelationSettings};
 use peernet_networks::RawClock;
@@ -13,19 +13,19 @@ fn at(millis: i64) -> WallTime {
     WallTime::from_unix_nanos(1_000_000 * MS + millis * MS)
 }
 
-/// All clocks of the edge at that time.
+/// Returns the stamp of the edge's clocks at that time.
 fn now(millis: i64) -> Stamp {
     Stamp { wall: at(millis), raw: RawTime::of_wall(at(millis)), ..Stamp::default() }
 }
 
-/// What a host tells in this epoch of its free-running clock, which shows what its wall clock shows.
+/// Returns a host's announcement in this epoch of its free-running clock, which agrees with its wall clock.
 fn told(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
     let wall_ahead = Interval::exactly(Span::ZERO);
     let raw = Some(RawClock { epoch, wall_ahead, clocksource: "tsc".into() });
     PeerClock { raw, discipline, ..PeerClock::default() }
 }
 
-/// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
+/// Returns an exchange with a cloud that is `ahead`: 1 ms in each direction, 2 ms in between.
 fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     let exchange = Exchange {
         sent: RawTime::of_wall(at(sent)),
@@ -115,7 +115,7 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
     }
     let before = knowledge.now(&network(), now(250)).window;
     let _ = knowledge.cloud_says(told(1, None), now(250).raw);
-    // What was under way when the step was told is not believed, however it looks.
+    // An exchange that was in flight when the step was announced is not used, however plausible it is.
     let under_way = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
     let ([up, down], news) = knowledge.judge(&network(), &under_way, WAYS, now(304));
     assert_eq!((up.value, down.value, news.restart), (None, None, None));
@@ -189,7 +189,7 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
     let news = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
     assert!(news.restart.is_none(), "{news:?}");
     let after = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
-    // It may have been under way, for all the relation knows.
+    // The relation cannot exclude that this exchange was in flight during the step.
     let _ = knowledge.judge(&network(), &after(400), WAYS, now(404));
     let (_, news) = knowledge.judge(&network(), &after(500), WAYS, now(504));
     assert!(news.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{news:?}");
@@ -208,7 +208,7 @@ fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
     for sent in [0, 10, 20] {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    // The cloud is set forward by 5 s; an exchange tells of it before the announcement does.
+    // The cloud is set forward by 5 s; an exchange carries the new epoch before the announcement does.
     let stepped = |sent| ExchangeObservation { cloud_epoch: Some(1), ..exchange(sent, 5000) };
     let _ = knowledge.judge(&network(), &stepped(30), WAYS, now(34));
     knowledge.edge_says(claim(0), now(0).raw);
@@ -243,7 +243,7 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
         (tcp.clone(), udp.clone())
     );
 
-    // What had its session's last delays in this second is told of once more.
+    // A network whose session had its last delays in this second gets one more sample.
     let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
     knowledge.leave(&network());
     let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
@@ -274,7 +274,7 @@ fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
     let mut news = vec![knowledge.turn(now(1_001))];
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_100));
     knowledge.leave(&network());
-    // The second ends before the task of the link counts the probes that nobody answered.
+    // The second ends before the link's task counts the unanswered probes.
     news.push(knowledge.turn(now(2_001)));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_002));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_003));
@@ -309,7 +309,7 @@ fn wall_clock_of_cloud_counts_only_where_it_is_related() {
         for sent in [0, 100, 200] {
             let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
         }
-        // A cloud of an earlier release tells nothing of its free-running clock.
+        // A cloud of an earlier release announces nothing about its free-running clock.
         let raw = told(0, None).raw.filter(|_| !is_related);
         let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
         let news = knowledge.cloud_says(stepped.clone(), now(250).raw);
@@ -334,7 +334,8 @@ fn raw_difference_is_that_of_wall_clocks() {
 fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
     let mut knowledge = knowledge();
     let _ = knowledge.judge(&network(), &exchange(300, 0), WAYS, now(304));
-    // The next look comes 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running one.
+    // `turn` is called 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running
+    // clock.
     let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
     let news = knowledge.turn(late);
     let [sample] = &news.samples[..] else { panic!("one second: {news:?}") };
@@ -344,7 +345,7 @@ fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
     assert!(basis.claims_trusted, "as this relation is set");
 }
 
-/// Messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
+/// Returns stamps of messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
 fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
     let here = |millis| HostStamp {
         wall: at(sent + millis),
@@ -379,7 +380,7 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
     let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
     let sum = sum.map(|(up, down)| up + down).expect("both have a value");
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
-    // A receiver here that was 40 ms late: the cloud's had the message before.
+    // The receiver on this host was 40 ms late: the cloud received the message before.
     let mut late = up;
     late.sender.raw = late.sender.raw + Span::from_millis(40);
     let [negative, _] = knowledge.judge_stamps(&late, None);
@@ -410,7 +411,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     assert_eq!(knowledge.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
 
-/// Ten a second, of which the middle moves by 8 ms from the 20th on, and back from the 40th on.
+/// Ten exchanges a second, whose middle moves by 8 ms from the 20th on, and back from the 40th on.
 #[test]
 fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
     let mut knowledge = knowledge();
