@@ -1,4 +1,4 @@
-//! Slowdown of the processor by heat or by too little power, now and since the host was started.
+//! Throttling of the processor by heat or too little power, now and since the host was started.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ const WATCH: &str = "look whether it is slowed down during the run as well: comp
                      its cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
 const NEAR_CELSIUS: f64 = 5.0;
-/// Beginnings of the types of cooling devices that slow down processors: x86, Arm, Jetson.
+/// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.
 const SLOWING: [&str; 6] = ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
 /// Judges all signs of throttling: one that is active now is bad, one since the host was started is doubtful.
@@ -36,8 +36,8 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     }
 }
 
-/// Finds cooling devices that are active (kernel documentation, driver-api/thermal/sysfs-api); a Jetson's alerts are such
-/// devices too.
+/// Finds active cooling devices (kernel documentation, driver-api/thermal/sysfs-api); the alerts of a Jetson are such
+/// devices, too.
 fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     let devices = entries(&sys.join("class/thermal"), "cooling_device");
     let mut known = false;
@@ -61,7 +61,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
 
-/// Finds thermal zones at or near a trip point, from which on the kernel slows the host down.
+/// Finds thermal zones at or near a trip point, above which the kernel slows the host down.
 fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
     let mut known = false;
     let mut found = Vec::new();
@@ -87,8 +87,8 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
     known.then_some(found)
 }
 
-/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 hold now, bits 16 to 19 since the board was started (documentation
-/// of `vcgencmd get_throttled`).
+/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 that since the
+/// board was started (documentation of `vcgencmd get_throttled`).
 fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let bits = text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
     let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;

@@ -1,3 +1,5 @@
+//! Tests of the conditions with file trees like those of boards.
+
 use std::fs;
 use std::path::Path;
 
@@ -5,7 +7,7 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// A system of files, as some board has it.
+/// A file tree like that of a board.
 struct Board(TempDir);
 
 impl Board {
@@ -37,7 +39,7 @@ impl Board {
         }
     }
 
-    /// What is said of a subject.
+    /// Returns the findings about a subject.
     fn about(&self, subject: &str) -> Vec<(Grade, String)> {
         let found = inspect_host(&self.settings(), "robot")
             .into_iter()
@@ -255,11 +257,11 @@ fn a_disk_is_looked_at_where_the_folder_will_be() {
     assert!(disk.grade != Grade::Unknown, "{disk:?}");
 }
 
-/// A program that stands for `iw`.
+/// Installs a program in place of `iw`.
 fn iw(board: &Board, prints: &str) {
     use std::os::unix::fs::PermissionsExt;
     let path = board.0.path().join("iw");
-    // Renamed into place: a file that another thread's fork holds open for writing could not be run.
+    // Renamed into place, because a file that a fork of another thread holds open for writing could not be executed.
     let fresh = board.0.path().join("iw.new");
     fs::write(&fresh, format!("#!/bin/sh\n[ \"$1 $3 $4\" = 'dev get power_save' ] && echo '{prints}'\n"))
         .expect("written");

@@ -1,4 +1,7 @@
-//! How many requests of a run came here. After a lost connection a run goes on in another session.
+//! Counts the requests of each run that arrived here.
+//!
+//! After a lost connection a run continues in another session. An edge's goodbye says how many iterations the run was
+//! to have, so that a server of a fixed number of answers need not wait for those that never come.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -6,15 +9,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use peernet_logger::{HostId, Slug};
 
-/// So many runs whose edge vanished are remembered for when it comes back.
+/// Number of runs above which those of edges without a session are forgotten. They are kept for when the edge comes
+/// back.
 const MOST: usize = 256;
 
-/// Requests of each pipeline's present run.
+/// Requests of the current run of each pipeline.
 #[derive(Debug, Default)]
 pub(super) struct Asked(HashMap<(HostId, Slug), Arc<AtomicU64>>);
 
 impl Asked {
-    /// What counts the requests of a new session.
+    /// Returns the counter of the requests of a new session.
     pub(super) fn by(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
         if self.0.len() >= MOST {
             self.0.retain(|_, count| Arc::strong_count(count) > 1);
@@ -22,7 +26,7 @@ impl Asked {
         Arc::clone(self.0.entry((host, pipeline.clone())).or_default())
     }
 
-    /// An edge said goodbye: how many of the iterations that its run was to have never came, if the run is over.
+    /// Handles an edge's goodbye. Returns how many of the run's planned iterations never arrived, if the run is over.
     pub(super) fn missed(&mut self, host: HostId, pipeline: &Slug, ordered: Option<u64>) -> u64 {
         let came = self.0.remove(&(host, pipeline.clone())).map_or(0, |count| count.load(Ordering::Relaxed));
         ordered.map_or(0, |ordered| ordered.saturating_sub(came))

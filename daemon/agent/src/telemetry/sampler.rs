@@ -1,4 +1,4 @@
-//! Reads the host's figures.
+//! Reads the host's metrics.
 
 use peernet_clock::SharedClock;
 use peernet_stream::HostMetrics;
@@ -6,15 +6,15 @@ use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
 use super::own::Own;
 
-/// What is kept between two readings: shares of time need the previous one.
+/// State between two readings; shares of time need the previous one.
 ///
-/// Accelerators and power get their own readers here, each `None` where the host has no such thing.
+/// Readers of accelerators and power belong here as well, each `None` if the host has no such device.
 #[derive(Debug)]
 pub(super) struct Sampler {
     system: Option<System>,
     temperatures: Option<Components>,
     own: Own,
-    /// The first share of CPU time has nothing to compare with.
+    /// `true` after the first reading. The first share of CPU time has nothing to compare with.
     seen: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Models that peers ask for by name, or leave to the host.
+//! Tests of models that peers request by name, or leave to the host.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/quality-control")
 }
 
-/// A folder with the demo model under two names.
+/// Returns a folder with the demo model under two names.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["plates", "plates_2"] {
@@ -26,7 +26,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// A pipeline that sends three pictures to the cloud, with more keys for its placement.
+/// Returns a pipeline that sends three pictures to the cloud, with further keys for its placement.
 fn line(cloud: &TestAgent, placement: &str) -> String {
     format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = {:?} }}\n\
@@ -58,7 +58,7 @@ async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
     assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
     edge.stop().await.expect("stops well");
 
-    // Measuring the link is not serving.
+    // Answers of the calibration model are not counted.
     let calibrating = line(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
     aggregator.until(|seen| seen.ended().len() == 2).await;

@@ -1,4 +1,4 @@
-//! The built-in model that `peernet calibrate` measures with.
+//! Tests of the built-in model for `peernet calibrate`.
 
 use peernet_stream::{Outcome, PipelineState};
 

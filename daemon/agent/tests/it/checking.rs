@@ -1,4 +1,4 @@
-//! Configurations and what is wrong with them.
+//! Tests of checking configurations.
 
 use peernet_agent::{Agent, AgentConfig};
 

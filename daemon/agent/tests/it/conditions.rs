@@ -1,4 +1,4 @@
-//! What is found of the hosts stands in the run's description.
+//! Tests that a run's description contains the conditions of both hosts.
 
 use peernet_stream::Condition;
 

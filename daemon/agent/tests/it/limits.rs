@@ -1,4 +1,4 @@
-//! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
+//! Tests of closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
 use peernet_stream::{EndReason, Outcome, PipelineState, PlacementKind};
 
@@ -105,7 +105,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
             iteration.tree.find(&["send-queue"]).is_some() && iteration.tree.find(&["lateness"]).is_some()
         );
     }
-    // Every intended start lies within the duration, counted from the first that is not warm-up.
+    // Every intended start is within the duration, counted from the first that is not warm-up.
     let start = |number: usize| iterations[number].tree.anchors()[0].wall;
     let first = (0..iterations.len()).filter(|n| !iterations[*n].warm_up).map(start).min().expect("measured");
     let last = (0..iterations.len()).map(start).max().expect("measured");

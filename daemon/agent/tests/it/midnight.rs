@@ -1,4 +1,4 @@
-//! Runs that last for ever end at midnight (UTC), and the next one begins.
+//! Tests of runs without a limit, which end at midnight (UTC), when the next one begins.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -7,7 +7,7 @@ use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, Span, 
 
 use crate::harness::{Aggregator, TestAgent, clock, config};
 
-/// This machine's clock, some days ahead.
+/// This machine's clock, shifted by a number of days.
 #[derive(Debug)]
 struct Calendar {
     real: SharedClock,

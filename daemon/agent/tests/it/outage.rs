@@ -1,4 +1,4 @@
-//! Clouds that are not there, go away and come back.
+//! Tests of clouds that are absent, go away and come back.
 
 use peernet_stream::{EndReason, IncidentKind, Outcome, PipelineState};
 use peernet_test_ports::free_port;
@@ -22,7 +22,8 @@ fn edge(port: u16, model: &str) -> String {
     )
 }
 
-/// A port whose connections reach another one until the task is aborted: then they end without a goodbye.
+/// Returns a port whose connections are forwarded to another one until the task is aborted; then they end without a
+/// goodbye.
 async fn cable_to(port: u16) -> (u16, JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let here = listener.local_addr().expect("bound").port();
@@ -57,7 +58,8 @@ async fn a_cloud_that_is_not_up_yet_is_waited_for() {
     let seen = aggregator.until(|seen| seen.iterations().len() >= 5).await;
     assert_eq!(seen.runs().len(), 1);
     assert_eq!(seen.incidents(IncidentKind::Disconnected).len(), 1, "said once");
-    // What came due while there was nobody yet is neither late nor skipped: the beat begins with the run.
+    // Starts that came due before the first connection are neither late nor skipped: the schedule begins with the
+    // run.
     let (iterations, started) = (seen.iterations(), seen.runs()[0].started);
     let first = iterations.iter().find(|it| it.number == 1).expect("the first");
     assert_eq!(value(&first.tree, "skipped-starts"), None);
@@ -200,7 +202,7 @@ async fn connections_that_end_without_an_aggregator_are_counted() {
     assert!(said.contains("1 connection to a cloud ended meanwhile"), "{said}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
-    // What was told is not told again.
+    // A number that was reported is not reported again.
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
     let said = &welcomes(&seen)[1];

@@ -1,4 +1,4 @@
-//! The way to the aggregator: nothing lost uncounted, nothing twice.
+//! Tests of the outbox: no event is lost uncounted, none is stored twice.
 
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ fn line(keys: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_event_arrives_exactly_once_over_reconnects() {
-    // It goes down after storing the third batch and before saying so: the agent must send it again, and it
-    // must not count twice.
+    // The aggregator ends after storing the third batch and before acknowledging it: the agent must send it again,
+    // and it must not count twice.
     let manners = Manners { die_before_ack: Some(3), ..Manners::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
@@ -72,7 +72,7 @@ async fn what_answers_but_is_no_aggregator_is_named_once_and_tried_again() {
     let manners = Manners { mute: true, ..Manners::default() };
     let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
     let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;
-    // The model, the run's two ends and ten iterations; what comes then is the report.
+    // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::up(mute.down().await).await;
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;

@@ -1,4 +1,4 @@
-//! One pipeline, two hosts.
+//! Tests of a pipeline between two hosts.
 
 use peernet_clock::{DelaySource, Verdict};
 use peernet_logger::Measure;
@@ -79,7 +79,7 @@ async fn several_requests_are_under_way_at_once() {
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let iterations = seen.iterations();
     assert_contiguous(&iterations);
-    // The model takes 22 ms: one at a time, the iterations' own times could not overlap.
+    // The model takes 22 ms: if requests were sent one at a time, the iterations could not overlap.
     let span = |it: &Iteration| {
         let begin = it.tree.anchors()[0].wall.unix_nanos();
         (begin, begin + (value(&it.tree, "total").unwrap_or(0.0) * 1e9) as i64)

@@ -1,4 +1,4 @@
-//! Stopping: what has begun is finished and handed over.
+//! Tests of stopping: iterations in flight are completed, and their events are sent.
 
 use peernet_stream::{EndReason, Outcome};
 

@@ -1,4 +1,4 @@
-//! A program that runs an agent in the foreground.
+//! Tests of a program that runs an agent in the foreground.
 
 use std::num::NonZeroU64;
 

@@ -1,4 +1,4 @@
-//! Things that fail beside the network.
+//! Tests of failures that are not those of the network.
 
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
@@ -81,7 +81,7 @@ async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() 
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 
-    // One that is stopped may come back for the rest.
+    // A run that was stopped may continue later, so that its missing iterations are not counted.
     let edge = TestAgent::start("edge", None, &tables("{ total = 1000000 }")).await;
     edge.until(|_| cloud.running.served().borrow().answers > 15).await;
     edge.stop().await.expect("stops well");

@@ -1,4 +1,4 @@
-//! Every delay has an interval, and the truth lies in it.
+//! Tests that every delay has an interval that contains the truth.
 
 use peernet_clock::{DelaySource, RehearsalDescription, Span, Verdict};
 
@@ -51,7 +51,7 @@ async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
             assert!(median.bits_per_second > Some(0.0));
         }
     }
-    // The live lane told the same: every verdict is counted, and each has its error bar.
+    // The live lane has the same data: every verdict is counted, and each has its error bar.
     let mut seconds = std::collections::BTreeMap::new();
     for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|line| &line.seconds) {
         seconds.insert(second.at, second.clone());

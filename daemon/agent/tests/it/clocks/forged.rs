@@ -1,4 +1,4 @@
-//! Somebody on the path who sees and alters probes, but not the session.
+//! Test of an attacker on the path who can read and change probes, but not the session.
 
 use std::io;
 use std::net::SocketAddr;
@@ -14,12 +14,12 @@ use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use super::{CLOUD, WAYS, assert_holds, delay, line};
 use crate::harness::{Aggregator, TestAgent, config};
 
-/// How long data takes each way: so wide is what honest exchanges leave open.
+/// Delay of data in each direction, which determines the width of the interval from honest exchanges.
 const WAY: Duration = Duration::from_millis(20);
-/// What is added to the cloud's stamps: less than anything but the probes could contradict.
+/// Amount added to the cloud's stamps: so little that only the probes could be contradicted.
 const ADDED: Span = Span::from_millis(13);
 
-/// Passes the bytes of a connection on, later.
+/// Forwards the bytes of a connection with a delay.
 async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
     let (queue, mut queued) = tokio::sync::mpsc::channel(1024);
     let reading = async move {
@@ -42,7 +42,7 @@ async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + 
     tokio::try_join!(reading, writing).map(|_| ())
 }
 
-/// Passes on connections to `cloud`, each later by [`WAY`] in both directions.
+/// Forwards connections to `cloud`, delayed by [`WAY`] in both directions.
 async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
     while let Ok((near, _)) = listener.accept().await {
         let far = TcpStream::connect(cloud).await.expect("the cloud listens");
@@ -52,7 +52,7 @@ async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
     }
 }
 
-/// Passes probes on at once and forges each answer.
+/// Forwards probes at once and forges each answer.
 async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<AtomicUsize>) {
     let far = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
     let (mut asked, mut answered) = ([0; 2048], [0; 2048]);
@@ -73,8 +73,8 @@ async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<Atomic
     }
 }
 
-/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
-/// clock.
+/// Changes an answer so that the cloud's clocks seem to be ahead by [`ADDED`]: in both layouts of a base packet, and
+/// in the stamps of its free-running clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
     let is_open = answer[4..12] != [0; 8];

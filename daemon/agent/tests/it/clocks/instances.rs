@@ -1,4 +1,4 @@
-//! Whose clock it is: the process that serves the data is the one whose clock must be known.
+//! Tests of the identity of a cloud: the clock that matters is that of the process that serves the data.
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
@@ -65,7 +65,7 @@ impl Cloud {
         }));
     }
 
-    /// Goes on for as long as the task is not aborted.
+    /// Keeps the session open until the task is aborted.
     fn stay(mut self) -> JoinHandle<()> {
         tokio::spawn(async move { while self.listener.next().await.is_some() {} })
     }
@@ -96,7 +96,7 @@ async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
     let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
     let live = edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
     assert!(answers.read().answered > 0, "they were answered");
-    // A session that brings no key, as those of earlier releases.
+    // This session has no key, as with clouds of earlier releases.
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
     edge.until(|live| live.links.iter().any(|link| link.now.basis.is_some_and(is_open))).await;
     let now = &live.links[0].now;

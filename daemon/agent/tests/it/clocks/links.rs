@@ -1,4 +1,4 @@
-//! A link lives as long as there is a session.
+//! Tests of the lifetime of a link, which is that of its sessions.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
@@ -68,7 +68,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
              load = {{ mode = 'rate', hz = 50.0 }}\n"
         )
     };
-    // No probe is answered without the key, so that many are under way when a session ends.
+    // No probe is answered without the key, so that many are in flight when a session ends.
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -77,7 +77,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
     let tables = format!("{probes}{}{}", pipeline("first", tcp), pipeline("second", udp));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
     edge.until(|live| live.links.len() == 2 && live.links.iter().all(|link| link.now.probes.lost > 0)).await;
-    // Both end, one a little earlier.
+    // Both sessions end, one a little earlier.
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     for network in ["zmq-tcp", "zmq-udp"] {
@@ -86,7 +86,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
             sent += sample.probes.sent;
             ended += sample.probes.answered + sample.probes.lost;
         }
-        // A hundred are under way at the end. A few were sent in the second before one of the sessions began.
+        // A hundred probes are in flight at the end. A few were sent in the second before one of the sessions began.
         assert!(sent > 100 && sent.abs_diff(ended) < 10, "{network}: {sent} sent, {ended} answered or lost");
     }
     cloud.stop().await.expect("stops well");

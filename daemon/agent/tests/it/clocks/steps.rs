@@ -1,4 +1,4 @@
-//! A wall clock is set in mid-run.
+//! Tests of a wall clock that is set during a run.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ fn stepping(by: Span) -> RehearsalDescription {
     RehearsalDescription { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
 }
 
-/// When a clock that is set by whole seconds showed `shown`, a moment before or after the other showed `near`: one that is
-/// set back shows the same time twice.
+/// Returns the true time at which a clock that is set by whole seconds showed `shown`, shortly before or after the
+/// other clock showed `near`. A clock that is set back shows the same time twice.
 fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(wrong) = wrong else { return shown };
     let moment = Span::from_millis(400);
@@ -25,7 +25,7 @@ fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) 
     candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
 }
 
-/// How many iterations were good after the step.
+/// Returns the number of good delays after the step.
 fn good_after(
     seen: &Seen,
     edge: Option<&RehearsalDescription>,
@@ -79,7 +79,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
             let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
-        // The edge's own clock is told of without a peer.
+        // Incidents about the edge's own clock have no peer.
         let set = |seen: &Seen| {
             let all = seen.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()

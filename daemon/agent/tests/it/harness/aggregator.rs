@@ -1,4 +1,4 @@
-//! The other end of the event stream, as simple as it can be: it accepts, remembers and acknowledges.
+//! A minimal aggregator: it accepts, stores and acknowledges.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -19,27 +19,27 @@ use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
 
 use super::{PATIENCE, clock};
 
-/// What it has seen, over all its lives.
+/// Everything that an aggregator has received, over restarts.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Seen {
     pub(crate) hellos: usize,
     pub(crate) goodbyes: Vec<HostId>,
-    /// Each once, in order.
+    /// All events, each once, in order.
     pub(crate) events: Vec<Event>,
     pub(crate) lives: Vec<LiveUpdate>,
-    /// How far each stream is stored.
+    /// Mark up to which each stream is stored.
     marks: HashMap<StreamId, Mark>,
-    /// The streams that hosts said hello with, in this order.
+    /// Streams of the hellos, in this order.
     pub(crate) streams: Vec<StreamId>,
-    /// Batches that nobody has.
+    /// Batches that were reported as missing.
     pub(crate) missing: Vec<Missing>,
     /// Streams that ended because the spool was another one at the next hello.
     pub(crate) replaced: Vec<StreamId>,
-    /// Batches that came although they were stored.
+    /// Number of batches that arrived although they were stored.
     pub(crate) repeated: usize,
 }
 
-/// Listens until it is dropped.
+/// A running aggregator, which listens until it is dropped.
 pub(crate) struct Aggregator {
     pub(crate) address: String,
     seen: Arc<watch::Sender<Seen>>,
@@ -47,16 +47,16 @@ pub(crate) struct Aggregator {
     task: JoinHandle<()>,
 }
 
-/// How it behaves.
+/// Behaviour of an aggregator.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Manners {
-    /// Refuse hellos with this reason.
+    /// Reason with which hellos are refused.
     pub(crate) refuse: Option<String>,
-    /// Store batches, but go down before acknowledging this one.
+    /// Number of a batch after whose storage the aggregator ends without acknowledging it.
     pub(crate) die_before_ack: Option<u64>,
-    /// Take everything and answer nothing.
+    /// `true` if nothing is answered.
     pub(crate) mute: bool,
-    /// Take so long for each batch.
+    /// Time that each batch takes.
     pub(crate) slow: Option<Duration>,
 }
 
@@ -78,24 +78,24 @@ impl Aggregator {
         Self { address, seen, stop, task }
     }
 
-    /// Waits until it has gone down by itself; the memory survives.
+    /// Waits until it has ended by itself. What it received is kept.
     pub(crate) async fn fell(self) -> (String, Arc<watch::Sender<Seen>>) {
         tokio::time::timeout(PATIENCE, self.task).await.expect("in time").expect("no panic");
         (self.address, self.seen)
     }
 
-    /// Goes down without a word; the memory survives.
+    /// Ends without a message to the agents. What it received is kept.
     pub(crate) async fn down(self) -> (String, Arc<watch::Sender<Seen>>) {
         self.stop.cancel();
         self.fell().await
     }
 
-    /// Comes back at the same address with what it remembers.
+    /// Starts again at the same address with what was kept.
     pub(crate) async fn up((address, seen): (String, Arc<watch::Sender<Seen>>)) -> Self {
         Self::start_at(&address, seen, Manners::default()).await
     }
 
-    /// Waits until it has seen enough.
+    /// Waits until what it has received is enough.
     pub(crate) async fn until(&self, enough: impl FnMut(&Seen) -> bool) -> Seen {
         let mut changes = self.seen.subscribe();
         match tokio::time::timeout(PATIENCE, changes.wait_for(enough)).await {
@@ -147,7 +147,8 @@ impl Seen {
     }
 }
 
-/// The library gives a port back a moment after the socket on it was closed: a successor may have to wait.
+/// Binds to an address. The library frees a port a moment after its socket was closed, so that this may have to be
+/// repeated.
 async fn bind(socket: &Socket, address: &str) -> String {
     let binding = async {
         loop {
@@ -208,7 +209,7 @@ impl Desk {
         match head {
             Some(head) => self.batch(seen, head, frame, now),
             None => match codec::decode(frame).expect("the agent sends sense") {
-                // Whoever says hello is believed here.
+                // This aggregator accepts every hello without a proof.
                 ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
                 ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
                 ToAggregator::Live(update) => {

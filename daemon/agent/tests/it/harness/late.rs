@@ -1,4 +1,4 @@
-//! A rehearsal that begins when the test says so: nothing depends on how fast the machine is.
+//! A clock fault that begins when the test wants it, so that nothing depends on the speed of the machine.
 
 use std::sync::OnceLock;
 
@@ -7,7 +7,7 @@ use peernet_clock::{
     Span, WallTime,
 };
 
-/// A right clock until it is told to go wrong.
+/// A right clock that becomes wrong on request.
 #[derive(Debug)]
 pub(crate) struct Late {
     right: SharedClock,
@@ -19,7 +19,7 @@ impl Late {
         Self { right, rehearsed: OnceLock::new() }
     }
 
-    /// Goes wrong from now on.
+    /// Makes the clock wrong from now on.
     pub(crate) fn go_wrong(&self, how: RehearsalDescription) {
         let identity = self.right.identity().clone();
         let wrong = RehearsedClock::new(SharedClock::clone(&self.right), identity, how);

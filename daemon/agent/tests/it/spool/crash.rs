@@ -1,4 +1,4 @@
-//! Agents that die, and others that take over what they left.
+//! Tests of agents that die, and of their successors that deliver what they left.
 
 use std::time::Duration;
 
@@ -38,7 +38,7 @@ async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_ex
     assert_eq!(seen.events[..left.len()], left);
     assert_contiguous(&seen.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    // What had not reached the spool is counted as lost.
+    // Events that had not reached the spool are counted as lost.
     assert_eq!(account.produced, account.stored + account.dropped);
 
     assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]), "one stream: {:?}", seen.streams);
@@ -57,7 +57,7 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
     agent.until_state(|state| *state == PipelineState::Running).await;
     agent.until(|live| live.accounting.produced >= 100).await;
     let file = agent.spool();
-    // At once: there is nothing to wait for.
+    // It stops at once, because there is nothing to wait for.
     let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
     let state = stopping.expect("does not wait for the aggregator").expect("stops well");
     let left = spooled(&file).await;
@@ -83,7 +83,7 @@ async fn what_an_aggregator_does_not_take_in_time_goes_out_after_the_next_start(
     let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
-    // Few are under way, or the aggregator would take them all while the goodbye waits behind them.
+    // Few events are in flight; otherwise the aggregator would store them all while the goodbye waits behind them.
     config.agent.batch_bytes = std::num::NonZeroUsize::new(4096).expect("not zero");
     config.agent.batch_delay_ms = 10;
     let agent = TestAgent::start_in(state(), &aggregator.address, config).await;

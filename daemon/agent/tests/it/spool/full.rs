@@ -1,4 +1,4 @@
-//! A spool that is full.
+//! Test of a full spool.
 
 use std::num::NonZeroU64;
 
@@ -41,7 +41,7 @@ async fn the_newest_are_dropped_and_counted_and_a_gap_stands_in_their_place() {
         assert!(gap.from <= gap.to && !gap.reason.is_empty());
     }
 
-    // It remembers what was counted.
+    // The counts are kept over a restart.
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 50 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     let second = seen.ended()[1].run;

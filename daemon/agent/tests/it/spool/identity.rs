@@ -1,4 +1,4 @@
-//! Spools that are gone, broken, or somebody else's.
+//! Tests of spools that are gone, broken, or those of another host.
 
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;
@@ -50,7 +50,7 @@ async fn two_agents_cannot_use_one_spool() {
     assert!(matches!(&refused, StartError::Spool(_)), "{refused}");
     assert!(refused.to_string().contains("another agent uses the spool"), "{refused}");
     first.stop().await.expect("stops well");
-    // Another host than the one whose events it holds.
+    // The spool holds the events of another host.
     let refused = start(config).await.err().expect("it is not its own").to_string();
     assert!(refused.contains("holds events of the host"), "{refused}");
 }

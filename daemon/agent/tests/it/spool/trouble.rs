@@ -1,4 +1,4 @@
-//! A spool that cannot be written while the agent runs.
+//! Tests of a spool that cannot be written while the agent runs.
 
 use std::num::NonZeroUsize;
 
@@ -33,7 +33,7 @@ async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it
     assert_contiguous(&seen.iterations());
     assert_eq!((seen.gaps().len(), seen.incidents(IncidentKind::Gap).len()), (0, 2), "failed, recovered");
 
-    // The file agrees with what went around it.
+    // The file is consistent with the batches that were sent from memory.
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     assert!(seen.missing.is_empty() && seen.replaced.is_empty());
