@@ -1,9 +1,9 @@
 //! The outbox: sends durable events and live updates to the aggregator.
 //!
-//! Tasks put their events into the [`EventQueue`] and continue. The outbox task takes them from there, drives the
-//! sending end of the event stream (`peernet_stream::Sending`, a state machine that batches, numbers and repeats),
-//! and owns the connection. A second task owns the [spool], the file in which batches are safe until the aggregator
-//! has stored them; so neither the outbox nor a live update ever waits for a disk.
+//! Tasks put their events into the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes
+//! them from there, drives the sending end of the event stream (`peernet_stream::Sending`, a state machine that
+//! batches, numbers and repeats), and owns the connection. A second task owns the [spool], the file in which batches
+//! are safe until the aggregator has stored them; so neither the outbox nor a live update ever waits for a disk.
 //!
 //! A batch is sent after it was written to the spool. While the disk of the spool fails, batches are sent from
 //! memory: otherwise nothing would store them.
