@@ -43,13 +43,13 @@ mod tests {
     fn a_few_failures_are_free_many_slow_down_and_a_success_lets_go() {
         let (mut backoff, now) = (FailureBackoff::default(), MonoTime::from_nanos(0));
         let failed = Outcome::Failed("broken".into());
-        let reconnect_backoff: Vec<i64> = (0..16)
+        let pauses: Vec<i64> = (0..16)
             .map(|_| {
                 backoff.record_outcome(&failed, now);
                 backoff.paused_until(now).map_or(0, |until| (until - now).nanos() / 1_000_000)
             })
             .collect();
-        assert_eq!(reconnect_backoff, [0, 0, 0, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000, 1000, 1000, 1000]);
+        assert_eq!(pauses, [0, 0, 0, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000, 1000, 1000, 1000]);
         backoff.record_outcome(&Outcome::Ok, now);
         assert_eq!(backoff.paused_until(now), None);
     }

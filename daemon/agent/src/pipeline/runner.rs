@@ -125,9 +125,9 @@ impl Runner {
             let current = match &mut run {
                 Some(run) => run,
                 None => {
-                    let began_at = self.begin(resources.facts(placement.facts()), &placement, false).await;
+                    let new_run = self.begin(resources.facts(placement.facts()), &placement, false).await;
                     resources.restart_schedule(self.context.host.clock.mono());
-                    run.insert(began_at)
+                    run.insert(new_run)
                 }
             };
             let ended = self.measure(&mut resources, current, &placement).await;

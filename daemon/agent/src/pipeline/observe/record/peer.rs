@@ -3,7 +3,7 @@
 use peernet_clock::{OneWayDelay, SharedClock, Span, Stamp};
 use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, stage};
 
-use super::{add_topics, count, ends, ticket};
+use super::{add_topics, count, ends, pending};
 use crate::link::{Crossing, HostStamp};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
@@ -96,10 +96,10 @@ fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node;
 fn close(mut log: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
     let begun = pair.input.received.message.received;
     add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - begun.mono, pair.uncounted);
-    let ticket = ticket(pair.input.position, begun);
+    let pending_iteration = pending(pair.input.position, begun);
     let tree = match transport {
-        Some(_) => iteration::close(log, &ticket, ended.mono, true, transport),
-        None => iteration::close_without_stages(log, &ticket, ended.mono),
+        Some(_) => iteration::close(log, &pending_iteration, ended.mono, true, transport),
+        None => iteration::close_without_stages(log, &pending_iteration, ended.mono),
     };
     (tree, ended)
 }
