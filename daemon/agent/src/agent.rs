@@ -29,10 +29,10 @@ use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{IncidentContext, Incidents};
 use crate::io::IoThreads;
-use crate::link::{Cloud, Links, Near, ProbeSettings};
+use crate::link::{Cloud, LinkContext, Links, ProbeSettings};
 use crate::live::{Display, LiveStatistics};
 use crate::observed::ObservedPipelines;
-use crate::outbox::{LiveSources, Outbox, Sources};
+use crate::outbox::{LiveSources, Outbox, OutboxContext};
 use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
 use crate::serve::{ServeContext, ServeEndpoints, Served};
@@ -129,19 +129,19 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
-    let (event_queue, exit) = crate::event_queue::entrance(&config.agent, &clock, counter);
+    let (event_queue, receiver) = crate::event_queue::create(&config.agent, &clock, counter);
     let event_queue = event_queue.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
     let (publish_clock, host_clock) = watch::channel(host_clock::not_asked_yet(&clock));
-    let near = Near {
+    let link_context = LinkContext {
         name: name.clone(),
         clock: Arc::clone(&clock),
         own: host_clock.clone(),
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
-    let links = Links::new(near, &config.clock, probes.clone());
+    let links = Links::new(link_context, &config.clock, probes.clone());
     let inspection = Arc::new(InspectionSettings::of(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
@@ -177,12 +177,12 @@ async fn start(
             serve::run(endpoints, context, count, ended)
         });
     }
-    let outbox = match (exit, spool, secret, &config.agent.aggregator) {
-        (Some(exit), Some(spool), Some(secret), Some(address)) => {
+    let outbox = match (receiver, spool, secret, &config.agent.aggregator) {
+        (Some(receiver), Some(spool), Some(secret), Some(address)) => {
             let identity = (describe(&host, &bank, &serves), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
-            let sources = Sources { clock, incidents: events.incidents, runs: events.runs, live };
-            let outbox = Outbox::start(&config, address.clone(), exit, spool, identity, sources);
+            let sources = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
+            let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, sources);
             watch_outbox(&mut tasks, &outbox);
             Some(outbox)
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{Report, usable};
 use crate::config::{AgentConfig, SpoolConfig};
-use crate::outbox::Look;
+use crate::outbox::FileKind;
 
 /// Smallest limit of a spool in bytes: 1 MiB.
 const MIN_LIMIT_BYTES: u64 = 1 << 20;
@@ -55,10 +55,10 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
     if path.exists() && !path.is_file() {
         return report.add("spool.file", format!("{} is a device or a pipe; name a file", path.display()));
     }
-    match Look::at(&path) {
-        Ok(Look::Other) if kept_by_agent => {}
-        Ok(look) => {
-            if let Some(objection) = look.objection() {
+    match FileKind::at(&path) {
+        Ok(FileKind::Other) if kept_by_agent => {}
+        Ok(kind) => {
+            if let Some(objection) = kind.objection() {
                 report.add("spool.file", format!("the file {} {objection}", path.display()));
             }
         }

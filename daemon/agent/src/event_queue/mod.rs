@@ -28,13 +28,13 @@ const RESERVE: usize = 512;
 #[derive(Clone, Debug)]
 pub(crate) struct EventQueue {
     /// Channel to the outbox; `None` for an agent without an aggregator.
-    outbox: Option<Arc<Entrance>>,
+    outbox: Option<Arc<QueueSender>>,
     /// Channel to the program that runs the agent; `None` if it does not observe the events.
     tap: Option<EventTap>,
 }
 
 #[derive(Debug)]
-struct Entrance {
+struct QueueSender {
     queue: mpsc::Sender<Event>,
     overflow: Arc<Overflow>,
     counter: EventCounter,
@@ -42,7 +42,7 @@ struct Entrance {
 
 /// Receiving end of the queue, with the count of events that did not fit.
 #[derive(Debug)]
-pub(crate) struct Exit {
+pub(crate) struct QueueReceiver {
     pub(crate) queue: mpsc::Receiver<Event>,
     pub(crate) overflow: Arc<Overflow>,
     pub(crate) counter: EventCounter,
@@ -62,11 +62,15 @@ pub(crate) struct Overflow {
 type Origin = (Option<Slug>, Option<RunId>);
 
 /// Creates a queue and returns its two ends.
-pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, Exit) {
+pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, QueueReceiver) {
     let (sender, queue) = mpsc::channel(PLACES + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
-    let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
-    (EventQueue { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow, counter })
+    let queue_sender =
+        QueueSender { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
+    (
+        EventQueue { outbox: Some(Arc::new(queue_sender)), tap: None },
+        QueueReceiver { queue, overflow, counter },
+    )
 }
 
 impl EventQueue {
@@ -84,13 +88,13 @@ impl EventQueue {
     pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
         let run = iteration.run;
         let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
-        let Some(entrance) = &self.outbox else { return };
-        entrance.count(Some(pipeline), Some(run));
+        let Some(queue_sender) = &self.outbox else { return };
+        queue_sender.count(Some(pipeline), Some(run));
         // Checking for room and sending are two steps, so that each thread that queues at the same moment may use one
         // reserved place. There are more reserved places than such threads.
-        let room = entrance.queue.capacity() > RESERVE;
-        if !room || entrance.queue.try_send(event).is_err() {
-            entrance.overflow.count(Some(pipeline), Some(run));
+        let room = queue_sender.queue.capacity() > RESERVE;
+        if !room || queue_sender.queue.try_send(event).is_err() {
+            queue_sender.overflow.count(Some(pipeline), Some(run));
         }
     }
 
@@ -98,10 +102,10 @@ impl EventQueue {
     pub(crate) fn event(&self, pipeline: Option<&Slug>, event: Event) {
         let run = event.run();
         let Some(event) = self.tap(event) else { return };
-        let Some(entrance) = &self.outbox else { return };
-        entrance.count(pipeline, run);
-        if entrance.queue.try_send(event).is_err() {
-            entrance.overflow.count(pipeline, run);
+        let Some(queue_sender) = &self.outbox else { return };
+        queue_sender.count(pipeline, run);
+        if queue_sender.queue.try_send(event).is_err() {
+            queue_sender.overflow.count(pipeline, run);
         }
     }
 
@@ -117,7 +121,7 @@ impl EventQueue {
     }
 }
 
-impl Entrance {
+impl QueueSender {
     /// Counts an event. This is done before it is queued, because it can be lost from then on.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         self.counter.count(pipeline, run, self.overflow.clock.wall());
@@ -126,20 +130,20 @@ impl Entrance {
 
 /// Creates the queue of an agent, whose events are counted by `counter`. Without an aggregator the queue discards its
 /// events and has no receiving end.
-pub(crate) fn entrance(
+pub(crate) fn create(
     config: &HostConfig,
     clock: &SharedClock,
     counter: EventCounter,
-) -> (EventQueue, Option<Exit>) {
+) -> (EventQueue, Option<QueueReceiver>) {
     if config.aggregator.is_none() {
         return (EventQueue::nowhere(), None);
     }
-    let (event_queue, exit) = channel(SharedClock::clone(clock), counter);
-    (event_queue, Some(exit))
+    let (event_queue, receiver) = channel(SharedClock::clone(clock), counter);
+    (event_queue, Some(receiver))
 }
 
 #[cfg(test)]
-impl Exit {
+impl QueueReceiver {
     /// Waits for the next event.
     pub(crate) async fn next(&mut self) -> Option<Event> {
         self.queue.recv().await
@@ -198,7 +202,7 @@ mod tests {
     fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (event_queue, exit) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
+        let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
         let offered = PLACES as u64 + 2;
         for number in 1..=offered {
@@ -208,11 +212,11 @@ mod tests {
         let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
         event_queue.event(Some(&pipeline), Event::RunEnded(ended));
 
-        assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));
-        let gaps = exit.overflow.take_gaps();
+        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (PLACES + 1, 2));
+        let gaps = receiver.overflow.take_gaps();
         assert_eq!(gaps.len(), 1);
         assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));
         assert_eq!(gaps[0].to - gaps[0].from, Span::from_nanos(10));
-        assert!(exit.overflow.take_gaps().is_empty());
+        assert!(receiver.overflow.take_gaps().is_empty());
     }
 }

@@ -64,12 +64,12 @@ mod tests {
     fn the_outbox_gets_its_own() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (event_queue, mut exit) = super::super::channel(clock, super::super::EventCounter::default());
+        let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
         let event_queue = event_queue.tapped(Some(EventTap::new(sender)));
         let event = ended();
         event_queue.event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
-        assert_eq!(exit.queue.try_recv().ok(), Some(event));
+        assert_eq!(receiver.queue.try_recv().ok(), Some(event));
     }
 }

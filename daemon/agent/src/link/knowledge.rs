@@ -11,12 +11,12 @@ use peernet_networks::PeerClock;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 
+use super::announced_clock::AnnouncedClock;
 use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use super::second::Second;
-use super::told_clock::ToldClock;
 use crate::host_clock::shown;
 use crate::same_clock::NotProven;
 
@@ -33,15 +33,15 @@ pub(super) struct Knowledge {
     window: ClockWindow,
     second: Second,
     networks: NetworkSessions,
-    edge: ToldClock,
-    cloud: ToldClock,
+    edge: AnnouncedClock,
+    cloud: AnnouncedClock,
     reports: ClockReports,
 }
 
 /// Samples to record and incidents to report.
 #[derive(Debug, Default)]
 #[must_use]
-pub(super) struct News {
+pub(super) struct KnowledgeChanges {
     /// Samples of the seconds that are over.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
@@ -54,7 +54,7 @@ pub(super) struct News {
 
 /// A message that has arrived, and its number of bits.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Way {
+pub(super) struct MessageDelay {
     /// Difference of the wall-clock stamps.
     pub(super) raw: Span,
     pub(super) bits: Option<f64>,
@@ -69,8 +69,8 @@ impl Knowledge {
     ) -> Self {
         let second = Second::new(now.wall.unix_seconds());
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
-        let edge = ToldClock::new(edge, true, now.raw);
-        let cloud = ToldClock::new(cloud, is_cloud_free_running, now.raw);
+        let edge = AnnouncedClock::new(edge, true, now.raw);
+        let cloud = AnnouncedClock::new(cloud, is_cloud_free_running, now.raw);
         let mut knowledge = Self {
             peer,
             name,
@@ -98,16 +98,16 @@ impl Knowledge {
 
     /// Records the last sample of each network without sessions, after the session that probed is over and its probes
     /// are counted. Another session probes from now on.
-    pub(super) fn settle_sessions(&mut self, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    pub(super) fn settle_sessions(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         for network in self.networks.take_ended(0) {
             if !self.second.is_empty() {
                 let offset = self.relation.offset(now.raw, now.wall);
-                news.samples.push(self.sample(&network, now, offset));
+                changes.samples.push(self.sample(&network, now, offset));
                 self.second.forget(&network);
             }
         }
-        news
+        changes
     }
 
     /// Handles a completed exchange of data over a network: judges the delays of both directions.
@@ -115,41 +115,44 @@ impl Knowledge {
         &mut self,
         network: &NetworkName,
         observation: &ExchangeObservation,
-        [there, back]: [Way; 2],
+        [there, back]: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
-        let mut news = self.turn(now);
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
+        let mut changes = self.turn(now);
         let Judged { learned, up, down } =
-            self.told(whose(observation), |relation| relation.judge(observation));
+            self.update_relation(whose(observation), |relation| relation.judge(observation));
         // The raw value that is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
-        self.learned(learned, observation, now, &mut news);
+        self.learned(learned, observation, now, &mut changes);
         self.second.judged(network, Direction::Up, &up, there.bits);
         self.second.judged(network, Direction::Down, &down, back.bits);
-        ([up, down], news)
+        ([up, down], changes)
     }
 
     /// Handles a completed exchange of data during which one of the hosts' related clocks was interrupted.
     pub(super) fn stepped(
         &mut self,
         network: &NetworkName,
-        ways: [Way; 2],
+        message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
-        let news = self.turn(now);
-        let delays =
-            ways.map(|way| OneWayDelay { verdict: Verdict::Stepped, ..OneWayDelay::unsynchronised(way.raw) });
-        for (direction, (delay, way)) in [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(ways))
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
+        let changes = self.turn(now);
+        let delays = message_delays.map(|message_delay| OneWayDelay {
+            verdict: Verdict::Stepped,
+            ..OneWayDelay::unsynchronised(message_delay.raw)
+        });
+        for (direction, (delay, message_delay)) in
+            [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(message_delays))
         {
-            self.second.judged(network, *direction, delay, way.bits);
+            self.second.judged(network, *direction, delay, message_delay.bits);
         }
-        (delays, news)
+        (delays, changes)
     }
 
     /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second
     /// learns from them, because the first stamp is that of another receiver and not of the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
-        let is_current = |stamp: &HostStamp, clock: &ToldClock| stamp.epoch == Some(clock.epoch());
+        let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
@@ -172,8 +175,13 @@ impl Knowledge {
     }
 
     /// Handles the result of a probe.
-    pub(super) fn probed(&mut self, result: &ProbeResult, authenticated: bool, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    pub(super) fn probed(
+        &mut self,
+        result: &ProbeResult,
+        authenticated: bool,
+        now: Stamp,
+    ) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         let all = self.second.authenticated.unwrap_or(true);
         self.second.authenticated = Some(all && authenticated);
         let probes = &mut self.second.probes;
@@ -182,22 +190,22 @@ impl Knowledge {
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
-                if self.learn(observation, now, &mut news) {
+                if self.learn(observation, now, &mut changes) {
                     self.second.round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
-                self.told((*epoch, None), |relation| relation.edge_stepped(*epoch));
+                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
             }
             ProbeResult::Refined(observation) => {
-                self.learn(observation, now, &mut news);
+                self.learn(observation, now, &mut changes);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
             // It was counted as lost before.
             ProbeResult::Late => {}
         }
-        news
+        changes
     }
 
     /// Handles the proof that both processes read one clock.
@@ -212,9 +220,9 @@ impl Knowledge {
     }
 
     /// Handles the loss of the proof that both processes read one clock.
-    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> News {
+    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> KnowledgeChanges {
         self.clock_not_proven();
-        News { lost_proof: self.reports.proof_lost(why, now), ..News::default() }
+        KnowledgeChanges { lost_proof: self.reports.proof_lost(why, now), ..KnowledgeChanges::default() }
     }
 
     /// Sets the epoch of this host's free-running clock.
@@ -223,47 +231,50 @@ impl Knowledge {
     }
 
     /// Handles new information about this host's clocks.
-    pub(super) fn edge_says(&mut self, clock: PeerClock, now: RawTime) {
-        if let Some(epoch) = self.edge.tell(clock, now) {
-            self.told((epoch, None), |relation| relation.edge_stepped(epoch));
+    pub(super) fn edge_announced(&mut self, clock: PeerClock, now: RawTime) {
+        if let Some(epoch) = self.edge.announce(clock, now) {
+            self.update_relation((epoch, None), |relation| relation.edge_stepped(epoch));
         }
         self.disciplines(now);
     }
 
     /// Handles new information from the cloud about its clocks.
-    pub(super) fn cloud_says(&mut self, clock: PeerClock, now: RawTime) -> News {
+    pub(super) fn cloud_announced(&mut self, clock: PeerClock, now: RawTime) -> KnowledgeChanges {
         let before = self.cloud.wall_epoch();
-        if let Some(epoch) = self.cloud.tell(clock, now) {
-            self.told((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
+        if let Some(epoch) = self.cloud.announce(clock, now) {
+            self.update_relation((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
         }
         self.disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
-        News { is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before, ..News::default() }
+        KnowledgeChanges {
+            is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before,
+            ..KnowledgeChanges::default()
+        }
     }
 
     /// Closes the current second if it is over.
-    pub(super) fn turn(&mut self, now: Stamp) -> News {
-        let mut news = News::default();
-        self.begin_window(now, &mut news);
+    pub(super) fn turn(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = KnowledgeChanges::default();
+        self.begin_window(now, &mut changes);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
-            news.lost_proof = self.reports.second_over(now.raw);
+            changes.lost_proof = self.reports.second_over(now.raw);
             // If the clock was set back, the second is closed early; if it was set forward, it is closed as if it had
             // been on time.
             let end = self.second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
-            self.close(at, offset.as_ref(), now.wall, &mut news);
+            self.close(at, offset.as_ref(), now.wall, &mut changes);
         }
-        news
+        changes
     }
 
     /// Closes the current second now, because nothing more will come.
-    pub(super) fn finish(&mut self, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    pub(super) fn finish(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         let offset = self.relation.offset(now.raw, now.wall);
-        self.close(now, offset.as_ref(), now.wall, &mut news);
-        news
+        self.close(now, offset.as_ref(), now.wall, &mut changes);
+        changes
     }
 
     /// Returns the sample of the previous second of a network if it is available, else one of the current second so
@@ -283,17 +294,26 @@ impl Knowledge {
     }
 
     /// Adds an exchange to the relation. Returns whether it was accepted.
-    fn learn(&mut self, observation: &ExchangeObservation, now: Stamp, news: &mut News) -> bool {
-        let learned = self.told(whose(observation), |relation| relation.learn(observation));
-        self.learned(learned, observation, now, news);
+    fn learn(
+        &mut self,
+        observation: &ExchangeObservation,
+        now: Stamp,
+        changes: &mut KnowledgeChanges,
+    ) -> bool {
+        let learned = self.update_relation(whose(observation), |relation| relation.learn(observation));
+        self.learned(learned, observation, now, changes);
         !matches!(learned, Learned::Refused(_))
     }
 
     /// Passes something to the relation that came with these epochs of the related clocks of edge and cloud. If the
     /// relation restarts, the window becomes void, and a new epoch says whose clock was stepped.
-    fn told<T>(&mut self, (edge, cloud): (u32, Option<u32>), tell: impl FnOnce(&mut Relation) -> T) -> T {
+    fn update_relation<T>(
+        &mut self,
+        (edge, cloud): (u32, Option<u32>),
+        update: impl FnOnce(&mut Relation) -> T,
+    ) -> T {
         let before = self.relation.counts().restarts;
-        let answer = tell(&mut self.relation);
+        let answer = update(&mut self.relation);
         let edge_new = self.edge.begin_epoch(edge);
         let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let restarted = self.relation.counts().restarts > before;
@@ -304,8 +324,14 @@ impl Knowledge {
         answer
     }
 
-    fn learned(&mut self, learned: Learned, observation: &ExchangeObservation, now: Stamp, news: &mut News) {
-        self.begin_window(now, news);
+    fn learned(
+        &mut self,
+        learned: Learned,
+        observation: &ExchangeObservation,
+        now: Stamp,
+        changes: &mut KnowledgeChanges,
+    ) {
+        self.begin_window(now, changes);
         let settings = *self.relation.settings();
         match learned {
             Learned::Refused(_) => return,
@@ -316,38 +342,38 @@ impl Knowledge {
                     Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
                 let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
-                news.restart = self.reports.restarted(moved, doubt).or(news.restart.take());
+                changes.restart = self.reports.restarted(moved, doubt).or(changes.restart.take());
             }
             Learned::Jumped(moved) => {
                 let jump = self.reports.jumped(moved, observation.exchange.returned);
-                news.jump = jump.or(news.jump.take());
+                changes.jump = jump.or(changes.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
         let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
-        news.excess = self.reports.proven(excess).or(news.excess.take());
+        changes.excess = self.reports.proven(excess).or(changes.excess.take());
         self.second.exchanged(&observation.exchange, settings.max_drift_ppm);
     }
 
     /// Begins a new window after a step. The exchanges of the current second belong to the clocks before the step, so
     /// that it is closed without an offset.
-    fn begin_window(&mut self, now: Stamp, news: &mut News) {
+    fn begin_window(&mut self, now: Stamp, changes: &mut KnowledgeChanges) {
         if self.window.is_void() {
             let is_current = now.wall.unix_seconds() == self.second.at;
             let at = if is_current { now } else { edge_time(now, self.second.end()) };
-            self.close(at, None, now.wall, news);
+            self.close(at, None, now.wall, changes);
             self.window = ClockWindow::begin();
         }
     }
 
     /// Closes the second with the state at `at`, its end, and begins the second of `now`.
-    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, news: &mut News) {
+    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, changes: &mut KnowledgeChanges) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
                 self.networks.names().chain(self.second.networks()).collect();
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
-            news.samples.extend_from_slice(&samples);
+            changes.samples.extend_from_slice(&samples);
             self.window.keep(samples);
         }
         self.networks.close_second();

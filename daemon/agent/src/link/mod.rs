@@ -12,10 +12,13 @@
 //! judge a run again. If a pair of hosts uses several networks, there is a sample for each, with the same relation
 //! and probes but separate delays.
 
+mod announced_clock;
 mod answers;
 mod clock_window;
 mod connections;
 mod correction;
+mod downsampled;
+mod incident_texts;
 mod judged_stamps;
 mod knowledge;
 mod named_reflector;
@@ -28,14 +31,11 @@ mod registry;
 mod reports;
 mod second;
 mod shared;
-mod thinned;
-mod told_clock;
-mod words;
 
 pub(crate) use judged_stamps::{Crossing, EpochWatch, HostStamp};
 pub use registry::Cloud;
 pub(crate) use registry::{Attached, Links};
-pub(crate) use shared::{Near, ProbeSettings};
+pub(crate) use shared::{LinkContext, ProbeSettings};
 
 #[cfg(test)]
 pub(crate) use correction::correct;

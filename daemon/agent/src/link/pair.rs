@@ -17,14 +17,12 @@ use tokio::sync::watch;
 
 use super::connections::Connections;
 use super::correction::{bits, correct};
+use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_text, wall_set_text};
 use super::judged_stamps::Crossing;
-use super::knowledge::{Knowledge, News, Way};
+use super::knowledge::{Knowledge, KnowledgeChanges, MessageDelay};
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
-use super::words::{
-    excess_in_words, jump_in_words, lost_proof_in_words, restart_in_words, wall_set_in_words,
-};
 use crate::incidents::IncidentContext;
 use crate::same_clock::NotProven;
 
@@ -103,11 +101,15 @@ impl Link {
         let transport = transport(&exchange.log, up, down, arrived);
         let tree = exchange.log.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
-        let ways = [Way { raw: raw(tree, up)?, bits: bits[0] }, Way { raw: raw(tree, down)?, bits: bits[1] }];
-        let ([first, second], news) = self.judge(network, exchange.observation.as_ref(), ways, arrived);
+        let message_delays = [
+            MessageDelay { raw: raw(tree, up)?, bits: bits[0] },
+            MessageDelay { raw: raw(tree, down)?, bits: bits[1] },
+        ];
+        let ([first, second], changes) =
+            self.judge(network, exchange.observation.as_ref(), message_delays, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
-        self.tell(news);
+        self.report(changes);
         transport
     }
 
@@ -116,15 +118,15 @@ impl Link {
         &self,
         network: &NetworkName,
         observation: Option<&ExchangeObservation>,
-        ways: [Way; 2],
+        message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
         self.pace.note_data(now.mono);
         self.adjust_pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
         match observation {
-            Some(observation) => knowledge.judge(network, observation, ways, now),
-            None => knowledge.stepped(network, ways, now),
+            Some(observation) => knowledge.judge(network, observation, message_delays, now),
+            None => knowledge.stepped(network, message_delays, now),
         }
     }
 
@@ -136,36 +138,36 @@ impl Link {
     /// Handles the result of a probe.
     pub(super) fn probed(&self, result: &ProbeResult, authenticated: bool) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).probed(result, authenticated, now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).probed(result, authenticated, now);
+        self.report(changes);
     }
 
     /// Closes the current second if it is over.
     pub(super) fn turn(&self) {
         let now = self.shared.host.clock.stamp();
         self.adjust_pace(now.mono);
-        let news = lock(&self.knowledge).turn(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).turn(now);
+        self.report(changes);
     }
 
     /// Closes the current second at the end of the link.
     pub(super) fn finish(&self) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).finish(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).finish(now);
+        self.report(changes);
     }
 
     /// Handles new information about this host's clocks.
-    pub(super) fn edge_says(&self, clock: PeerClock) {
+    pub(super) fn edge_announced(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        lock(&self.knowledge).edge_says(clock, now);
+        lock(&self.knowledge).edge_announced(clock, now);
     }
 
     /// Handles new information from the cloud about its clocks.
-    pub(super) fn cloud_says(&self, clock: PeerClock) {
+    pub(super) fn cloud_announced(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        let news = lock(&self.knowledge).cloud_says(clock, now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).cloud_announced(clock, now);
+        self.report(changes);
     }
 
     /// Handles the result of an attempt to prove that both processes read one clock.
@@ -173,7 +175,7 @@ impl Link {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
         let before = *self.same_clock.borrow();
-        let mut news = News::default();
+        let mut changes = KnowledgeChanges::default();
         match proof {
             Ok(()) => {
                 lock(&self.knowledge).clock_proven();
@@ -183,7 +185,7 @@ impl Link {
             }
             Err(why) if before == Some(true) => {
                 tracing::debug!(peer = %self.cloud.name, "delays are measured from now on: {why}");
-                news = lock(&self.knowledge).proof_lost(why, now.raw);
+                changes = lock(&self.knowledge).proof_lost(why, now.raw);
             }
             Err(why) => {
                 lock(&self.knowledge).clock_not_proven();
@@ -193,7 +195,7 @@ impl Link {
         // Sent after the knowledge was updated, because a receiver may ask for delays at once.
         self.same_clock.send_replace(Some(is_proven));
         self.adjust_pace(now.mono);
-        self.tell(news);
+        self.report(changes);
     }
 
     /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF`].
@@ -239,8 +241,8 @@ impl Link {
     /// Records that the session that probed is over and its probes are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).settle_sessions(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).settle_sessions(now);
+        self.report(changes);
     }
 
     /// Returns the live state: a link for each network in use.
@@ -289,18 +291,18 @@ impl Link {
         self.pace.adjust(&self.shared.probes, self.is_same_clock(), now);
     }
 
-    fn tell(&self, news: News) {
+    fn report(&self, changes: KnowledgeChanges) {
         let host = &self.shared.host;
-        for sample in news.samples {
+        for sample in changes.samples {
             host.event_queue.event(None, Event::Clock(Box::new(sample)));
         }
         let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [
-            news.restart.map(|restart| restart_in_words(restart, edge, cloud)),
-            news.jump.map(|jump| jump_in_words(jump, edge, cloud)),
-            news.is_cloud_wall_set.then(|| wall_set_in_words(cloud)),
-            news.excess.map(|excess| excess_in_words(excess, edge, cloud)),
-            news.lost_proof.map(|lost| lost_proof_in_words(&lost, edge, cloud)),
+            changes.restart.map(|restart| restart_text(restart, edge, cloud)),
+            changes.jump.map(|jump| jump_text(jump, edge, cloud)),
+            changes.is_cloud_wall_set.then(|| wall_set_text(cloud)),
+            changes.excess.map(|excess| excess_text(excess, edge, cloud)),
+            changes.lost_proof.map(|lost| lost_proof_text(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
             let what = IncidentContext { peer: Some(self.cloud.id), ..IncidentContext::default() };

@@ -56,9 +56,9 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             }
             Ok(()) = own.changed() => {
                 let clock = own.borrow_and_update().clone();
-                link.edge_says(clock);
+                link.edge_announced(clock);
             }
-            clock = next(&mut peer) => link.cloud_says(clock),
+            clock = next(&mut peer) => link.cloud_announced(clock),
             Some(result) = arriving.recv() => {
                 link.probed(&result, authenticated);
                 answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));

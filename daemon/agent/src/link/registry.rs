@@ -16,7 +16,7 @@ use tokio_util::task::TaskTracker;
 
 use super::pair::Link;
 use super::probing;
-use super::shared::{Near, ProbeSettings, Session, Shared, lock};
+use super::shared::{LinkContext, ProbeSettings, Session, Shared, lock};
 use crate::config::ClockConfig;
 use crate::same_clock::ClockSocket;
 
@@ -68,7 +68,7 @@ pub(crate) struct Attached {
 
 impl Links {
     /// Creates an empty registry.
-    pub(crate) fn new(host: Near, clock: &ClockConfig, probes: ProbeSettings) -> Self {
+    pub(crate) fn new(host: LinkContext, clock: &ClockConfig, probes: ProbeSettings) -> Self {
         let shared = Arc::new(Shared { host, relation: clock.relation(), probes });
         Self(Arc::new(Inner {
             shared,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
-use super::thinned::Thinned;
+use super::downsampled::Downsampled;
 
 /// Inverse of the share of delays that a verdict must have to be that of the second.
 const RARE: u32 = 20;
@@ -21,15 +21,15 @@ pub(super) struct Second {
     /// Exchange with the best upper bound of the offset; `lower` is the one with the best lower bound.
     pub(super) upper: Option<Exchange>,
     pub(super) lower: Option<Exchange>,
-    trips: Thinned<Span>,
+    trips: Downsampled<Span>,
     shortest: Option<Span>,
     /// Delays of data by network.
-    delays: BTreeMap<NetworkName, Ways>,
+    delays: BTreeMap<NetworkName, DelaysByDirection>,
 }
 
 /// Delays of both directions.
 #[derive(Debug, Default)]
-struct Ways {
+struct DelaysByDirection {
     up: Delays,
     down: Delays,
 }
@@ -39,7 +39,7 @@ struct Ways {
 struct Delays {
     /// Counts by verdict, in the order of [`Verdict::ALL`], from best to worst.
     verdicts: [u32; Verdict::ALL.len()],
-    points: Thinned<DelayPoint>,
+    points: Downsampled<DelayPoint>,
 }
 
 impl Second {
@@ -50,7 +50,7 @@ impl Second {
             authenticated: None,
             upper: None,
             lower: None,
-            trips: Thinned::default(),
+            trips: Downsampled::default(),
             shortest: None,
             delays: BTreeMap::new(),
         }
@@ -95,10 +95,10 @@ impl Second {
         delay: &OneWayDelay,
         bits: Option<f64>,
     ) {
-        let ways = self.delays.entry(network.clone()).or_default();
+        let by_direction = self.delays.entry(network.clone()).or_default();
         match direction {
-            Direction::Up => ways.up.add(delay, bits),
-            Direction::Down => ways.down.add(delay, bits),
+            Direction::Up => by_direction.up.add(delay, bits),
+            Direction::Down => by_direction.down.add(delay, bits),
         }
     }
 
@@ -119,10 +119,10 @@ impl Second {
 
     /// Returns the delays of one direction over a network.
     pub(super) fn delays(&self, network: &NetworkName, direction: Direction) -> Option<DelaySecond> {
-        let ways = self.delays.get(network)?;
+        let by_direction = self.delays.get(network)?;
         match direction {
-            Direction::Up => ways.up.summary(),
-            Direction::Down => ways.down.summary(),
+            Direction::Up => by_direction.up.summary(),
+            Direction::Down => by_direction.down.summary(),
         }
     }
 }

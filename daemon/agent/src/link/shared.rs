@@ -17,7 +17,7 @@ use crate::same_clock::ClockPeers;
 
 /// The parts of the agent that links use.
 #[derive(Clone, Debug)]
-pub(crate) struct Near {
+pub(crate) struct LinkContext {
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
     /// State of this host's clocks.
@@ -29,7 +29,7 @@ pub(crate) struct Near {
 /// State that all links share.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub(super) host: Near,
+    pub(super) host: LinkContext,
     pub(super) relation: RelationSettings,
     pub(super) probes: ProbeSettings,
 }

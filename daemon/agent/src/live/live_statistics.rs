@@ -13,11 +13,11 @@ use super::ring::{Ring, Shown};
 pub(crate) struct Display {
     pipeline: Slug,
     load: String,
-    face: Mutex<Face>,
+    display_state: Mutex<DisplayState>,
 }
 
 #[derive(Debug)]
-struct Face {
+struct DisplayState {
     state: PipelineState,
     run: Option<RunId>,
     placement: Placement,
@@ -28,58 +28,58 @@ struct Face {
 impl Display {
     /// Creates the state of a pipeline that is starting.
     pub(crate) fn new(pipeline: Slug, load: String, placement: Placement) -> Self {
-        let face = Face {
+        let display_state = DisplayState {
             state: PipelineState::Starting,
             run: None,
             placement,
             ring: Ring::default(),
             senses_since: None,
         };
-        Self { pipeline, load, face: Mutex::new(face) }
+        Self { pipeline, load, display_state: Mutex::new(display_state) }
     }
 
     /// Sets the state that is shown for the pipeline.
     pub(crate) fn set_state(&self, state: PipelineState) {
-        self.face().state = state;
+        self.display_state().state = state;
     }
 
     /// Sets the time since which the sensor is being set up or its thread is asked for a sample; `None` if neither.
     pub(crate) fn set_senses_since(&self, since: Option<MonoTime>) {
-        self.face().senses_since = since;
+        self.display_state().senses_since = since;
     }
 
     /// Sets the run in progress.
     pub(crate) fn set_run(&self, run: RunId) {
-        self.face().run = Some(run);
+        self.display_state().run = Some(run);
     }
 
     /// Sets the placement, once more is known of it.
     pub(crate) fn set_placement(&self, placement: Placement) {
-        self.face().placement = placement;
+        self.display_state().placement = placement;
     }
 
     /// Adds an iteration that is not warm-up and ended within the second `at` (Unix time).
     pub(crate) fn record(&self, at: i64, outcome: &Outcome, tree: &Tree) {
-        self.face().ring.record(at, outcome, tree);
+        self.display_state().ring.record(at, outcome, tree);
     }
 
     fn live(&self) -> (PipelineLive, Shown) {
-        let face = self.face();
-        let (seconds, shown) = face.ring.changed();
+        let display_state = self.display_state();
+        let (seconds, shown) = display_state.ring.changed();
         let live = PipelineLive {
             pipeline: self.pipeline.clone(),
-            state: face.state.clone(),
-            run: face.run,
-            placement: face.placement.clone(),
+            state: display_state.state.clone(),
+            run: display_state.run,
+            placement: display_state.placement.clone(),
             load: self.load.clone(),
             seconds,
         };
         (live, shown)
     }
 
-    fn face(&self) -> MutexGuard<'_, Face> {
+    fn display_state(&self) -> MutexGuard<'_, DisplayState> {
         // After a panic under the lock the numbers are at worst incomplete.
-        self.face.lock().unwrap_or_else(PoisonError::into_inner)
+        self.display_state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -97,27 +97,27 @@ impl LiveStatistics {
     }
 
     /// Returns every pipeline with the seconds that changed since the last delivered receipt.
-    pub(crate) fn look(&self) -> (Vec<PipelineLive>, Receipt) {
+    pub(crate) fn snapshot(&self) -> (Vec<PipelineLive>, Receipt) {
         let (pipelines, shown) = self.0.iter().map(|display| display.live()).unzip();
         (pipelines, Receipt(shown))
     }
 
     /// Returns the time since which a pipeline waits for its sensor, if it does.
     pub(crate) fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.0.iter().find(|display| display.pipeline == *pipeline)?.face().senses_since
+        self.0.iter().find(|display| display.pipeline == *pipeline)?.display_state().senses_since
     }
 
     /// Marks the seconds of a receipt as sent.
     pub(crate) fn delivered(&self, receipt: &Receipt) {
         for (display, shown) in self.0.iter().zip(&receipt.0) {
-            display.face().ring.shown(shown);
+            display.display_state().ring.shown(shown);
         }
     }
 
     /// Marks all seconds as not sent, because the receiver was restarted and has none.
     pub(crate) fn start_over(&self) {
         for display in self.0.iter() {
-            display.face().ring.forget_shown();
+            display.display_state().ring.forget_shown();
         }
     }
 }

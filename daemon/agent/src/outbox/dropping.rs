@@ -8,14 +8,14 @@ const OVER_AFTER: Span = Span::from_seconds(5);
 
 /// Watches the number of dropped events.
 #[derive(Debug, Default)]
-pub(super) struct Dropping {
+pub(super) struct DroppingWatch {
     seen: Option<u64>,
-    spell: Option<Spell>,
+    period: Option<DroppingPeriod>,
 }
 
 /// A period in which events are dropped.
 #[derive(Clone, Copy, Debug)]
-struct Spell {
+struct DroppingPeriod {
     before: u64,
     last: MonoTime,
     said: MonoTime,
@@ -23,35 +23,35 @@ struct Spell {
 
 /// Report for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Said {
+pub(super) enum DroppingReport {
     /// Events are being dropped; the number is that of this period so far.
     Dropping(u64),
     /// The period is over; the number is its total.
     Over(u64),
 }
 
-impl Dropping {
+impl DroppingWatch {
     /// Updates the total number of dropped events at `now`, and returns a report if one is due.
-    pub(super) fn look(&mut self, dropped: u64, now: MonoTime) -> Option<Said> {
+    pub(super) fn update(&mut self, dropped: u64, now: MonoTime) -> Option<DroppingReport> {
         let seen = self.seen.replace(dropped).unwrap_or(dropped);
-        match &mut self.spell {
+        match &mut self.period {
             None if dropped > seen => {
-                self.spell = Some(Spell { before: seen, last: now, said: now });
-                Some(Said::Dropping(dropped - seen))
+                self.period = Some(DroppingPeriod { before: seen, last: now, said: now });
+                Some(DroppingReport::Dropping(dropped - seen))
             }
             None => None,
-            Some(spell) => {
+            Some(period) => {
                 if dropped > seen {
-                    spell.last = now;
+                    period.last = now;
                 }
-                let count = dropped - spell.before;
-                if now - spell.last >= OVER_AFTER {
-                    self.spell = None;
-                    return Some(Said::Over(count));
+                let count = dropped - period.before;
+                if now - period.last >= OVER_AFTER {
+                    self.period = None;
+                    return Some(DroppingReport::Over(count));
                 }
-                (now - spell.said >= SAY_EVERY).then(|| {
-                    spell.said = now;
-                    Said::Dropping(count)
+                (now - period.said >= SAY_EVERY).then(|| {
+                    period.said = now;
+                    DroppingReport::Dropping(count)
                 })
             }
         }
@@ -65,14 +65,14 @@ mod tests {
     #[test]
     fn a_spell_is_told_at_its_beginning_once_a_minute_and_at_its_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
-        let mut dropping = Dropping::default();
+        let mut dropping = DroppingWatch::default();
         // Events that were dropped before the start are not reported.
-        assert_eq!(dropping.look(7, at(0)), None);
-        assert_eq!(dropping.look(9, at(1)), Some(Said::Dropping(2)));
-        let told: Vec<_> = (2..130).filter_map(|s| dropping.look(9 + s as u64, at(s))).collect();
-        assert_eq!(told, [Said::Dropping(63), Said::Dropping(123)]);
-        assert_eq!(dropping.look(138, at(133)), None);
-        assert_eq!(dropping.look(138, at(134)), Some(Said::Over(131)));
-        assert_eq!(dropping.look(138, at(500)), None);
+        assert_eq!(dropping.update(7, at(0)), None);
+        assert_eq!(dropping.update(9, at(1)), Some(DroppingReport::Dropping(2)));
+        let told: Vec<_> = (2..130).filter_map(|s| dropping.update(9 + s as u64, at(s))).collect();
+        assert_eq!(told, [DroppingReport::Dropping(63), DroppingReport::Dropping(123)]);
+        assert_eq!(dropping.update(138, at(133)), None);
+        assert_eq!(dropping.update(138, at(134)), Some(DroppingReport::Over(131)));
+        assert_eq!(dropping.update(138, at(500)), None);
     }
 }

@@ -29,7 +29,7 @@ impl LiveSources {
         sent: WallTime,
         accounting: Accounting,
     ) -> (LiveUpdate, Receipt) {
-        let (pipelines, receipt) = self.live_statistics.look();
+        let (pipelines, receipt) = self.live_statistics.snapshot();
         let update = LiveUpdate {
             host,
             sent,

@@ -13,8 +13,8 @@
 //! dropped` holds at all times.
 
 mod connection;
+mod connection_state;
 mod dropping;
-mod line;
 mod live_sources;
 mod reports;
 mod sender;
@@ -22,10 +22,10 @@ mod shutdown;
 mod spool;
 
 pub(crate) use live_sources::LiveSources;
+pub(crate) use spool::{FileKind, OpenSpool};
 pub use spool::{
     InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, waiting_events,
 };
-pub(crate) use spool::{Look, OpenSpool};
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
@@ -41,7 +41,7 @@ use self::reports::Reports;
 use self::sender::Sender;
 use self::spool::{SpoolTask, SpoolTaskError};
 use crate::config::{AgentConfig, SpoolConfig};
-use crate::event_queue::Exit;
+use crate::event_queue::QueueReceiver;
 use crate::incidents::Incidents;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
@@ -72,7 +72,7 @@ pub(crate) async fn open_spool(
 
 /// The parts of the agent that the outbox uses.
 #[derive(Debug)]
-pub(crate) struct Sources {
+pub(crate) struct OutboxContext {
     pub(crate) clock: SharedClock,
     /// Receives the incidents of the outbox itself.
     pub(crate) incidents: Incidents,
@@ -95,16 +95,16 @@ impl Outbox {
     pub(crate) fn start(
         config: &AgentConfig,
         address: Address,
-        exit: Exit,
+        receiver: QueueReceiver,
         spool: OpenSpool,
         (description, secret): (HostDescription, HostSecret),
-        sources: Sources,
+        sources: OutboxContext,
     ) -> Self {
         let OpenSpool { file, state, aside, counter: _ } = spool;
-        let Sources { clock, incidents, runs, live } = sources;
+        let OutboxContext { clock, incidents, runs, live } = sources;
         let reports = Reports::new(incidents);
         if let Some(aside) = &aside {
-            reports.put_aside(aside);
+            reports.quarantined(aside);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);
@@ -112,7 +112,7 @@ impl Outbox {
         let (publish, accounting) = watch::channel(machine.accounting());
         let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
-        let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
+        let sender = Sender::new(machine, spool, receiver, publish, reports, clock, (runs, live));
         // On the heap, because the future contains the large state machine.
         let work = Box::pin(sender.run(address, reconnect_backoff, told));
         let guard = ended.clone().drop_guard();

@@ -7,8 +7,8 @@ use peernet_logger::Slug;
 use peernet_networks::Address;
 use peernet_stream::{Accounting, IncidentKind};
 
-use super::dropping::{Dropping, Said};
-use super::spool::PutAside;
+use super::dropping::{DroppingReport, DroppingWatch};
+use super::spool::QuarantinedSpool;
 use crate::incidents::{IncidentContext, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
@@ -45,13 +45,13 @@ pub(super) struct Reports {
     /// Trouble with the connection that was reported last.
     said: Option<String>,
     /// Damage in the spool that was reported last.
-    rotten: Option<String>,
-    dropping: Dropping,
+    damage: Option<String>,
+    dropping: DroppingWatch,
 }
 
 impl Reports {
     pub(super) fn new(incidents: Incidents) -> Self {
-        Self { incidents, said: None, rotten: None, dropping: Dropping::default() }
+        Self { incidents, said: None, damage: None, dropping: DroppingWatch::default() }
     }
 
     /// Reports that the aggregator accepted the agent.
@@ -143,15 +143,15 @@ impl Reports {
     }
 
     /// Reports damage in the spool.
-    pub(super) fn rotten(&mut self, text: String) {
-        if self.rotten.as_ref() != Some(&text) {
+    pub(super) fn damage(&mut self, text: String) {
+        if self.damage.as_ref() != Some(&text) {
             self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text.clone());
-            self.rotten = Some(text);
+            self.damage = Some(text);
         }
     }
 
     /// Reports that a broken spool was replaced by a new one.
-    pub(super) fn put_aside(&self, aside: &PutAside) {
+    pub(super) fn quarantined(&self, aside: &QuarantinedSpool) {
         let text = format!(
             "{}; it is kept as {}, and an empty one takes its place: events that the aggregator had not got are \
              missing there",
@@ -165,9 +165,9 @@ impl Reports {
     /// this host.
     pub(super) fn account(&mut self, account: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-        match self.dropping.look(account.dropped, now) {
+        match self.dropping.update(account.dropped, now) {
             None => {}
-            Some(Said::Dropping(events)) => tracing::warn!(
+            Some(DroppingReport::Dropping(events)) => tracing::warn!(
                 events,
                 "events are dropped, the gaps say why: the spool holds {:.1} of {:.1} MiB ([spool] limit_bytes), the \
                  memory before it {:.1} MiB",
@@ -175,7 +175,7 @@ impl Reports {
                 mib(account.spool_limit_bytes),
                 mib(account.memory_bytes)
             ),
-            Some(Said::Over(events)) => {
+            Some(DroppingReport::Over(events)) => {
                 tracing::info!(events, "no event was dropped for some seconds; those before stand in gaps");
             }
         }

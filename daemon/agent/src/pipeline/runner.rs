@@ -77,12 +77,12 @@ pub(super) struct Runner {
 
 /// Reason why a pipeline waits for its peer.
 #[derive(Debug, PartialEq, Eq)]
-enum Trouble {
+enum ConnectTrouble {
     Away,
     Refused(String),
 }
 
-impl Trouble {
+impl ConnectTrouble {
     const fn kind(&self) -> IncidentKind {
         match self {
             Self::Away => IncidentKind::Disconnected,
@@ -226,7 +226,7 @@ impl Runner {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         // Each trouble is reported once and not at every attempt. In mid-run the loss of the peer has been reported
         // already.
-        let mut said = run.map(|_| Trouble::Away);
+        let mut said = run.map(|_| ConnectTrouble::Away);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
@@ -241,10 +241,12 @@ impl Runner {
                 // Another attempt cannot help while the configuration is the same.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
-                Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), reconnect_backoff.grow()),
+                Err(OpenFailure::Away(error)) => {
+                    (ConnectTrouble::Away, error.to_string(), reconnect_backoff.grow())
+                }
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();
-                    (Trouble::Refused(error.clone()), error, reconnect_backoff.refused())
+                    (ConnectTrouble::Refused(error.clone()), error, reconnect_backoff.refused())
                 }
             };
             if said.as_ref() != Some(&trouble) {

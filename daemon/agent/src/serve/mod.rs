@@ -4,10 +4,10 @@
 //! `postprocessing`. The answer carries only the nodes that were added to the tree. Sessions that ask for
 //! `observed-stamps` get the stamps of observed messages instead of a model.
 
-mod asked;
 mod endpoints;
 mod listeners;
 mod reflector;
+mod request_counts;
 mod served;
 mod service;
 
@@ -34,8 +34,8 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
-use self::asked::Asked;
 use self::listeners::Listeners;
+use self::request_counts::RequestCounts;
 use self::service::{Refusal, Service};
 use crate::conditions::InspectionSettings;
 use crate::host::Host;
@@ -77,7 +77,7 @@ pub(crate) async fn run(
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    let named = Named {
+    let serve_identity = ServeIdentity {
         probes: endpoints.probes,
         instance: endpoints.instance,
         probe_key: endpoints.probe_key,
@@ -93,12 +93,12 @@ pub(crate) async fn run(
     let caveats = endpoints.listeners.iter().map(|listener| listener.caveat().map(str::to_owned)).collect();
     let server = Server {
         context,
-        named,
+        serve_identity,
         hardware,
         served,
         peers: HashMap::new(),
         probing: endpoints.reflectors.iter().map(Reflector::peers).collect(),
-        asked: Asked::default(),
+        request_counts: RequestCounts::default(),
         caveats,
     };
     let announcers = endpoints.listeners.iter().map(Listener::announcer).collect();
@@ -204,7 +204,7 @@ fn conditions(context: &ServeContext) -> Vec<Condition> {
 
 /// Data by which a peer reaches the process whose clock it must relate to.
 #[derive(Clone, Debug)]
-struct Named {
+struct ServeIdentity {
     /// Ports for probes, one for each listener.
     probes: Vec<Option<u16>>,
     /// Random number of this process, which answers the probes.
@@ -241,14 +241,14 @@ struct Peer {
 
 struct Server {
     context: ServeContext,
-    named: Named,
+    serve_identity: ServeIdentity,
     /// Hardware of this host.
     hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
     /// Channels that give each reflector the addresses of the peers with a session.
     probing: Vec<watch::Sender<Vec<IpAddr>>>,
-    asked: Asked,
+    request_counts: RequestCounts,
     /// Caveat about the connections of each listener, if there is one.
     caveats: Vec<Option<String>>,
 }
@@ -275,10 +275,11 @@ impl Server {
                 self.tell_reflectors(address);
                 if wish.accept(accepted) {
                     let counts = match &service {
-                        Service::Model(pool) => self.named.built_in.as_ref() != Some(pool.name()),
+                        Service::Model(pool) => self.serve_identity.built_in.as_ref() != Some(pool.name()),
                         Service::Stamps(..) => false,
                     };
-                    let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
+                    let counted =
+                        counts.then(|| (self.request_counts.by(host, &pipeline), Arc::clone(&self.served)));
                     let peer = Peer { host, name, pipeline, address, service, counted, _witness: witness };
                     self.peers.insert(session, peer);
                     self.served.send_modify(|served| served.sessions = self.peers.len());
@@ -313,9 +314,9 @@ impl Server {
             device: service.device(),
             facts: service.facts(),
             host_clock: self.context.own.borrow().clone(),
-            probes: self.named.probes.get(listener).copied().flatten(),
-            instance: self.named.instance,
-            probe_key: self.named.probe_key,
+            probes: self.serve_identity.probes.get(listener).copied().flatten(),
+            instance: self.serve_identity.instance,
+            probe_key: self.serve_identity.probe_key,
             conditions,
             hardware: self.hardware.clone(),
         }
@@ -328,8 +329,8 @@ impl Server {
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
-        let served = peer.counted.as_ref().map(|(asked, served)| {
-            asked.fetch_add(1, Ordering::Relaxed);
+        let served = peer.counted.as_ref().map(|(requests, served)| {
+            requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
         peer.service.answer(request, move |Done { log, result }: &Done| {
@@ -345,8 +346,8 @@ impl Server {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
         self.tell_reflectors(None);
-        let is_farewell = said_goodbye && counted.is_some();
-        let missed = if is_farewell { self.asked.missed(host, &pipeline, ordered) } else { 0 };
+        let is_goodbye = said_goodbye && counted.is_some();
+        let missed = if is_goodbye { self.request_counts.missed(host, &pipeline, ordered) } else { 0 };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);

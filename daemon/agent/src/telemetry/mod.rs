@@ -1,7 +1,7 @@
 //! Metrics of the host, read once a second.
 
 mod hardware;
-mod own;
+mod process_usage;
 mod sampler;
 
 pub(crate) use hardware::hardware;

@@ -5,7 +5,7 @@ use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
-use crate::harness::{Aggregator, Seen, TestAgent, assert_contiguous, value};
+use crate::harness::{Aggregator, ReceivedEvents, TestAgent, assert_contiguous, value};
 
 fn cloud(port: u16) -> String {
     format!(
@@ -192,7 +192,7 @@ async fn connections_that_end_without_an_aggregator_are_counted() {
     edge.until_state(|state| *state == PipelineState::Finished).await;
     edge.until(|live| live.links.is_empty()).await;
 
-    let welcomes = |seen: &Seen| {
+    let welcomes = |seen: &ReceivedEvents| {
         let texts = seen.incidents(IncidentKind::Connected).into_iter().map(|incident| incident.text.clone());
         texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
     };

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_stream::IncidentKind;
 
-use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 fn line(keys: &str) -> String {
     format!(
@@ -18,8 +18,8 @@ fn line(keys: &str) -> String {
 async fn every_event_arrives_exactly_once_over_reconnects() {
     // The aggregator ends after storing the third batch and before acknowledging it: the agent must send it again,
     // and it must not count twice.
-    let manners = Manners { die_before_ack: Some(3), ..Manners::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let behaviour = AggregatorBehaviour { die_before_ack: Some(3), ..AggregatorBehaviour::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
     aggregator.until(|seen| !seen.iterations().is_empty()).await;
@@ -39,8 +39,11 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
-    let manners = Manners { refuse: Some("another host is named edge".into()), ..Manners::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let behaviour = AggregatorBehaviour {
+        refuse: Some("another host is named edge".into()),
+        ..AggregatorBehaviour::default()
+    };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent =
         TestAgent::start("edge", Some(&aggregator.address), &line("limit = { iterations = 5 }")).await;
     aggregator.until(|seen| seen.hellos >= 2).await;
@@ -69,8 +72,8 @@ async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_answers_but_is_no_aggregator_is_named_once_and_tried_again() {
-    let manners = Manners { mute: true, ..Manners::default() };
-    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    let behaviour = AggregatorBehaviour { mute: true, ..AggregatorBehaviour::default() };
+    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;
     // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;

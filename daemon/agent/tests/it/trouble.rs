@@ -107,7 +107,7 @@ async fn pictures_that_are_all_gone_are_reported_once() {
     aggregator.until(|seen| seen.iterations().len() >= 3).await;
     std::fs::remove_file(folder.path().join("a.png")).expect("removed");
     let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-    let many = |seen: &crate::harness::Seen| {
+    let many = |seen: &crate::harness::ReceivedEvents| {
         seen.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
     };
     let seen = aggregator.until(many).await;

@@ -25,7 +25,7 @@ fn watched(
     rehearsal: Option<RehearsalConfig>,
     clock: &SharedClock,
 ) -> (watch::Receiver<PeerClock>, DropGuard) {
-    let (event_queue, _) = crate::event_queue::entrance(
+    let (event_queue, _) = crate::event_queue::create(
         &HostConfig::default(),
         clock,
         crate::event_queue::EventCounter::default(),

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_stream::{Accounting, Event, Sending, SentUnspooled};
 
-use crate::event_queue::Exit;
+use crate::event_queue::QueueReceiver;
 use crate::runs::Runs;
 
 /// Time without an event after which the task waits for the next one instead of polling.
@@ -12,15 +12,15 @@ const QUIET: Span = Span::from_millis(500);
 /// Receiving end of the event queue, and the runs in progress.
 #[derive(Debug)]
 pub(super) struct EventIntake {
-    exit: Exit,
+    receiver: QueueReceiver,
     runs: Runs,
     /// Time at which an event was last received.
     fed: MonoTime,
 }
 
 impl EventIntake {
-    pub(super) const fn new(exit: Exit, runs: Runs, now: MonoTime) -> Self {
-        Self { exit, runs, fed: now }
+    pub(super) const fn new(receiver: QueueReceiver, runs: Runs, now: MonoTime) -> Self {
+        Self { receiver, runs, fed: now }
     }
 
     /// Returns whether no event was received for [`QUIET`].
@@ -30,7 +30,7 @@ impl EventIntake {
 
     /// Waits for the next event.
     pub(super) async fn next(&mut self) -> Option<Event> {
-        self.exit.queue.recv().await
+        self.receiver.queue.recv().await
     }
 
     /// Passes a received event to the state machine.
@@ -41,10 +41,10 @@ impl EventIntake {
 
     /// Passes all queued events to the state machine, and advances its time.
     pub(super) fn drain(&mut self, machine: &mut Sending, now: Stamp) {
-        while let Ok(event) = self.exit.queue.try_recv() {
+        while let Ok(event) = self.receiver.queue.try_recv() {
             self.offer(machine, &event, now);
         }
-        for gap in self.exit.overflow.take_gaps() {
+        for gap in self.receiver.overflow.take_gaps() {
             machine.lost(&gap, now);
         }
         machine.tick(now);
@@ -56,7 +56,7 @@ impl EventIntake {
         for event in self.runs.beginnings() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
-            self.exit.counter.count(pipeline, event.run(), now.wall);
+            self.receiver.counter.count(pipeline, event.run(), now.wall);
             machine.offer(&event, now);
         }
     }
@@ -64,7 +64,7 @@ impl EventIntake {
     /// Frees the counter's records of runs that have ended and whose events are all settled.
     pub(super) fn release_runs(&self, machine: &mut Sending) {
         for (run, events) in machine.settled_runs() {
-            if self.exit.counter.release(run, events) {
+            if self.receiver.counter.release(run, events) {
                 machine.forget_run(run);
             }
         }
@@ -72,7 +72,7 @@ impl EventIntake {
 
     /// Adds the events that have not reached the state machine to its counts.
     pub(super) fn add_to(&self, account: &mut Accounting) {
-        let (queued, dropped) = (self.exit.queue.len() as u64, self.exit.overflow.dropped());
+        let (queued, dropped) = (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
         account.produced += queued + dropped;
         account.waiting += queued;
         account.dropped += dropped;
@@ -80,23 +80,23 @@ impl EventIntake {
 
     /// Records a batch that is sent without being in the spool, in the file that survives the process.
     pub(super) fn note_sent_unspooled(&self, sent: SentUnspooled) {
-        self.exit.counter.record_sent_unspooled(sent);
+        self.receiver.counter.record_sent_unspooled(sent);
     }
 
     /// Creates the counter's file again if it was deleted.
     pub(super) fn keep_counter(&self) {
-        self.exit.counter.recreate_if_deleted();
+        self.receiver.counter.recreate_if_deleted();
     }
 
     /// Returns whether the events are counted in a file that survives the process.
     pub(super) fn is_counted(&self) -> bool {
-        self.exit.counter.total().is_some()
+        self.receiver.counter.total().is_some()
     }
 
     /// Removes the counter if all events that it counted are settled.
     pub(super) fn remove_counter(&self, settled: u64) {
-        if self.exit.counter.total() == Some(settled) {
-            self.exit.counter.remove();
+        if self.receiver.counter.total() == Some(settled) {
+            self.receiver.counter.remove();
         }
     }
 }

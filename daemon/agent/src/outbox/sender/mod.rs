@@ -16,12 +16,12 @@ use tokio::time::{Instant, MissedTickBehavior};
 
 use self::event_intake::EventIntake;
 use self::live_lane::LiveLane;
-use super::line::{Happened, Line};
+use super::connection_state::{ConnectionEvent, ConnectionState};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::shutdown::Shutdown;
 use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
-use crate::event_queue::Exit;
+use crate::event_queue::QueueReceiver;
 use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
@@ -59,13 +59,13 @@ impl Sender {
     pub(super) fn new(
         machine: Sending,
         spool: SpoolTask,
-        exit: Exit,
+        receiver: QueueReceiver,
         accounting: watch::Sender<Accounting>,
         reports: Reports,
         clock: SharedClock,
         (runs, live): (Runs, LiveSources),
     ) -> Self {
-        let intake = EventIntake::new(exit, runs, clock.mono());
+        let intake = EventIntake::new(receiver, runs, clock.mono());
         let (live, held) = (LiveLane::new(live), VecDeque::new());
         Self { machine, spool, intake, live, accounting, clock, reports, held, away: false }
     }
@@ -93,7 +93,7 @@ impl Sender {
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
         // Whether a connection is open on which nothing has been received yet.
         let mut unanswered = false;
-        let mut line = Line::dial(&address, Duration::ZERO);
+        let mut connection_state = ConnectionState::dial(&address, Duration::ZERO);
         loop {
             let blocked = self.live.is_blocked() || !self.held.is_empty();
             let quiet = self.intake.is_quiet(self.clock.mono());
@@ -111,41 +111,41 @@ impl Sender {
                 done = self.spool.done() => {
                     self.spooled(done.ok_or(SpoolTaskError::Ended)?);
                 }
-                event = line.next(blocked) => match event {
-                    Happened::Connected(connection) => {
+                event = connection_state.next(blocked) => match event {
+                    ConnectionEvent::Connected(connection) => {
                         unanswered = true;
                         welcome.as_mut().reset(Instant::now() + WELCOME);
                         self.away = false;
                         self.machine.connected(self.clock.mono());
-                        line = Line::Open(connection);
+                        connection_state = ConnectionState::Open(connection);
                     }
-                    Happened::Failed(reason) => {
+                    ConnectionEvent::Failed(reason) => {
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                     }
-                    Happened::Gone(reason) => {
+                    ConnectionEvent::Gone(reason) => {
                         unanswered = false;
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                     }
-                    Happened::Message(frame) => {
+                    ConnectionEvent::Message(frame) => {
                         // Only a valid message proves that an aggregator answers: other programs may accept
                         // connections as well.
-                        if self.hear(&frame) {
+                        if self.handle_frame(&frame) {
                             unanswered = false;
                             reconnect_backoff.reset();
                         }
                     }
                     // Frames are sent below.
-                    Happened::Room => {}
+                    ConnectionEvent::Room => {}
                 },
                 () = &mut welcome, if unanswered => {
                     unanswered = false;
                     self.lost();
                     self.reports.mute(&address);
-                    line = Line::dial(&address, reconnect_backoff.grow());
+                    connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                 }
                 _ = looks.tick(), if !quiet => self.take(),
                 Some(event) = self.intake.next(), if quiet => {
@@ -159,7 +159,7 @@ impl Sender {
                 self.take();
                 self.machine.flush(self.clock.wall());
             }
-            self.act(&line)?;
+            self.act(&connection_state)?;
             self.publish();
             if let Some(shutdown) = &mut shutdown {
                 match shutdown.next(Instant::now(), self.state()) {
@@ -168,7 +168,7 @@ impl Sender {
                 }
             }
         }
-        self.leave(line).await;
+        self.leave(connection_state).await;
         Ok(())
     }
 
@@ -185,7 +185,7 @@ impl Sender {
         self.away = true;
     }
 
-    async fn leave(mut self, line: Line) {
+    async fn leave(mut self, connection_state: ConnectionState) {
         let closed = Instant::now() + CLOSING;
         self.give_up(closed).await;
         let account = self.count();
@@ -204,9 +204,9 @@ impl Sender {
                  not stored"
             );
         }
-        if let Line::Open(connection) = line {
-            let words = self.last_words();
-            if tokio::time::timeout(LINGER, connection.deliver(words)).await.is_err() {
+        if let ConnectionState::Open(connection) = connection_state {
+            let frames = self.last_frames();
+            if tokio::time::timeout(LINGER, connection.deliver(frames)).await.is_err() {
                 tracing::debug!("the connection had no room for the last words");
             }
             connection.close(LINGER).await;
@@ -223,7 +223,7 @@ impl Sender {
 
     /// Returns the last frames of a session: a live update and the goodbye, in this order. The aggregator shows the
     /// state of that update until the host comes back; from it follows whether the host left with nothing waiting.
-    fn last_words(&mut self) -> Vec<Vec<u8>> {
+    fn last_frames(&mut self) -> Vec<Vec<u8>> {
         let update = || self.live.update(&self.machine, self.clock.wall(), self.count()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()

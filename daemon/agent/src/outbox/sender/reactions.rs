@@ -3,16 +3,16 @@
 use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 
 use super::Sender;
-use crate::outbox::line::Line;
+use crate::outbox::connection_state::ConnectionState;
 use crate::outbox::reports::Welcome;
 use crate::outbox::shutdown::OutboxState;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
     /// Performs the actions that the state machine wants.
-    pub(super) fn act(&mut self, line: &Line) -> Result<(), SpoolTaskError> {
+    pub(super) fn act(&mut self, connection_state: &ConnectionState) -> Result<(), SpoolTaskError> {
         if self.live.is_due()
-            && let Line::Open(connection) = line
+            && let ConnectionState::Open(connection) = connection_state
         {
             let account = self.count();
             self.live.show(&mut self.machine, connection, self.clock.wall(), account);
@@ -37,7 +37,7 @@ impl Sender {
             };
             self.spool.order(order)?;
         }
-        let Line::Open(connection) = line else { return Ok(()) };
+        let ConnectionState::Open(connection) = connection_state else { return Ok(()) };
         while let Some(frame) = self.held.pop_front() {
             if let Err(back) = connection.send(frame) {
                 self.held.push_front(back);
@@ -58,8 +58,8 @@ impl Sender {
             }
             Done::Appended(Err(reason)) => self.machine.append_failed(reason.to_string(), now),
             Done::Loaded(Ok(loaded)) => {
-                if let Some(what) = loaded.rotten {
-                    self.reports.rotten(what);
+                if let Some(what) = loaded.damage {
+                    self.reports.damage(what);
                 }
                 self.machine.loaded(loaded.batches, now)
             }
@@ -81,7 +81,7 @@ impl Sender {
     }
 
     /// Handles a received frame. Returns whether it is a message of an aggregator.
-    pub(super) fn hear(&mut self, frame: &[u8]) -> bool {
+    pub(super) fn handle_frame(&mut self, frame: &[u8]) -> bool {
         let message: ToAgent = match codec::decode(frame) {
             Ok(message) => message,
             Err(error) => {

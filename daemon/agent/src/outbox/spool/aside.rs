@@ -9,7 +9,7 @@ use peernet_clock::WallTime;
 
 /// Result of moving a spool aside.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::outbox) struct PutAside {
+pub(in crate::outbox) struct QuarantinedSpool {
     /// Damage of the file.
     pub(in crate::outbox) reason: String,
     /// New path of the file.
@@ -18,7 +18,7 @@ pub(in crate::outbox) struct PutAside {
 
 /// Renames the spool and its SQLite companions, from which the `sqlite3` shell may recover data. The spool must not
 /// be open.
-pub(super) fn put_aside(spool: &Path, reason: String, now: WallTime) -> io::Result<PutAside> {
+pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     let free = |seconds: i64| {
         let kept = beside(spool, &format!(".damaged-{seconds}"));
         (!kept.exists()).then_some(kept)
@@ -33,7 +33,7 @@ pub(super) fn put_aside(spool: &Path, reason: String, now: WallTime) -> io::Resu
     }
     match fs::remove_file(mark(spool)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(PutAside { reason, kept }),
+        _ => Ok(QuarantinedSpool { reason, kept }),
     }
 }
 

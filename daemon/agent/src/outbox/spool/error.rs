@@ -132,7 +132,7 @@ impl SpoolError {
 
 /// Error of an operation on an open spool.
 #[derive(Debug, thiserror::Error)]
-pub(in crate::outbox) enum Trouble {
+pub(in crate::outbox) enum SpoolFileError {
     /// The path names another file or none. What is written now would be lost when this process ends.
     #[error("the spool {} was deleted, moved or replaced while it was in use; put it back. A restart of the agent begins a new one, and what the old one held and was not stored is lost with it", .0.display())]
     Moved(PathBuf),
@@ -166,7 +166,7 @@ pub(in crate::outbox) enum Trouble {
     },
 }
 
-impl Trouble {
+impl SpoolFileError {
     pub(super) fn new(action: &'static str, path: PathBuf, source: sqlx::Error) -> Self {
         match code(&source) {
             Some(FULL) => Self::Full { action, path },

@@ -13,7 +13,7 @@ use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 
 use super::aside::beside;
-use super::error::Trouble;
+use super::error::SpoolFileError;
 use super::open::chain;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
@@ -42,7 +42,7 @@ pub(in crate::outbox) struct Loaded {
     /// previous one is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if it ends for another reason.
-    pub(in crate::outbox) rotten: Option<String>,
+    pub(in crate::outbox) damage: Option<String>,
 }
 
 impl SpoolFile {
@@ -69,19 +69,21 @@ impl SpoolFile {
         &mut self,
         batches: &[SpooledBatch],
         totals: &Totals,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "append to";
         self.in_place()?;
         // Batches must not use the last room: without a complete reserve nothing could be deleted on a full disk.
         if !self.reserve.take() && !batches.is_empty() {
-            return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
+            return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
         let resolved = match totals.unreported {
-            Some(_) => tail::unresolved_counter(&mut self.connection).await.map_err(self.trouble(ACTION))?,
+            Some(_) => {
+                tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
+            }
             None => None,
         };
         match self.try_to_append(ACTION, batches, totals).await {
-            Err(Trouble::Full { .. }) if batches.is_empty() && self.reserve.release() => {
+            Err(SpoolFileError::Full { .. }) if batches.is_empty() && self.reserve.release() => {
                 let appended = self.append_on_full_disk(ACTION, totals).await;
                 self.reserve.take();
                 appended?;
@@ -101,13 +103,17 @@ impl SpoolFile {
     }
 
     /// Reads batches from number `from` on: at least one, until their length exceeds `bytes`.
-    pub(in crate::outbox) async fn load(&mut self, from: u64, bytes: usize) -> Result<Loaded, Trouble> {
-        let mut loaded = Loaded { batches: Vec::new(), rotten: None };
+    pub(in crate::outbox) async fn load(
+        &mut self,
+        from: u64,
+        bytes: usize,
+    ) -> Result<Loaded, SpoolFileError> {
+        let mut loaded = Loaded { batches: Vec::new(), damage: None };
         let mut size = 0;
         // A damaged page before `from` must not prevent reading. After a gap the first batch cannot be checked
         // either.
         let mut before = match self.chain_before(from).await {
-            Err(Trouble::Corrupt { .. }) => None,
+            Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
         };
         let mut number = from;
@@ -118,17 +124,17 @@ impl SpoolFile {
                     loaded.batches.push(batch);
                 }
                 // A missing batch is the end of the list, unless it is the first one.
-                Ok(Err(Rot::Missing)) if !loaded.batches.is_empty() => break,
-                Ok(Err(rot)) => {
-                    loaded.rotten = Some(self.rotten(number, rot));
+                Ok(Err(BatchDamage::Missing)) if !loaded.batches.is_empty() => break,
+                Ok(Err(batch_damage)) => {
+                    loaded.damage = Some(self.damage(number, batch_damage));
                     break;
                 }
-                Err(Trouble::Corrupt { source, .. }) => {
-                    loaded.rotten = Some(self.rotten(number, format!("cannot be read ({source})")));
+                Err(SpoolFileError::Corrupt { source, .. }) => {
+                    loaded.damage = Some(self.damage(number, format!("cannot be read ({source})")));
                     break;
                 }
                 Err(_) if !loaded.batches.is_empty() => break,
-                Err(trouble) => return Err(trouble),
+                Err(file_error) => return Err(file_error),
             }
             number += 1;
         }
@@ -140,10 +146,10 @@ impl SpoolFile {
         &mut self,
         through: u64,
         chain: Chain,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         self.in_place()?;
         match self.try_to_delete(through, chain).await {
-            Err(Trouble::Full { .. }) if self.reserve.release() => {
+            Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let deleted = self.delete_on_full_disk(through, chain).await;
                 self.reserve.take();
                 deleted
@@ -158,7 +164,7 @@ impl SpoolFile {
         stream: StreamId,
         previous: StreamId,
         (first, events_before): (u64, u64),
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "begin a new stream in";
         self.in_place()?;
         let statement =
@@ -170,7 +176,7 @@ impl SpoolFile {
             .bind(events_before.cast_signed())
             .execute(&mut self.connection)
             .await;
-        renewed.map_err(self.trouble(ACTION))?;
+        renewed.map_err(self.file_error(ACTION))?;
         self.in_place()?;
         // Without this sync a power cut could restore the old stream, and what was stored in the new one would be
         // sent again.
@@ -178,10 +184,10 @@ impl SpoolFile {
     }
 
     /// Returns part of the unused pages to the file system, after a backlog. Returns whether there is more to do.
-    pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, Trouble> {
+    pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let shrunk = vacuum(&mut self.connection).await;
-        match shrunk.map_err(self.trouble("shrink")) {
-            Err(Trouble::Full { .. }) if self.reserve.release() => {
+        match shrunk.map_err(self.file_error("shrink")) {
+            Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let shrunk = self.shrink_on_full_disk().await;
                 self.reserve.take();
                 shrunk.map(|()| false)
@@ -196,9 +202,9 @@ impl SpoolFile {
     }
 
     /// Moves the log to the file and closes the file.
-    pub(in crate::outbox) async fn close(self) -> Result<(), Trouble> {
+    pub(in crate::outbox) async fn close(self) -> Result<(), SpoolFileError> {
         let path = self.path;
-        self.connection.close().await.map_err(|source| Trouble::new("close", path, source))
+        self.connection.close().await.map_err(|source| SpoolFileError::new("close", path, source))
     }
 
     /// Returns the connection, for tests that limit the size of the file.
@@ -212,47 +218,51 @@ impl SpoolFile {
         action: &'static str,
         batches: &[SpooledBatch],
         totals: &Totals,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         let written = insert(&mut self.connection, batches, totals, self.counts).await;
         self.end(action, written).await
     }
 
     /// Empties the log first, so that repeated writes of the totals do not make it longer each time.
-    async fn append_on_full_disk(&mut self, action: &'static str, totals: &Totals) -> Result<(), Trouble> {
-        checkpoint(&mut self.connection).await.map_err(self.trouble(action))?;
+    async fn append_on_full_disk(
+        &mut self,
+        action: &'static str,
+        totals: &Totals,
+    ) -> Result<(), SpoolFileError> {
+        checkpoint(&mut self.connection).await.map_err(self.file_error(action))?;
         self.try_to_append(action, &[], totals).await
     }
 
-    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
+    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         let deleted = delete(&mut self.connection, through, chain).await;
         self.end("delete from", deleted).await
     }
 
     /// Empties the log first, which may be longer than the reserve, and returns the deleted pages to the file system.
-    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
-        checkpoint(&mut self.connection).await.map_err(self.trouble("delete from"))?;
+    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
+        checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
         self.try_to_delete(through, chain).await?;
         self.shrink_on_full_disk().await
     }
 
     /// Returns all unused pages to the file system.
-    async fn shrink_on_full_disk(&mut self) -> Result<(), Trouble> {
+    async fn shrink_on_full_disk(&mut self) -> Result<(), SpoolFileError> {
         let given = async {
             checkpoint(&mut self.connection).await?;
             give_all_back(&mut self.connection).await
         };
-        given.await.map_err(self.trouble("shrink"))
+        given.await.map_err(self.file_error("shrink"))
     }
 
     /// Returns the chain of the batch before `number`; `None` if it is no longer known.
-    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, Trouble> {
+    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, SpoolFileError> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
         )
         .bind((number.saturating_sub(1)).cast_signed())
         .fetch_optional(&mut self.connection)
         .await
-        .map_err(self.trouble("read"))?;
+        .map_err(self.file_error("read"))?;
         Ok(bytes.and_then(|bytes| chain(&bytes).ok()))
     }
 
@@ -260,36 +270,40 @@ impl SpoolFile {
         &mut self,
         number: u64,
         before: Option<Chain>,
-    ) -> Result<Result<SpooledBatch, Rot>, Trouble> {
+    ) -> Result<Result<SpooledBatch, BatchDamage>, SpoolFileError> {
         let row: Option<(i64, u32, Vec<u8>, Vec<u8>)> =
             sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
                 .bind(number.cast_signed())
                 .fetch_optional(&mut self.connection)
                 .await
-                .map_err(self.trouble("read"))?;
-        let Some((since, events, kept, body)) = row else { return Ok(Err(Rot::Missing)) };
+                .map_err(self.file_error("read"))?;
+        let Some((since, events, kept, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
             // A batch after a gap cannot be checked here; the one after it can.
             Ok(chain) if before.is_none_or(|before| before.then(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
-            _ => Err(Rot::Changed),
+            _ => Err(BatchDamage::Changed),
         })
     }
 
-    fn rotten(&self, number: u64, what: impl fmt::Display) -> String {
+    fn damage(&self, number: u64, what: impl fmt::Display) -> String {
         format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
     }
 
     /// Waits until the log is on the disk.
-    async fn sync(&mut self, action: &'static str) -> Result<(), Trouble> {
+    async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
         let synced = ended(&mut self.log().sync()).await;
-        synced.map_err(|error| self.trouble(action)(sqlx::Error::Io(error)))
+        synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
     /// Commits a transaction that succeeded, and rolls back one that failed.
-    async fn end(&mut self, action: &'static str, result: Result<(), sqlx::Error>) -> Result<(), Trouble> {
+    async fn end(
+        &mut self,
+        action: &'static str,
+        result: Result<(), sqlx::Error>,
+    ) -> Result<(), SpoolFileError> {
         let ended = match result {
             Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
             Err(error) => Err(error),
@@ -299,28 +313,28 @@ impl SpoolFile {
             if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await {
                 tracing::debug!(%error, "nothing to roll back in the spool");
             }
-            return Err(self.trouble(action)(error));
+            return Err(self.file_error(action)(error));
         }
         self.in_place()
     }
 
     /// Checks that the path still names the open file. This is cheap: the file system answers from its cache.
-    fn in_place(&self) -> Result<(), Trouble> {
+    fn in_place(&self) -> Result<(), SpoolFileError> {
         match identity(&self.path) {
             Ok(identity) if identity == self.identity => Ok(()),
-            _ => Err(Trouble::Moved(self.path.clone())),
+            _ => Err(SpoolFileError::Moved(self.path.clone())),
         }
     }
 
-    fn trouble(&self, action: &'static str) -> impl Fn(sqlx::Error) -> Trouble + use<> {
+    fn file_error(&self, action: &'static str) -> impl Fn(sqlx::Error) -> SpoolFileError + use<> {
         let path = self.path.clone();
-        move |source| Trouble::new(action, path.clone(), source)
+        move |source| SpoolFileError::new(action, path.clone(), source)
     }
 }
 
 /// Damage of one batch.
 #[derive(Debug, thiserror::Error)]
-enum Rot {
+enum BatchDamage {
     #[error("is not there")]
     Missing,
     #[error("is not what was written")]

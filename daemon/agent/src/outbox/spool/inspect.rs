@@ -10,7 +10,7 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 use super::error::is_corrupt;
-use super::look::APPLICATION_ID;
+use super::file_kind::APPLICATION_ID;
 
 /// Longest wait for another program that has locked the file.
 const BUSY: Duration = Duration::from_secs(10);

@@ -11,8 +11,8 @@
 mod aside;
 mod error;
 mod file;
+mod file_kind;
 mod inspect;
-mod look;
 mod open;
 mod reserve;
 mod statements;
@@ -24,9 +24,9 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-pub(in crate::outbox) use aside::PutAside;
+pub(in crate::outbox) use aside::QuarantinedSpool;
 pub use error::{SpoolDefect, SpoolError};
+pub(crate) use file_kind::FileKind;
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, waiting_events};
-pub(crate) use look::Look;
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use task::{Done, Order, SpoolTask, SpoolTaskError};

@@ -11,13 +11,13 @@ use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
-use super::aside::{beside, condemned, put_aside};
+use super::aside::{beside, condemned, quarantine};
 use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
-use super::look::{APPLICATION_ID, Look};
+use super::file_kind::{APPLICATION_ID, FileKind};
 use super::reserve::Reserve;
 use super::statements::MOST_PROCESSES;
-use super::{PutAside, SpoolError, tail};
+use super::{QuarantinedSpool, SpoolError, tail};
 use crate::event_queue::EventCounter;
 use crate::event_queue::counter::CountOwner;
 use crate::lock::FileLock;
@@ -39,7 +39,7 @@ pub(crate) struct OpenSpool {
     /// Counter of the events that this process queues.
     pub(crate) counter: EventCounter,
     /// The broken spool that was moved aside, if there was one.
-    pub(in crate::outbox) aside: Option<PutAside>,
+    pub(in crate::outbox) aside: Option<QuarantinedSpool>,
 }
 
 impl OpenSpool {
@@ -67,9 +67,9 @@ impl OpenSpool {
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
         // Recognised before SQLite opens the file, which may change it.
-        let look = Look::at(path).map_err(io("read", path))?;
-        if !(kept_by_agent && look == Look::Other)
-            && let Some(objection) = look.objection()
+        let file_kind = FileKind::at(path).map_err(io("read", path))?;
+        if !(kept_by_agent && file_kind == FileKind::Other)
+            && let Some(objection) = file_kind.objection()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
@@ -77,7 +77,7 @@ impl OpenSpool {
         let mut aside = None;
         let opened = match connect_in_any_room(path, host, &mut reserve).await {
             Err(error) if error.is_damage() => {
-                let put = put_aside(path, error.to_string(), clock.wall());
+                let put = quarantine(path, error.to_string(), clock.wall());
                 aside = Some(put.map_err(io("put aside the damaged spool", path))?);
                 connect_in_any_room(path, host, &mut reserve).await
             }
@@ -205,7 +205,7 @@ async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), Spo
     if id == APPLICATION_ID {
         return Ok(());
     }
-    if let (true, Some(objection)) = (id != 0 || tables != 0, Look::Database.objection()) {
+    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.objection()) {
         return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
     }
     let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));

@@ -10,7 +10,7 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::aside::condemn;
-use super::error::Trouble;
+use super::error::SpoolFileError;
 use super::file::{Loaded, SpoolFile};
 use super::sync::Syncing;
 use super::tally;
@@ -45,7 +45,7 @@ pub(in crate::outbox) enum Done {
 pub(in crate::outbox) enum SpoolTaskError {
     /// The file cannot be read or written.
     #[error(transparent)]
-    File(#[from] Trouble),
+    File(#[from] SpoolFileError),
     /// The task has ended.
     #[error("the spool's task ended")]
     Ended,
@@ -65,7 +65,7 @@ pub(in crate::outbox) enum SpoolTaskError {
 pub(in crate::outbox) struct SpoolTask {
     orders: mpsc::Sender<Order>,
     done: mpsc::Receiver<Done>,
-    task: AbortOnDropHandle<Result<(), Trouble>>,
+    task: AbortOnDropHandle<Result<(), SpoolFileError>>,
 }
 
 impl SpoolTask {
@@ -106,7 +106,7 @@ async fn work(
     sync_interval: Duration,
     mut orders: mpsc::Receiver<Order>,
     answers: mpsc::Sender<Done>,
-) -> Result<(), Trouble> {
+) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut syncing = Syncing::new(file.log());
@@ -154,9 +154,9 @@ async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done
 }
 
 /// Marks a file that turned out to be broken, so that the next start moves it aside.
-fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), SpoolTaskError> {
-    if let Err(trouble @ Trouble::Corrupt { .. }) = &result {
-        condemn(file.path(), &trouble.to_string());
+fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
+    if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
+        condemn(file.path(), &file_error.to_string());
     }
     Ok(result?)
 }
@@ -167,8 +167,8 @@ async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
         match file.shrink().await {
             Ok(true) => {}
             Ok(false) => return,
-            Err(trouble) => {
-                tracing::debug!(%trouble, "the spool keeps its size");
+            Err(file_error) => {
+                tracing::debug!(trouble = %file_error, "the spool keeps its size");
                 return;
             }
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_logger::RunId;
 use peernet_stream::{EndReason, IncidentKind, PipelineState};
 
-use super::peer::{PeerStamps, PeerTold};
+use super::peer::{PeerDescription, PeerStamps};
 use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherPlace, Topic};
@@ -92,7 +92,7 @@ async fn begin(
 }
 
 /// Returns the facts about the observed system for the run's page.
-fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Vec<(String, String)> {
+fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerDescription>) -> Vec<(String, String)> {
     let mut facts = vec![("Observed".to_owned(), source.describe())];
     for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
         let kind = topic.kind().map_or_else(String::new, |kind| format!(" ({})", kind.name));
@@ -104,7 +104,7 @@ fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Ve
     facts
 }
 
-fn publishers(topic: &Topic, peer: Option<&PeerTold>) -> String {
+fn publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
     let places = topic.publishers();
     let is_peer = |place: &PublisherPlace| peer.is_some_and(|peer| peer.is_at(place.host.as_deref()));
     let places: Vec<String> = places.iter().map(|place| place.describe(is_peer(place))).collect();

@@ -18,17 +18,17 @@ use super::super::pipeline_loop::{PendingSample, PipelineLoop};
 use super::super::sensing::SensorOutput;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
-use crate::event_queue::{EventCounter, Exit};
+use crate::event_queue::{EventCounter, QueueReceiver};
 use crate::host::{EventSinks, Host};
 use crate::incidents::Incidents;
-use crate::link::{Links, Near, ProbeSettings};
+use crate::link::{LinkContext, Links, ProbeSettings};
 use crate::runs::Runs;
 
 const PIPELINE: &str = "line";
 
 /// A clock that panics once, when it is broken, for one kind of reader.
 #[derive(Debug)]
-struct Fragile {
+struct PanickingClock {
     clock: SystemClock,
     broken: AtomicBool,
     reader: Reader,
@@ -41,7 +41,7 @@ enum Reader {
     Sensor,
 }
 
-impl Clock for Fragile {
+impl Clock for PanickingClock {
     fn wall(&self) -> WallTime {
         self.clock.wall()
     }
@@ -62,7 +62,10 @@ impl Clock for Fragile {
 }
 
 /// Returns a host with one pipeline, and the exit of its event queue.
-fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, Exit) {
+fn context(
+    sensor: &str,
+    clock: SharedClock,
+) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, QueueReceiver) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
@@ -71,10 +74,10 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
-    let (event_queue, exit) = crate::event_queue::entrance(&of_host, &clock, EventCounter::default());
+    let (event_queue, receiver) = crate::event_queue::create(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let (_own, own) = watch::channel(PeerClock::default());
-    let near = Near {
+    let link_context = LinkContext {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
         own,
@@ -85,35 +88,35 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let context = PipelineContext {
         host: Host {
             id: HostId::random(),
-            name: near.name.clone(),
+            name: link_context.name.clone(),
             version: "0.0.0",
             clock: Arc::clone(&clock),
         },
         events: EventSinks { event_queue, incidents, runs: Runs::default() },
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
         fingerprints: FingerprintKey::new([0; 32]),
-        links: Links::new(near, &config.clock, probes),
+        links: Links::new(link_context, &config.clock, probes),
         observed: crate::observed::ObservedPipelines::default(),
         inspection: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::intended(&pipeline.placement);
     let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    (context, pipeline, display, exit.expect("there is an aggregator"))
+    (context, pipeline, display, receiver.expect("there is an aggregator"))
 }
 
 /// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
 /// it is shown and reported as well.
 async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
-    let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false), reader });
-    let clock: SharedClock = Arc::<Fragile>::clone(&fragile);
-    let (context, pipeline, display, mut exit) = context(sensor, clock);
+    let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
+    let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
+    let (context, pipeline, display, mut receiver) = context(sensor, clock);
     let running =
         run(pipeline, Arc::clone(&display), context, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
-    while let Some(event) = exit.next().await {
+    while let Some(event) = receiver.next().await {
         match event {
             Event::RunStarted(run) => started = Some(run.run),
             Event::Iteration(_) => break,
@@ -125,7 +128,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
 
     let (mut ended, mut incident) = (None, None);
     while ended.is_none() || incident.is_none() {
-        match exit.next().await.expect("the run ends and the failure is reported") {
+        match receiver.next().await.expect("the run ends and the failure is reported") {
             Event::RunEnded(end) => ended = Some(end),
             Event::Incident(what) if what.kind == IncidentKind::PipelineFailed => incident = Some(what),
             _ => {}
@@ -157,7 +160,7 @@ async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
 async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
-    let (context, pipeline, display, mut exit) = context(sensor, Arc::clone(&clock));
+    let (context, pipeline, display, mut receiver) = context(sensor, Arc::clone(&clock));
     let mut resources = PipelineResources::assemble(
         Arc::clone(&pipeline),
         Arc::clone(&display),
@@ -179,7 +182,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     run.end(EndReason::Stopped, &context);
     let mut outcomes = Vec::new();
     loop {
-        match exit.next().await.expect("the end is recorded") {
+        match receiver.next().await.expect("the end is recorded") {
             Event::Iteration(iteration) => outcomes.push(iteration.outcome),
             Event::RunEnded(_) => return outcomes,
             _ => {}

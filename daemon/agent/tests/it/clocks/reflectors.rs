@@ -12,9 +12,9 @@ use super::{CLOUD, line};
 use crate::harness::{TestAgent, config};
 
 /// A process that is killed at the end of the test.
-struct Foreign(Child);
+struct ForeignReflector(Child);
 
-impl Drop for Foreign {
+impl Drop for ForeignReflector {
     fn drop(&mut self) {
         // It may have ended already.
         let _ = self.0.kill();
@@ -23,7 +23,7 @@ impl Drop for Foreign {
 }
 
 /// Starts the reflector of stamp-suite at an address. Its clock is this machine's.
-fn stamp_suite(address: SocketAddr) -> Foreign {
+fn stamp_suite(address: SocketAddr) -> ForeignReflector {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
     let mut command = Command::new(&program);
     command
@@ -34,7 +34,7 @@ fn stamp_suite(address: SocketAddr) -> Foreign {
         .stdin(Stdio::null())
         .stdout(Stdio::null());
     let child = command.spawn();
-    Foreign(child.unwrap_or_else(|error| {
+    ForeignReflector(child.unwrap_or_else(|error| {
         panic!("{} does not run: {error}; deploy/install-tools.sh test installs it", program.display())
     }))
 }

@@ -7,7 +7,9 @@ use peernet_clock::{RehearsalDescription, RehearsedStep, SharedClock, Span, Verd
 use peernet_stream::{IncidentKind, LiveUpdate};
 
 use super::{CLOUD, assert_holds, line, transit, wrong};
-use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, config, value};
+use crate::harness::{
+    Aggregator, ReceivedEvents, SwitchableClock, TestAgent, assert_adds_up, clock, config, value,
+};
 
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
@@ -27,7 +29,7 @@ fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) 
 
 /// Returns the number of good delays after the step.
 fn good_after(
-    seen: &Seen,
+    seen: &ReceivedEvents,
     edge: Option<&RehearsalDescription>,
     cloud: Option<&RehearsalDescription>,
 ) -> usize {
@@ -61,9 +63,13 @@ fn good_after(
 async fn wall_clock_set_in_mid_run_reaches_no_delay() {
     for (on_edge, by) in [(false, Span::from_seconds(3)), (true, Span::from_seconds(-3))] {
         let aggregator = Aggregator::start().await;
-        let late = Arc::new(Late::new(clock(if on_edge { "edge" } else { "cloud" })));
+        let switchable_clock = Arc::new(SwitchableClock::new(clock(if on_edge { "edge" } else { "cloud" })));
         let pair = |named: &str, is_late: bool| {
-            if is_late { Arc::<Late>::clone(&late) as SharedClock } else { clock(named) }
+            if is_late {
+                Arc::<SwitchableClock>::clone(&switchable_clock) as SharedClock
+            } else {
+                clock(named)
+            }
         };
         let cloud = TestAgent::start_on(pair("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
         let tables = config(&line("line", &cloud, LOAD));
@@ -71,16 +77,16 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
             TestAgent::start_on(pair("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
         aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
         let wrong = stepping(by);
-        late.go_wrong(wrong.clone());
+        switchable_clock.go_wrong(wrong.clone());
         let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
         let seen = aggregator.until(|seen| good_after(seen, edge_wrong, cloud_wrong) >= 200).await;
 
-        let of_link = |seen: &Seen| {
+        let of_link = |seen: &ReceivedEvents| {
             let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
         // Incidents about the edge's own clock have no peer.
-        let set = |seen: &Seen| {
+        let set = |seen: &ReceivedEvents| {
             let all = seen.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()
         };
@@ -102,15 +108,17 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_step_is_announced_to_peers_that_send_nothing() {
-    let late = Arc::new(Late::new(clock("cloud")));
-    let cloud = TestAgent::start_on(Arc::<Late>::clone(&late), "cloud", None, config(CLOUD)).await;
+    let switchable_clock = Arc::new(SwitchableClock::new(clock("cloud")));
+    let cloud =
+        TestAgent::start_on(Arc::<SwitchableClock>::clone(&switchable_clock), "cloud", None, config(CLOUD))
+            .await;
     // One sample now and the next in an hour, and no probes.
     let rare = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
     let edge = TestAgent::start_with("edge", None, config(&line("line", &cloud, rare)), "edge").await;
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
     let live = edge.until(|live| live.links.iter().any(|link| link.now.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));
-    late.go_wrong(stepping(Span::from_seconds(3)));
+    switchable_clock.go_wrong(stepping(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
     assert!(live.links[0].now.offset.is_some(), "what was learnt of the free-running clocks holds");
     edge.stop().await.expect("stops well");

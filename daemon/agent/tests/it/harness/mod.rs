@@ -2,11 +2,11 @@
 
 mod agent;
 mod aggregator;
-mod late;
+mod switchable_clock;
 
 pub(crate) use agent::{State, TestAgent, clock, config, rehearsed};
-pub(crate) use aggregator::{Aggregator, Manners, Seen};
-pub(crate) use late::Late;
+pub(crate) use aggregator::{Aggregator, AggregatorBehaviour, ReceivedEvents};
+pub(crate) use switchable_clock::SwitchableClock;
 
 use std::time::Duration;
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_stream::{EndReason, Event, PipelineState};
 
 use super::{idle, line, nobody, spooled, state};
-use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_exactly_once() {
@@ -78,8 +78,8 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_an_aggregator_does_not_take_in_time_goes_out_after_the_next_start() {
-    let manners = Manners { slow: Some(Duration::from_millis(40)), ..Default::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), manners).await;
+    let behaviour = AggregatorBehaviour { slow: Some(Duration::from_millis(40)), ..Default::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), behaviour).await;
     let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");

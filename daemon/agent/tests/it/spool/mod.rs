@@ -29,7 +29,7 @@ fn idle() -> AgentConfig {
 }
 
 /// Returns a free address, for an aggregator that starts later.
-async fn nobody() -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::Seen>>) {
+async fn nobody() -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::ReceivedEvents>>) {
     Aggregator::start().await.down().await
 }
 

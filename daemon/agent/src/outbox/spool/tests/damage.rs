@@ -100,10 +100,10 @@ async fn a_rotten_batch_ends_the_list_and_is_named() {
         .expect("changed");
     let loaded = file.load(1, usize::MAX).await.expect("loads");
     assert_eq!(loaded.batches, written[..2]);
-    let said = loaded.rotten.expect("said");
+    let said = loaded.damage.expect("said");
     assert!(said.contains("batch 3") && said.contains("not what was written"), "{said}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
-    assert!(loaded.batches.is_empty() && loaded.rotten.is_some());
+    assert!(loaded.batches.is_empty() && loaded.damage.is_some());
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what follows is sound");
 }
 
@@ -117,7 +117,7 @@ async fn a_missing_batch_ends_the_list() {
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty());
-    assert!(loaded.rotten.expect("said").contains("batch 3"), "named");
+    assert!(loaded.damage.expect("said").contains("batch 3"), "named");
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what is behind it");
     drop(file.close().await);
     let (_, state) = place.sound().await;
@@ -154,16 +154,20 @@ async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
     broken.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
     broken.write_all(&[0xa5; 4096]).expect("written");
 
-    let (mut sound, mut rotten, mut next) = (Vec::new(), 0, 1);
+    let (mut sound, mut damaged, mut next) = (Vec::new(), 0, 1);
     while next <= 200 {
         let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
         next += loaded.batches.len() as u64;
         sound.extend(loaded.batches);
-        if loaded.rotten.is_some() {
-            (rotten, next) = (rotten + 1, next + 1);
+        if loaded.damage.is_some() {
+            (damaged, next) = (damaged + 1, next + 1);
         }
     }
-    assert!((1..=3).contains(&rotten) && sound.len() == 200 - rotten, "{} sound, {rotten} not", sound.len());
+    assert!(
+        (1..=3).contains(&damaged) && sound.len() == 200 - damaged,
+        "{} sound, {damaged} not",
+        sound.len()
+    );
     assert!(sound.iter().all(|batch| written.contains(batch)));
 }
 

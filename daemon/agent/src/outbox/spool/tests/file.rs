@@ -42,9 +42,9 @@ async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
     assert_eq!((state.held, state.totals), (Usage { events: 18, bytes: 600 }, totals(29)));
 
     let all = file.load(4, usize::MAX).await.expect("loads");
-    assert_eq!((all.batches.as_slice(), all.rotten), (&written[3..], None));
+    assert_eq!((all.batches.as_slice(), all.damage), (&written[3..], None));
     let some = file.load(6, 150).await.expect("loads");
-    assert_eq!((some.batches.as_slice(), some.rotten), (&written[5..7], None), "until they exceed it");
+    assert_eq!((some.batches.as_slice(), some.damage), (&written[5..7], None), "until they exceed it");
     let one = file.load(6, 0).await.expect("loads");
     assert_eq!(one.batches.as_slice(), &written[5..6], "one at least");
 }

@@ -13,7 +13,7 @@ use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
-use super::super::look::APPLICATION_ID;
+use super::super::file_kind::APPLICATION_ID;
 use super::super::open::MIGRATIONS;
 use super::tally::batch;
 use super::*;
@@ -100,7 +100,7 @@ async fn spool_of_each_migration_is_readable() {
         assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 1, 4));
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");
-        assert_eq!(loaded.rotten, None);
+        assert_eq!(loaded.damage, None);
         let events =
             loaded.batches.iter().flat_map(|batch| codec::events(&batch.body, batch.events).expect("events"));
         let expected: Vec<Event> = WAITING.into_iter().map(event).collect();

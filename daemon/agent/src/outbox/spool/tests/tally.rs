@@ -57,6 +57,6 @@ async fn every_iteration_of_a_batch_is_in_one_range_and_nothing_else_is() {
     let events: Vec<Event> = mixed.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
     let batch = batch(&clock, state, &events);
     assert_eq!(ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
-    let rotten = SpooledBatch { events: 99, ..batch };
-    assert!(ranges(&rotten).is_empty(), "what cannot be read is not claimed");
+    let damaged = SpooledBatch { events: 99, ..batch };
+    assert!(ranges(&damaged).is_empty(), "what cannot be read is not claimed");
 }

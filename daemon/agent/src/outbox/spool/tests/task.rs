@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_stream::{Chain, StreamId};
 
-use super::super::error::Trouble;
+use super::super::error::SpoolFileError;
 use super::super::task::{Done, Order, SpoolTask, SpoolTaskError};
 use super::*;
 
@@ -52,7 +52,7 @@ async fn trouble_is_told_in_words() {
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
     let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
-    assert!(matches!(error, SpoolTaskError::File(Trouble::Moved(_))), "{error}");
+    assert!(matches!(error, SpoolTaskError::File(SpoolFileError::Moved(_))), "{error}");
     assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
 

@@ -70,22 +70,22 @@ fn order_pairs_the_oldest_and_never_with_a_later_input() {
 
 /// An event of a generated history.
 #[derive(Clone, Copy, Debug)]
-enum Happening {
+enum TopicEvent {
     Input(Option<i64>),
     Output(Option<i64>),
     Expire,
 }
 
-fn happenings() -> impl Strategy<Value = Vec<(i64, Happening)>> {
+fn topic_events() -> impl Strategy<Value = Vec<(i64, TopicEvent)>> {
     let by_key = prop_oneof![
-        4 => (0_i64..6).prop_map(|key| Happening::Input(Some(key))),
-        4 => (0_i64..6).prop_map(|key| Happening::Output(Some(key))),
-        2 => Just(Happening::Expire),
+        4 => (0_i64..6).prop_map(|key| TopicEvent::Input(Some(key))),
+        4 => (0_i64..6).prop_map(|key| TopicEvent::Output(Some(key))),
+        2 => Just(TopicEvent::Expire),
     ];
     let by_order = prop_oneof![
-        4 => Just(Happening::Input(None)),
-        4 => Just(Happening::Output(None)),
-        2 => Just(Happening::Expire),
+        4 => Just(TopicEvent::Input(None)),
+        4 => Just(TopicEvent::Output(None)),
+        2 => Just(TopicEvent::Expire),
     ];
     let step = 0_i64..40;
     prop_oneof![
@@ -130,27 +130,27 @@ fn settle(
 
 proptest! {
     #[test]
-    fn every_message_is_resolved_once_in_bounded_memory(happenings in happenings()) {
+    fn every_message_is_resolved_once_in_bounded_memory(topic_events in topic_events()) {
         let (mut pairing, mut now, mut number) = (pairing(), at(0), 0_u32);
         let (mut inputs, mut outputs) = (Sent::new(), Sent::new());
-        for (pause, happening) in happenings {
+        for (pause, topic_event) in topic_events {
             now = now + Span::from_millis(pause);
             number += 1;
-            let resolution = match happening {
-                Happening::Input(key) => {
+            let resolution = match topic_event {
+                TopicEvent::Input(key) => {
                     inputs.insert(number, (key, now));
                     pairing.take_input(key, now, number)
                 }
-                Happening::Output(key) => {
+                TopicEvent::Output(key) => {
                     outputs.insert(number, (key, now));
                     pairing.take_output(key, now, number)
                 }
-                Happening::Expire => None,
+                TopicEvent::Expire => None,
             };
             if let Some(resolution) = resolution {
                 settle(&resolution, now, &mut inputs, &mut outputs)?;
             }
-            if matches!(happening, Happening::Expire) {
+            if matches!(topic_event, TopicEvent::Expire) {
                 while let Some(resolution) = pairing.expire(now) {
                     settle(&resolution, now, &mut inputs, &mut outputs)?;
                 }

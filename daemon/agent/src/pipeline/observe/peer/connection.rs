@@ -10,7 +10,7 @@ use peernet_networks::{Address, CloseReason, SessionSettings};
 use peernet_sample::Sample;
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
-use super::PeerTold;
+use super::PeerDescription;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
 use crate::incidents::IncidentContext;
@@ -238,7 +238,7 @@ impl PeerConnection {
     }
 
     /// Returns the description of the peer for the run's page.
-    pub(super) async fn told(&self) -> PeerTold {
+    pub(super) async fn told(&self) -> PeerDescription {
         let mut facts =
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());
@@ -246,7 +246,7 @@ impl PeerConnection {
         let found = tokio::net::lookup_host((self.address.host(), 0)).await;
         let addresses: Vec<IpAddr> =
             found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
-        PeerTold {
+        PeerDescription {
             name: self.name.clone(),
             facts,
             conditions: self.placement.peer_conditions().to_vec(),

@@ -55,13 +55,13 @@ pub(super) struct PeerStamps {
     settled: mpsc::Receiver<SettledPair>,
     /// Number of pairs that were sent to the task and have not come back.
     waiting: usize,
-    told: PeerTold,
+    told: PeerDescription,
     task: JoinHandle<()>,
 }
 
 /// Description of the peer from the opening of the session, for the run's page.
 #[derive(Clone, Debug)]
-pub(super) struct PeerTold {
+pub(super) struct PeerDescription {
     pub(super) name: Slug,
     pub(super) facts: Vec<(String, String)>,
     pub(super) conditions: Vec<Condition>,
@@ -69,7 +69,7 @@ pub(super) struct PeerTold {
     pub(super) addresses: Vec<IpAddr>,
 }
 
-impl PeerTold {
+impl PeerDescription {
     /// Returns whether this address is one of the peer's host.
     pub(super) fn is_at(&self, host: Option<&str>) -> bool {
         let address: Option<IpAddr> = host.and_then(|host| host.parse().ok());
@@ -90,7 +90,7 @@ impl PeerStamps {
         Some(Self { ask: Some(ask), settled, waiting: 0, told, task })
     }
 
-    pub(super) const fn told(&self) -> &PeerTold {
+    pub(super) const fn told(&self) -> &PeerDescription {
         &self.told
     }
 

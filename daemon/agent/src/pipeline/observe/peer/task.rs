@@ -31,7 +31,7 @@ pub(super) struct PeerTask {
 }
 
 /// Result of a wait.
-enum Waited<T> {
+enum WaitResult<T> {
     /// The future that was waited for is ready.
     Done(T),
     /// A pair was added, or one has expired.
@@ -101,9 +101,9 @@ impl PeerTask {
                 }
             };
             match self.wait(idle).await {
-                Waited::Done(Some(reason)) => return Some(reason),
-                Waited::Done(None) | Waited::Woken => {}
-                Waited::Finished => return None,
+                WaitResult::Done(Some(reason)) => return Some(reason),
+                WaitResult::Done(None) | WaitResult::Woken => {}
+                WaitResult::Finished => return None,
             }
         }
     }
@@ -134,26 +134,26 @@ impl PeerTask {
         loop {
             self.expire();
             match self.wait(future.as_mut()).await {
-                Waited::Done(done) => return Some(done),
-                Waited::Woken => {}
-                Waited::Finished => return None,
+                WaitResult::Done(done) => return Some(done),
+                WaitResult::Woken => {}
+                WaitResult::Finished => return None,
             }
         }
     }
 
-    async fn wait<T>(&mut self, future: impl Future<Output = T>) -> Waited<T> {
+    async fn wait<T>(&mut self, future: impl Future<Output = T>) -> WaitResult<T> {
         let connector = Arc::clone(&self.connector);
         let expiry = self.pending.next_expiry();
         tokio::select! {
-            done = future => Waited::Done(done),
+            done = future => WaitResult::Done(done),
             asked = self.asked.recv() => match asked {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
-                    Waited::Woken
+                    WaitResult::Woken
                 }
-                None => Waited::Finished,
+                None => WaitResult::Finished,
             },
-            () = connector.until(expiry) => Waited::Woken,
+            () = connector.until(expiry) => WaitResult::Woken,
         }
     }
 

@@ -6,13 +6,13 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// CPU time and memory of this process.
 #[derive(Debug)]
-pub(super) struct Own {
+pub(super) struct ProcessUsage {
     clock: SharedClock,
     /// Time of the last reading of the CPU time, and its value.
     last: Option<(MonoTime, Span)>,
 }
 
-impl Own {
+impl ProcessUsage {
     pub(super) const fn new(clock: SharedClock) -> Self {
         Self { clock, last: None }
     }

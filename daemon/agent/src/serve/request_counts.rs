@@ -15,9 +15,9 @@ const MOST: usize = 256;
 
 /// Requests of the current run of each pipeline.
 #[derive(Debug, Default)]
-pub(super) struct Asked(HashMap<(HostId, Slug), Arc<AtomicU64>>);
+pub(super) struct RequestCounts(HashMap<(HostId, Slug), Arc<AtomicU64>>);
 
-impl Asked {
+impl RequestCounts {
     /// Returns the counter of the requests of a new session.
     pub(super) fn by(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
         if self.0.len() >= MOST {
@@ -39,20 +39,24 @@ mod tests {
 
     #[test]
     fn a_run_of_two_sessions_is_counted_as_one_and_those_of_vanished_edges_are_forgotten_in_the_end() {
-        let (mut asked, host, line) = (Asked::default(), HostId::random(), "line".parse().expect("a name"));
+        let (mut request_counts, host, line) =
+            (RequestCounts::default(), HostId::random(), "line".parse().expect("a name"));
         for _ in 0..2 {
-            asked.by(host, &line).fetch_add(20, Ordering::Relaxed);
+            request_counts.by(host, &line).fetch_add(20, Ordering::Relaxed);
         }
-        assert_eq!((asked.missed(host, &line, Some(41)), asked.missed(host, &line, Some(9))), (1, 9));
-        asked.by(host, &line).fetch_add(5, Ordering::Relaxed);
-        assert_eq!(asked.missed(host, &line, None), 0, "it was stopped");
-        assert_eq!(asked.missed(host, &line, Some(5)), 5, "and begins anew");
-        let open = asked.by(host, &line);
+        assert_eq!(
+            (request_counts.missed(host, &line, Some(41)), request_counts.missed(host, &line, Some(9))),
+            (1, 9)
+        );
+        request_counts.by(host, &line).fetch_add(5, Ordering::Relaxed);
+        assert_eq!(request_counts.missed(host, &line, None), 0, "it was stopped");
+        assert_eq!(request_counts.missed(host, &line, Some(5)), 5, "and begins anew");
+        let open = request_counts.by(host, &line);
         open.fetch_add(3, Ordering::Relaxed);
         for _ in 0..2 * MOST {
-            asked.by(HostId::random(), &line);
+            request_counts.by(HostId::random(), &line);
         }
-        assert!(asked.0.len() <= MOST);
-        assert_eq!(asked.missed(host, &line, Some(4)), 1);
+        assert!(request_counts.0.len() <= MOST);
+        assert_eq!(request_counts.missed(host, &line, Some(4)), 1);
     }
 }

@@ -8,7 +8,7 @@ const ON_THE_WAY: Span = Span::from_seconds(1);
 
 /// The related clock of a host, and the host's latest announcement.
 #[derive(Debug)]
-pub(super) struct ToldClock {
+pub(super) struct AnnouncedClock {
     clock: PeerClock,
     /// Time of the announcement, by this host's free-running clock.
     at: RawTime,
@@ -20,18 +20,18 @@ pub(super) struct ToldClock {
     outdated: bool,
 }
 
-impl ToldClock {
+impl AnnouncedClock {
     pub(super) fn new(clock: PeerClock, is_free_running: bool, at: RawTime) -> Self {
         let epoch = epoch_of(&clock, is_free_running).unwrap_or(0);
         Self { clock, at, is_free_running, epoch, outdated: false }
     }
 
     /// Handles an announcement. Returns the epoch of the related clock if it is a new one.
-    pub(super) fn tell(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
+    pub(super) fn announce(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
         let epoch = epoch_of(&clock, self.is_free_running);
         (self.clock, self.at) = (clock, at);
-        self.outdated = epoch.is_some_and(|told| told < self.epoch);
-        epoch.filter(|told| *told > self.epoch)
+        self.outdated = epoch.is_some_and(|announced| announced < self.epoch);
+        epoch.filter(|announced| *announced > self.epoch)
     }
 
     /// Sets the epoch of the related clock from an exchange, which may arrive before the announcement. Returns
@@ -40,7 +40,8 @@ impl ToldClock {
         let is_new = epoch > self.epoch;
         if is_new {
             self.epoch = epoch;
-            self.outdated = epoch_of(&self.clock, self.is_free_running).is_none_or(|told| told < epoch);
+            self.outdated =
+                epoch_of(&self.clock, self.is_free_running).is_none_or(|announced| announced < epoch);
         }
         is_new
     }
@@ -106,24 +107,24 @@ mod tests {
     #[test]
     fn claim_about_wall_clock_becomes_wider_one_about_free_running_clock() {
         let at = RawTime::from_nanos(0);
-        let told = ToldClock::new(claiming(0), true, at);
-        let claim = told.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
+        let announced = AnnouncedClock::new(claiming(0), true, at);
+        let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
         assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
-        let by_wall = ToldClock::new(claiming(0), false, at);
+        let by_wall = AnnouncedClock::new(claiming(0), false, at);
         assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), claiming(0).discipline);
     }
 
     #[test]
     fn claim_made_before_interruption_is_void_until_next_one() {
         let at = RawTime::from_nanos(0);
-        let mut told = ToldClock::new(claiming(0), true, at);
-        assert!(told.begin_epoch(1) && !told.begin_epoch(1));
-        assert_eq!(told.claim(at, 100.0), None);
-        assert_eq!(told.tell(claiming(0), at), None);
-        assert_eq!(told.claim(at, 100.0), None, "it was on its way");
-        assert_eq!(told.tell(claiming(1), at), None, "known already");
-        assert!(told.claim(at, 100.0).is_some());
-        assert_eq!(told.tell(claiming(2), at), Some(2));
+        let mut announced = AnnouncedClock::new(claiming(0), true, at);
+        assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));
+        assert_eq!(announced.claim(at, 100.0), None);
+        assert_eq!(announced.announce(claiming(0), at), None);
+        assert_eq!(announced.claim(at, 100.0), None, "it was on its way");
+        assert_eq!(announced.announce(claiming(1), at), None, "known already");
+        assert!(announced.claim(at, 100.0).is_some());
+        assert_eq!(announced.announce(claiming(2), at), Some(2));
     }
 }

@@ -9,12 +9,12 @@ use peernet_clock::{
 
 /// A right clock that becomes wrong on request.
 #[derive(Debug)]
-pub(crate) struct Late {
+pub(crate) struct SwitchableClock {
     right: SharedClock,
     rehearsed: OnceLock<RehearsedClock>,
 }
 
-impl Late {
+impl SwitchableClock {
     pub(crate) fn new(right: SharedClock) -> Self {
         Self { right, rehearsed: OnceLock::new() }
     }
@@ -34,7 +34,7 @@ impl Late {
     }
 }
 
-impl Clock for Late {
+impl Clock for SwitchableClock {
     fn wall(&self) -> WallTime {
         self.now().wall()
     }

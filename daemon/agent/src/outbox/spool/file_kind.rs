@@ -18,7 +18,7 @@ const HEAD: usize = 105;
 
 /// Kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Look {
+pub(crate) enum FileKind {
     /// A spool, or nothing yet: no file, an empty one, or a database without tables.
     Spool,
     /// A database of another program.
@@ -27,7 +27,7 @@ pub(crate) enum Look {
     Other,
 }
 
-impl Look {
+impl FileKind {
     /// Reads the kind of a file without SQLite, which would create files beside it. Tables that are only in the log
     /// of a killed process are not seen: such a file seems to have none.
     ///
@@ -81,16 +81,17 @@ mod tests {
     fn the_first_bytes_tell_what_a_file_is() {
         let mut head = [0; HEAD];
         head[..MAGIC.len()].copy_from_slice(MAGIC);
-        assert_eq!(Look::of(&head), Look::Spool, "without tables");
+        assert_eq!(FileKind::of(&head), FileKind::Spool, "without tables");
         head[CELLS_AT + 1] = 3;
-        assert_eq!(Look::of(&head), Look::Database, "with tables");
+        assert_eq!(FileKind::of(&head), FileKind::Database, "with tables");
         head[ID_AT..ID_AT + 4].copy_from_slice(b"PNsp");
-        assert_eq!(Look::of(&head), Look::Spool);
+        assert_eq!(FileKind::of(&head), FileKind::Spool);
         head[ID_AT] = b'X';
-        assert_eq!(Look::of(&head), Look::Database, "another program's");
-        for (text, expected) in [("", Look::Spool), ("SQLite for", Look::Spool), ("d3adb33f\n", Look::Other)]
+        assert_eq!(FileKind::of(&head), FileKind::Database, "another program's");
+        for (text, expected) in
+            [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
         {
-            assert_eq!(Look::of(text.as_bytes()), expected, "{text:?}");
+            assert_eq!(FileKind::of(text.as_bytes()), expected, "{text:?}");
         }
     }
 }

@@ -5,20 +5,20 @@ const MOST: usize = 256;
 
 /// Every n-th of the values, with n as small as the bound allows, so that the choice is even over the whole time.
 #[derive(Debug)]
-pub(super) struct Thinned<T> {
+pub(super) struct Downsampled<T> {
     kept: Vec<T>,
     /// Distance between two values that are kept.
     stride: u64,
     seen: u64,
 }
 
-impl<T> Default for Thinned<T> {
+impl<T> Default for Downsampled<T> {
     fn default() -> Self {
         Self { kept: Vec::new(), stride: 1, seen: 0 }
     }
 }
 
-impl<T: Copy> Thinned<T> {
+impl<T: Copy> Downsampled<T> {
     pub(super) fn push(&mut self, value: T) {
         if self.seen.is_multiple_of(self.stride) {
             if self.kept.len() == MOST {
@@ -50,7 +50,7 @@ mod tests {
 
     #[test]
     fn few_values_are_all_kept_and_the_median_is_one_of_them() {
-        let mut few = Thinned::default();
+        let mut few = Downsampled::default();
         assert_eq!(few.median(|value: &i32| *value), None);
         for value in [9, 1, 5] {
             few.push(value);
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn many_values_are_thinned_evenly() {
-        let mut many = Thinned::default();
+        let mut many = Downsampled::default();
         for value in 0..100_000_i64 {
             many.push(value);
             assert!(many.kept.len() <= MOST);

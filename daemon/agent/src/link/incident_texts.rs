@@ -7,7 +7,7 @@ use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
 use crate::incidents::far_in_words;
 
 /// Returns the text of a restart: whose clock was stepped, and by how much.
-pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
+pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
     let whose = match (restart.edge, restart.cloud) {
         (true, false) => format!("the clock of {edge} was stepped or ran off"),
         (false, true) => format!("the clock of {cloud} was stepped or ran off"),
@@ -39,14 +39,14 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
 }
 
 /// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
-pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
+pub(super) fn wall_set_text(cloud: &Slug) -> String {
     format!(
         "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
     )
 }
 
 /// Returns the text of a suspected jump, with both possible causes.
-pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
+pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
     let far = far_in_words(jump.moved);
     let others = untold_in_words(jump.untold);
@@ -58,7 +58,7 @@ pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> S
 }
 
 /// Returns the text of a lost proof that both processes read one clock, with the reason.
-pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
+pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
     let others = untold_in_words(lost.untold);
     format!(
         "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
@@ -77,7 +77,7 @@ fn untold_in_words(untold: u32) -> String {
 }
 
 /// Returns the text of a proven skew beyond the limit.
-pub(super) fn excess_in_words(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
+pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
     let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
     format!(
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn lost_proof_names_both_hosts_and_the_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = lost_proof_in_words(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
+        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
         for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
             assert!(text.contains(part), "{text}");
         }
@@ -120,7 +120,7 @@ mod tests {
             ),
             (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
         ] {
-            let text = restart_in_words(restart, &edge, &cloud);
+            let text = restart_text(restart, &edge, &cloud);
             assert!(text.starts_with(begin) && text.contains(told), "{text}");
         }
         for (doubt, key) in [
@@ -128,7 +128,7 @@ mod tests {
             ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
             let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
-            let text = restart_in_words(restart, &edge, &cloud);
+            let text = restart_text(restart, &edge, &cloud);
             assert!(text.contains("robot or desk") && text.contains(key), "{text}");
         }
     }
@@ -136,12 +136,12 @@ mod tests {
     #[test]
     fn jump_names_both_explanations_and_how_many_were_not_told() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = jump_in_words(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
+        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
         let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
-        let text = excess_in_words(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
+        let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
         assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
     }
 }

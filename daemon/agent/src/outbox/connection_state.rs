@@ -11,21 +11,21 @@ use peernet_networks::Address;
 use super::connection::{Connection, ConnectionError};
 
 /// State of the connection.
-pub(super) enum Line {
+pub(super) enum ConnectionState {
     /// Waiting for the next attempt, or connecting.
     Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
     /// A connection is open.
     Open(Connection),
 }
 
-impl fmt::Debug for Line {
+impl fmt::Debug for ConnectionState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if matches!(self, Self::Open(_)) { "Open" } else { "Dialling" })
     }
 }
 
 /// Event of the connection.
-pub(super) enum Happened {
+pub(super) enum ConnectionEvent {
     Connected(Connection),
     Failed(ConnectionError),
     Gone(ConnectionError),
@@ -34,7 +34,7 @@ pub(super) enum Happened {
     Room,
 }
 
-impl Line {
+impl ConnectionState {
     /// Starts a connection attempt after a pause.
     pub(super) fn dial(address: &Address, pause: Duration) -> Self {
         let address = address.clone();
@@ -46,17 +46,17 @@ impl Line {
     }
 
     /// Waits for the next event; for room as well if it is `blocked`. Dropping the future loses nothing.
-    pub(super) async fn next(&mut self, blocked: bool) -> Happened {
+    pub(super) async fn next(&mut self, blocked: bool) -> ConnectionEvent {
         match self {
             Self::Dialling(dialling) => match dialling.await {
-                Ok(connection) => Happened::Connected(connection),
-                Err(reason) => Happened::Failed(reason),
+                Ok(connection) => ConnectionEvent::Connected(connection),
+                Err(reason) => ConnectionEvent::Failed(reason),
             },
             Self::Open(connection) => match connection.receive(blocked).await {
                 // A message that is not a single frame is invalid; decoding reports it.
-                Ok(Some(message)) => Happened::Message(message.part_bytes(0).unwrap_or_default()),
-                Ok(None) => Happened::Room,
-                Err(reason) => Happened::Gone(reason),
+                Ok(Some(message)) => ConnectionEvent::Message(message.part_bytes(0).unwrap_or_default()),
+                Ok(None) => ConnectionEvent::Room,
+                Err(reason) => ConnectionEvent::Gone(reason),
             },
         }
     }
