@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_id_outlives_the_process_and_the_folder_is_made() {
+    fn host_id_persists_and_folder_is_created() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("a").join("b");
         let first = host_id(&state).expect("made");
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn one_agent_at_a_time_has_the_folder() {
+    fn second_agent_cannot_lock_folder() {
         let folder = tempfile::tempdir().expect("a folder");
         let first = StateLock::take(folder.path()).expect("free");
         let error = StateLock::take(folder.path()).expect_err("taken").to_string();
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn agents_that_start_together_agree() {
+    fn concurrent_starts_agree_on_host_id() {
         let folder = tempfile::tempdir().expect("a folder");
         let ids: Vec<_> = std::thread::scope(|scope| {
             let threads: Vec<_> = (0..8).map(|_| scope.spawn(|| host_id(folder.path()))).collect();
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn secret_outlives_the_process_and_only_its_owner_reads_it() {
+    fn secret_persists_and_is_readable_by_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
         let first = host_secret(folder.path()).expect("made");
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_file_is_left_alone_and_named() {
+    fn foreign_file_is_kept_and_named() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join("host-id"), "my notes\n").expect("written");
         let error = host_id(folder.path()).expect_err("not an id").to_string();

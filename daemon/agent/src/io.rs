@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn tasks_run_there_and_sockets_belong_there_whoever_waits() {
+    async fn tasks_and_sockets_belong_to_io_threads() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
         let this = thread::current().id();
         let there =
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_still_runs_ends_with_the_threads_and_nobody_waits() {
+    async fn running_tasks_end_with_threads_without_waiting() {
         let io = IoThreads::start(NonZeroUsize::MIN).expect("there are threads");
         let socket = io.within(UdpSocket::bind("127.0.0.1:0")).await.expect("there is a port");
         let waiting = io.handle().spawn(async move {

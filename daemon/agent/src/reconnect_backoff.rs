@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_to_the_longest_and_begin_anew_after_a_success() {
+    fn pauses_grow_and_reset_after_success() {
         let mut reconnect_backoff = ReconnectBackoff::new(HostId::from_bytes([7; 16]));
         let around = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
         for middle in [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0] {

@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_task_that_dies_ends_the_others_and_is_named() {
+    async fn dead_task_ends_others_and_is_named() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();
@@ -144,14 +144,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_task_that_stops_untold_is_a_failure() {
+    async fn task_that_ends_early_is_a_failure() {
         let mut tasks = Tasks::new(&CancellationToken::new());
         tasks.keep(&Handle::current(), "lazy", async {});
         assert_eq!(tasks.join().await.expect_err("lazy stopped").part, "lazy");
     }
 
     #[tokio::test]
-    async fn all_end_well_when_told_to() {
+    async fn all_tasks_end_when_stopped() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();

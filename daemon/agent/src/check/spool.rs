@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_something_else_is_refused_unless_it_has_the_name_of_the_agents_own() {
+    fn foreign_file_is_refused_except_at_default_path() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let (state, notes) = (folder.path(), folder.path().join("notes.txt"));
         assert!(problems(state, &notes).is_empty(), "it is made at the start");

@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_limits_are_named() {
+    fn impossible_limits_are_refused() {
         assert_eq!(clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
         assert_eq!(clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
         let change = "clock.max_drift_change_ppm_per_s";
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn claims_that_nobody_can_be_asked_for_are_named() {
+    fn repeated_sources_and_missing_chronyc_are_refused() {
         assert_eq!(clock("discipline = ['kernel', 'chrony', 'kernel']"), ["clock.discipline[2]"]);
         for missing in ["/nowhere/chronyc", "no-such-command-as-this"] {
             assert_eq!(clock(&format!("chronyc = '{missing}'")), ["clock.chronyc"]);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_is_not_there_or_is_none_is_refused() {
+    fn missing_or_invalid_key_is_refused() {
         let file = tempfile::NamedTempFile::new().expect("there is room for a temporary file");
         let table = format!("key_file = {:?}", file.path());
         for (content, expected) in [("", 1), ("hello\n", 1), ("00112233445566778899aabbccddeeff\n", 0)] {
@@ -236,14 +236,14 @@ mod tests {
     }
 
     #[test]
-    fn reflectors_of_host_that_sends_no_probes_are_named() {
+    fn reflectors_of_host_without_probes_are_refused() {
         let named = "reflectors = { cloud = 'udp://[::1]' }\n";
         assert!(probes(named).is_empty());
         assert_eq!(probes(&format!("{named}send = false")), ["probes.reflectors"]);
     }
 
     #[test]
-    fn steps_come_in_the_order_of_time() {
+    fn steps_out_of_order_are_refused() {
         let steps = |first: &str, second: &str| {
             format!("steps = [{{ at_s = {first}, by_ms = 3000 }}, {{ at_s = {second}, by_ms = -3000 }}]")
         };

@@ -55,7 +55,7 @@ impl HostFiles {
 }
 
 #[test]
-fn a_bare_tree_claims_nothing() {
+fn empty_tree_has_no_bad_grades() {
     let host_files = HostFiles(tempfile::tempdir().expect("a folder"));
     let found = inspect_host(&host_files.settings(), "robot");
     assert!(found.iter().all(|condition| condition.grade <= Grade::Unknown), "{found:?}");
@@ -64,7 +64,7 @@ fn a_bare_tree_claims_nothing() {
 }
 
 #[test]
-fn governors_that_follow_the_load_are_named_unless_the_limits_leave_one_frequency() {
+fn dynamic_governors_are_doubtful_unless_limits_fix_frequency() {
     let host_files = HostFiles::new();
     let governor = |core: u32, name: &str| {
         host_files.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor"), name);
@@ -86,7 +86,7 @@ fn governors_that_follow_the_load_are_named_unless_the_limits_leave_one_frequenc
 }
 
 #[test]
-fn a_jetson_that_is_slowed_down_now_says_so() {
+fn throttled_jetson_is_reported() {
     let host_files = HostFiles::new();
     host_files.has("sys/class/thermal/cooling_device0/type", "cpufreq-cpu0");
     host_files.has("sys/class/thermal/cooling_device0/cur_state", "0");
@@ -101,7 +101,7 @@ fn a_jetson_that_is_slowed_down_now_says_so() {
 }
 
 #[test]
-fn a_zone_near_its_passive_trip_point_is_doubtful_and_beyond_it_bad() {
+fn zone_is_graded_by_distance_to_passive_trip_point() {
     let host_files = HostFiles::new();
     host_files.has("sys/class/thermal/thermal_zone0/type", "CPU-therm");
     host_files.has("sys/class/thermal/thermal_zone0/trip_point_0_type", "critical");
@@ -115,7 +115,7 @@ fn a_zone_near_its_passive_trip_point_is_doubtful_and_beyond_it_bad() {
 }
 
 #[test]
-fn a_raspberry_pi_tells_what_is_now_from_what_was() {
+fn raspberry_pi_distinguishes_current_from_past_throttling() {
     let host_files = HostFiles::new();
     let file = "sys/devices/platform/soc/soc:firmware/get_throttled";
     for (bits, grade, words) in [
@@ -131,7 +131,7 @@ fn a_raspberry_pi_tells_what_is_now_from_what_was() {
 }
 
 #[test]
-fn counters_since_the_start_are_doubtful() {
+fn throttle_counts_since_boot_are_doubtful() {
     let host_files = HostFiles::new();
     host_files.has("sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count", "0");
     host_files.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "0");
@@ -142,7 +142,7 @@ fn counters_since_the_start_are_doubtful() {
 }
 
 #[test]
-fn threads_of_this_process_do_not_compete_with_it() {
+fn own_threads_are_no_competing_load() {
     let host_files = HostFiles::new();
     let mine = |id: u32, state: &str| {
         host_files.has(&format!("proc/self/task/{id}/stat"), &format!("{id} (peernetd (R) x) {state} 1 1"));
@@ -162,7 +162,7 @@ fn threads_of_this_process_do_not_compete_with_it() {
 }
 
 #[test]
-fn what_others_take_of_the_processors_is_named() {
+fn stolen_time_and_cpu_quota_are_reported() {
     let host_files = HostFiles::new();
     host_files.has("proc/stat", "cpu  600 0 300 100 0 0 0 0 0 0");
     host_files.has("proc/self/cgroup", "0::/system.slice/docker-1.scope");
@@ -177,7 +177,7 @@ fn what_others_take_of_the_processors_is_named() {
 }
 
 #[test]
-fn container_is_known_by_marks_where_its_groups_are_hidden() {
+fn container_with_hidden_cgroups_is_recognised_by_other_marks() {
     for (file, content, manager) in [
         ("root/.dockerenv", "", "docker"),
         ("root/run/.containerenv", "engine=\"podman-5\"", "podman"),
@@ -207,7 +207,7 @@ fn host_service_of_container_manager_is_no_container() {
 }
 
 #[test]
-fn virtual_machine_is_known_without_the_flag_of_x86() {
+fn virtual_machine_is_recognised_without_x86_flag() {
     let of = |files: &[(&str, &str)]| {
         let host_files = HostFiles::new();
         host_files.has("proc/cpuinfo", "Features\t: fp asimd");
@@ -235,7 +235,7 @@ fn virtual_machine_is_known_without_the_flag_of_x86() {
 }
 
 #[test]
-fn swap_counts_against_the_memory_it_stands_for() {
+fn used_swap_is_graded_relative_to_memory() {
     let host_files = HostFiles::new();
     for (free, expected) in [("1000000", Grade::Good), ("960000", Grade::Good), ("500000", Grade::Doubtful)] {
         host_files.has(
@@ -247,7 +247,7 @@ fn swap_counts_against_the_memory_it_stands_for() {
 }
 
 #[test]
-fn a_disk_is_looked_at_where_the_folder_will_be() {
+fn missing_folder_is_inspected_on_its_future_disk() {
     let host_files = HostFiles::new();
     let mut settings = host_files.settings();
     settings.folders = vec![("results".to_owned(), host_files.0.path().join("not/yet/there"))];
@@ -278,7 +278,7 @@ fn interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str
 }
 
 #[test]
-fn wireless_interfaces_that_are_up_are_asked() {
+fn only_active_wireless_interfaces_are_queried() {
     let host_files = HostFiles::new();
     interface(&host_files, "eth0", None, "up");
     interface(&host_files, "wlan1", Some("phy80211"), "down");
@@ -298,7 +298,7 @@ fn wireless_interfaces_that_are_up_are_asked() {
 }
 
 #[tokio::test]
-async fn this_host_is_looked_at() {
+async fn this_host_can_be_inspected() {
     let found = inspect_host_in_time(InspectionSettings::default(), "here".to_owned()).await;
     for subject in ["CPU governor", "thermal throttling", "competing load", "machine"] {
         assert!(found.iter().any(|condition| condition.about == subject), "{subject}: {found:?}");

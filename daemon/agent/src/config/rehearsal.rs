@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rehearsal_is_told_in_figures() {
+    fn rehearsal_is_described_in_figures() {
         let config: RehearsalConfig =
             toml::from_str("offset_ms = 1000\ndrift_ppm = -50.5\nsteps = [{ at_s = 20, by_ms = -3000 }]")
                 .expect("it is a table of [rehearsal]");

@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
+    fn overflow_is_counted_by_run_and_run_end_fits() {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());

@@ -48,7 +48,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_counted() {
+    fn overflow_is_counted() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
         let event_queue = EventQueue::nowhere().tapped(Some(tap.clone()));
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn the_outbox_gets_its_own() {
+    fn outbox_receives_event_as_well() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_slow_has_a_negative_error() {
+    fn slow_clock_has_negative_error() {
         let answer = answer(BIASED);
         assert_eq!(answer.text, "chrony, stratum 11, to 127.0.0.1");
         let claim = answer.claim.expect("chrony was synchronised");
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_fast_has_a_positive_error_and_a_vague_frequency_ages_faster() {
+    fn fast_clock_has_positive_error_that_grows_with_skew() {
         let line = "50505300,PPS,1,1795179452.5,-0.002,0,0,0,-4.0,30.0,0.001,0.0005,16.0,Normal";
         let claim = answer(line).claim.expect("chrony was synchronised");
         assert_eq!(claim.error, Interval { lo: Span::from_millis(-1), hi: Span::from_millis(3) });
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn who_follows_nobody_claims_nothing() {
+    fn unsynchronised_chrony_claims_nothing() {
         for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "own clock")] {
             let answer = answer(line);
             assert_eq!(answer.claim, None);
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_tracking_is_refused_with_the_reason() {
+    fn invalid_tracking_report_is_refused_with_reason() {
         for line in ["", "506 Cannot talk to daemon", "a,b,c", &BIASED.replace("0.000005846", "nan")] {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_step_only_what_is_measured_anew_counts() {
+    fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
         let mut trust = Trust::new(0);

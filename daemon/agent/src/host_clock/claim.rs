@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_widens_as_it_ages() {
+    fn claim_widens_with_age() {
         let claim = report(DelaySource::Kernel, Some((-1, 1))).claim.expect("it was given one");
         let later = claim.at(MonoTime::from_nanos(10_000_000_000));
         let expected = Span::from_micros(1000 + 150);

@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bound_of_a_daemon_that_states_one_is_taken() {
+    fn stated_bound_of_daemon_is_used() {
         assert_eq!(
             said(true, 27_503, 311),
             (Some(Span::from_micros(27_503)), "kernel, synchronised".to_owned())
@@ -67,25 +67,25 @@ mod tests {
     }
 
     #[test]
-    fn an_unsynchronised_kernel_claims_nothing() {
+    fn unsynchronised_kernel_claims_nothing() {
         assert_eq!(said(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
     }
 
     #[test]
-    fn growth_without_a_figure_of_the_daemons_is_no_bound() {
+    fn growth_without_daemons_estimate_is_no_bound() {
         let (bound, text) = said(true, 123_000, 0);
         assert_eq!(bound, None);
         assert!(text.contains("states no error"), "{text}");
     }
 
     #[test]
-    fn a_clock_kept_by_ptp_is_believed_within_a_second_of_the_kernels_growth() {
+    fn ptp_clock_is_believed_within_one_second_of_growth() {
         assert_eq!(said(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
         assert_eq!(said(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
     }
 
     #[test]
-    fn this_machines_kernel_answers() {
+    fn kernel_of_this_machine_answers() {
         let answer = ask(MonoTime::from_nanos(0));
         assert!(answer.text.starts_with("kernel, "), "{}", answer.text);
     }

@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_claim_contains_the_error_now_and_around_now() {
+    fn claim_contains_error_around_its_time() {
         let description = RehearsalDescription {
             offset: Span::from_seconds(-1),
             drift_ppm: 50.0,

@@ -141,7 +141,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn changed_marker_is_told_once() {
+    fn changed_marker_is_reported_once() {
         let dev = tempfile::tempdir().expect("a folder");
         assert_eq!(Vmclock::below(dev.path()).disrupted(), None, "there is none");
         let file = make(dev.path(), 7);
@@ -153,7 +153,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn marker_that_is_being_changed_is_told_afterwards() {
+    fn marker_under_change_is_reported_afterwards() {
         let dev = tempfile::tempdir().expect("a folder");
         let file = make(dev.path(), 7);
         let mut vmclock = Vmclock::below(dev.path());
@@ -165,7 +165,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn file_that_is_no_vmclock_says_nothing() {
+    fn file_of_another_format_reports_nothing() {
         for (at, byte) in [(0, b'X'), (8, 2)] {
             let dev = tempfile::tempdir().expect("a folder");
             let file = make(dev.path(), 7);

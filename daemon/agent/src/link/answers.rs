@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_the_reason_and_not_refused() {
+    fn late_answers_are_named_as_reason_and_not_refused() {
         let mut answers = Answers::new("cloud".parse().expect("a name"), true);
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_named_where_it_can_be_the_matter() {
+    fn key_is_named_where_it_may_be_the_reason() {
         assert_eq!(why_unanswered(false, None), None);
         for refused in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
             let reason = why_unanswered(true, refused).expect("something is known");

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn unrelated_clocks_give_the_raw_difference_and_a_throughput_without_value() {
+    fn unrelated_clocks_give_raw_difference_and_no_throughput() {
         let (mut tree, up, _) = exchange();
         correct(&mut tree, up, Direction::Up, OneWayDelay::unsynchronised(UP));
         let Some((_, node)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_that_reaches_zero_leaves_the_rate_open_upwards() {
+    fn bound_of_zero_leaves_rate_unbounded() {
         let delay = OneWayDelay {
             bounds: Some(Interval { lo: Span::ZERO, hi: Span::from_millis(4) }),
             ..OneWayDelay::same_clock(UP)

@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_values_are_all_kept_and_the_median_is_one_of_them() {
+    fn few_values_are_all_kept() {
         let mut few = Downsampled::default();
         assert_eq!(few.median(|value: &i32| *value), None);
         for value in [9, 1, 5] {
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn many_values_are_thinned_evenly() {
+    fn many_values_are_downsampled_evenly() {
         let mut many = Downsampled::default();
         for value in 0..100_000_i64 {
             many.push(value);

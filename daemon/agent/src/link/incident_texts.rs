@@ -94,7 +94,7 @@ mod tests {
     use crate::same_clock::NotProven;
 
     #[test]
-    fn lost_proof_names_both_hosts_and_the_reason() {
+    fn lost_proof_names_both_hosts_and_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
         for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_names_the_host_and_the_size() {
+    fn restart_names_host_and_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let by =
             |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn jump_names_both_explanations_and_how_many_were_not_told() {
+    fn jump_names_explanations_and_number_of_unreported_ones() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {

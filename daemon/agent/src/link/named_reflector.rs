@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn offset_of_wall_clocks_is_relation_less_how_far_own_wall_clock_is_ahead() {
+    fn wall_offset_is_relation_minus_own_wall_lead() {
         let mut answers = ReflectorAnswers::new(RelationSettings::default());
         let millis = Span::from_millis;
         let now = Stamp {

@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_next_second_is_never_now_and_never_more_than_a_second_away() {
+    fn next_second_is_later_by_one_second_at_most() {
         assert_eq!(until_next_second(0), Duration::from_secs(1));
         assert_eq!(until_next_second(1_999_999_999), Duration::from_nanos(1));
         assert_eq!(until_next_second(-1), Duration::from_nanos(1));

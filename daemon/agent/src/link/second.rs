@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_exchange_from_either_side_is_kept() {
+    fn best_exchange_of_each_bound_is_kept() {
         let mut second = Second::new(0);
         for exchange in [exchange(0, 5, 1), exchange(100, 2, 7), exchange(200, 6, 6)] {
             second.exchanged(&exchange, 50.0);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn an_older_exchange_has_to_be_better_by_the_drift_since() {
+    fn older_exchange_must_be_better_by_drift() {
         // 900 ms at 10,000 ppm are 9 ms.
         for (up, kept) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
             let mut second = Second::new(0);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_verdict_counts_unless_it_is_rare() {
+    fn worst_verdict_counts_unless_rare() {
         let ok = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
         let stepped = ok(-1);
         let (mut second, network) = (Second::new(0), NetworkName::default());

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_is_complete_each_time_it_is_shown_and_shown_again_only_when_it_changed() {
+    fn shown_second_is_complete_and_repeated_only_after_change() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         ring.record(11, &Outcome::Ok, &tree(6));
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_without_a_value_are_counted_by_verdict_and_never_averaged_in() {
+    fn delays_without_value_are_counted_and_not_averaged() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         let mut inconsistent = tree(0);
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn updates_and_memory_are_bounded_however_long_nobody_looks() {
+    fn updates_and_memory_are_bounded_without_reader() {
         let mut ring = Ring::default();
         for at in 0..1000 {
             ring.record(at, &Outcome::Ok, &tree(1));
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn seconds_that_a_wall_clock_shows_twice_are_not_added_up() {
+    fn repeated_seconds_of_wall_clock_are_not_summed() {
         let mut ring = Ring::default();
         for at in 4990..=5000 {
             ring.record(at, &Outcome::Ok, &tree(1));

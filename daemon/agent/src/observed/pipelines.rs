@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn received_messages_are_told_by_their_keys() {
+    fn received_messages_are_found_by_key() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let detector = pipelines.find(&slug("detector")).expect("it is there");
         let stamp = |nanos| HostStamp {
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_answered_names_the_next_step() {
+    fn refused_request_names_next_step() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let refused =
             |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused").to_string();
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn host_without_observing_pipelines_says_so() {
+    fn host_without_observing_pipelines_refuses_requests() {
         for text in [SERVE, DETECTOR] {
             let refusal = pipelines(text).refusal(&slug("rack")).expect("nobody can ask");
             assert!(refusal.contains("host rack") && refusal.contains("kind = \"observe\""), "{refusal}");

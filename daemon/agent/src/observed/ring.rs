@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn both_messages_of_a_key_are_found_in_any_order_of_arrival() {
+    fn messages_of_key_are_found_in_any_order() {
         let mut ring = StampRing::new(4, Span::from_seconds(5));
         note(&mut ring, Side::Input, 1, 10);
         assert!(!ring.find(1).is_complete());
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn first_message_of_a_key_counts_until_its_time_is_over() {
+    fn first_message_of_key_counts_until_it_expires() {
         let mut ring = StampRing::new(4, Span::from_millis(1000));
         note(&mut ring, Side::Input, 1, 10);
         note(&mut ring, Side::Input, 1, 20);
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_and_the_newest_stay() {
+    fn memory_is_bounded_and_newest_stamps_stay() {
         let mut ring = StampRing::new(8, Span::from_seconds(5));
         for key in 0..10_000 {
             note(&mut ring, Side::Input, key, key);

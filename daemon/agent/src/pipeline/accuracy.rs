@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_label_that_the_model_does_not_know_is_not_scored() {
+    fn label_unknown_to_model_is_not_scored() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::begin(Arc::new(clock), HostId::random());
         log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_and_the_best_five_are_compared_with_the_label() {
+    fn top_one_and_top_five_are_compared_with_label() {
         let top: Vec<_> =
             ["a", "b", "c", "d", "e", "f"].map(|l| format!(r#"{{"label":"{l}","score":0.1}}"#)).into();
         let answer = format!(r#"{{"label":"a","score":0.1,"top":[{}]}}"#, top.join(","));
@@ -103,14 +103,14 @@ mod tests {
     }
 
     #[test]
-    fn spelling_of_folders_does_not_matter() {
+    fn folder_spelling_does_not_matter() {
         let answer = r#"{"label":"golden retriever","top":[]}"#;
         assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), Some(1.0)));
         assert_eq!(judged("golden", answer), (Some(0.0), Some(0.0)));
     }
 
     #[test]
-    fn without_a_ranking_only_the_best_is_judged_and_other_answers_not_at_all() {
+    fn answer_without_ranking_has_no_top_five_score() {
         assert_eq!(judged("a", r#"{"label":"a"}"#), (Some(1.0), None));
         for answer in [r#"{"boxes":[]}"#, "{", "[]", r#"{"label":3}"#] {
             assert_eq!(judged("a", answer), (None, None), "{answer}");

@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_failures_are_free_many_slow_down_and_a_success_lets_go() {
+    fn repeated_failures_pause_until_success() {
         let (mut backoff, now) = (FailureBackoff::default(), MonoTime::from_nanos(0));
         let failed = Outcome::Failed("broken".into());
         let pauses: Vec<i64> = (0..16)

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_and_what_lies_beside_them_add_up_to_the_total() {
+    fn stages_and_unattributed_time_add_up_to_total() {
         let tree = iteration(Span::ZERO, OneWayDelay::same_clock, None);
         assert_eq!(millis(&tree, "total"), Some(10.0));
         assert_eq!(millis(&tree, "stages-total"), Some(6.0));
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tree_without_room_for_more_still_gets_its_totals() {
+    fn full_tree_still_gets_its_totals() {
         let clock: SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_does_not_depend_on_what_the_peers_clock_shows() {
+    fn sum_is_independent_of_peers_clock() {
         for ahead in [Span::from_seconds(3600), Span::from_seconds(-5)] {
             let tree = iteration(ahead, OneWayDelay::unsynchronised, Some(STEP + STEP));
             assert_eq!(millis(&tree, "upload"), None, "not known");
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_time_of_both_ways_there_is_no_sum() {
+    fn sum_is_unknown_without_both_directions() {
         // A transport of an hour is longer than the iteration, and so is not used.
         for transport in [None, Some(Span::from_seconds(3600))] {
             let tree = iteration(Span::from_seconds(-1), OneWayDelay::same_clock, transport);

@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_loop_starts_whenever_it_is_asked() {
+    fn closed_loop_starts_on_request() {
         let mut schedule = Schedule::new(&LoadConfig::Closed {}, 4, at(0));
         assert_eq!(schedule.next_at(at(6)), at(6));
         assert_eq!(schedule.take(at(7)), Some(Start { intended: at(7), skipped: 0 }));
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_keeps_its_beat_however_late_it_is_asked() {
+    fn rate_keeps_its_schedule_after_late_request() {
         let mut schedule = ten_hz(4);
         assert_eq!(schedule.take(at(3)), Some(Start { intended: at(0), skipped: 0 }));
         assert_eq!(schedule.take(at(99)), None);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_leaves_the_latest_starts_waiting_and_counts_the_others() {
+    fn stall_keeps_latest_starts_and_counts_skipped_ones() {
         let mut schedule = ten_hz(2);
         // Due by then: 0, 100, …, 900, of which two may wait.
         assert_eq!(schedule.take(at(950)), Some(Start { intended: at(800), skipped: 8 }));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_seeds_give_equal_arrivals_and_the_mean_is_the_rate() {
+    fn equal_seeds_give_equal_arrivals_at_mean_rate() {
         let arrivals = |seed| {
             let mut schedule = Schedule::new(&LoadConfig::Poisson { hz: 100.0, seed }, 1, at(0));
             (0..2000)
@@ -184,7 +184,7 @@ mod tests {
     proptest! {
         /// Every start is taken, skipped or still waiting, at whatever moments the schedule is asked.
         #[test]
-        fn no_start_goes_missing(
+        fn every_start_is_returned_or_counted_as_skipped(
             hz in 0.5..500.0f64,
             patience in 1usize..6,
             waits in prop::collection::vec(0i64..2000, 1..40),

@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_counts_what_is_not_warm_up() {
+    fn limit_excludes_warm_up() {
         let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
         let mut warm_up = Vec::new();
         while !progress.is_over(at(0)) {
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_total_counts_the_warm_up_too() {
+    fn total_includes_warm_up() {
         let mut progress =
             progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
         let mut warm_up = Vec::new();
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_ordered_is_known_before_it_is_done() {
+    fn planned_iterations_are_known_beforehand() {
         let planned_iterations = |keys: &str| {
             let mut progress = progress(keys, false);
             for _ in 0..7 {
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_duration_counts_from_the_first_measured_iteration() {
+    fn duration_begins_at_first_measured_iteration() {
         let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
         progress.place(at(10));
         assert!(!progress.is_over(at(1000)), "still warming up");
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_continues_another_is_warm() {
+    fn continuing_run_has_no_warm_up() {
         assert!(!progress("", true).place(at(0)).warm_up);
         assert!(progress("", false).place(at(0)).warm_up);
     }

@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn an_alarm_never_rings_early_and_can_be_set_anew() {
+    async fn timer_never_fires_early_and_can_be_reset() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_wait_that_was_given_up_does_not_disturb_the_next() {
+    async fn cancelled_wait_does_not_disturb_next_one() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         let far = clock.mono() + Span::from_seconds(3600);

@@ -243,7 +243,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn only_the_sessions_cloud_with_the_same_clock_proves_it(
+        fn only_sessions_cloud_with_same_clock_proves_it(
             nonce in prop_oneof![Just([1; 16]), any::<Nonce>()],
             session in prop_oneof![Just(SESSION), any::<[u8; 16]>()],
             time_namespace in prop_oneof![Just(NAMESPACE), any::<u64>()],
@@ -272,7 +272,7 @@ mod tests {
         }
 
         #[test]
-        fn bytes_lead_back_to_question_and_answer(
+        fn messages_read_back_as_written(
             nonce: Nonce, session: [u8; 16], time_namespace: u64, shows_kernel_time: bool, nanos: i64,
         ) {
             let question = Question { nonce };
@@ -283,7 +283,7 @@ mod tests {
         }
 
         #[test]
-        fn other_bytes_are_neither(bytes: [u8; 32], more: [u8; 25]) {
+        fn other_bytes_are_refused(bytes: [u8; 32], more: [u8; 25]) {
             let mut answer = [0; Answer::BYTES];
             answer[..32].copy_from_slice(&bytes);
             answer[32..].copy_from_slice(&more);

@@ -120,7 +120,7 @@ async fn cloud_connects_to_no_edge_of_another_boot() {
 }
 
 #[tokio::test]
-async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
+async fn cloud_continues_without_listener_or_room_in_queue() {
     let clock = system();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());
@@ -135,7 +135,7 @@ async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
 }
 
 #[tokio::test]
-async fn garbage_and_silence_are_passed_over_for_the_cloud() {
+async fn garbage_and_silence_do_not_hide_the_cloud() {
     let clock = system();
     let socket = listen(&clock);
     let mut garbage = connect(socket.name()).expect("it listens");

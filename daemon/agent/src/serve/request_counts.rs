@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_of_two_sessions_is_counted_as_one_and_those_of_vanished_edges_are_forgotten_in_the_end() {
+    fn requests_are_counted_over_sessions_and_forgotten_eventually() {
         let (mut request_counts, host, line) =
             (RequestCounts::default(), HostId::random(), "line".parse().expect("a name"));
         for _ in 0..2 {

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn accelerators_are_named_by_their_driver_or_their_board() {
+    fn accelerators_are_named_by_driver_or_board() {
         let folder = tempfile::tempdir().expect("a folder");
         let write = |path: &str, text: &str| {
             let path = folder.path().join(path);

@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_within_what_is_possible() {
+    fn metrics_are_within_possible_ranges() {
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut sampler = Sampler::new(clock);
         let first = sampler.sample();

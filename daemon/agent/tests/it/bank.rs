@@ -45,7 +45,7 @@ async fn reason(edge: &TestAgent) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
+async fn edge_without_model_name_gets_the_only_model() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud, "")).await;
@@ -68,7 +68,7 @@ async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_names_no_model_where_there_are_several_is_told_their_names() {
+async fn edge_without_model_name_is_refused_with_names() {
     let nap = "[[model]]\nname = 'nap'\nkind = 'sleep'\n";
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
     let edge = TestAgent::start("edge", None, &line(&cloud, "")).await;
@@ -79,7 +79,7 @@ async fn who_names_no_model_where_there_are_several_is_told_their_names() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed() {
+async fn peer_gets_named_model_on_allowed_device() {
     let aggregator = Aggregator::start().await;
     let folder = folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
@@ -109,7 +109,7 @@ async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed
 }
 
 #[test]
-fn a_pipeline_of_the_host_itself_may_use_the_bank() {
+fn local_pipeline_may_use_model_bank() {
     let folder = folder();
     let tables = format!(
         "[bank]\nfolders = [{:?}]\n[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\

@@ -13,7 +13,7 @@ fn line(keys: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
+async fn warm_up_and_limit_are_exact() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -41,7 +41,7 @@ async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_variables_of_a_program_work_and_are_told_by_their_names_alone() {
+async fn variables_of_program_are_set_and_recorded_by_name() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nplacement = { kind = 'none' }\nlimit = { total = 2 }\n\
         sensor = { kind = 'exec', env = { API_KEY = 'hunter2' }, \
@@ -57,7 +57,7 @@ async fn the_variables_of_a_program_work_and_are_told_by_their_names_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
+async fn live_statistics_are_bounded_and_exclude_warm_up() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -114,7 +114,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_sensor_that_ends_finishes_the_pipeline() {
+async fn ended_sensor_finishes_pipeline() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["a.png", "b.png", "c.png"] {
@@ -139,7 +139,7 @@ async fn a_sensor_that_ends_finishes_the_pipeline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_sensor_alone_is_measured_for_a_total_of_iterations() {
+async fn sensor_alone_is_measured_until_total() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 100 }\n\
                   placement = { kind = 'none' }\nwarm_up = { iterations = 3 }\nlimit = { total = 20 }";

@@ -19,7 +19,7 @@ fn pipeline(name: &str, peer: &Address) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_addresses_are_served_at_once_each_within_its_limits() {
+async fn two_addresses_are_served_within_own_limits() {
     let tables = format!(
         "[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\nsession = {{ max_sessions = 1 }}\n{MODEL}"
     );
@@ -72,7 +72,7 @@ async fn probes_are_answered_at_every_address() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
+async fn occupied_address_fails_start_and_frees_others() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let free = TcpListener::bind("127.0.0.1:0").expect("a port");
     let [taken_at, free_at] = [&taken, &free].map(|port| port.local_addr().expect("it is bound"));
@@ -90,7 +90,7 @@ async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
 }
 
 #[test]
-fn networks_that_disagree_with_their_addresses_are_refused() {
+fn networks_not_matching_addresses_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     for named in NetworkKind::ALL {
         for scheme in NetworkKind::ALL.iter().flat_map(|kind| kind.schemes()) {

@@ -14,7 +14,7 @@ fn sleeper(inference_ms: u32, model: &str, pipeline: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_intended_start() {
+async fn overload_counts_skips_and_latency_from_intended_start() {
     let aggregator = Aggregator::start().await;
     // 100 starts per second, 2 answers per 40 ms: half of the starts have to be skipped.
     let pipeline = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 2\nlimit = { iterations = 40 }";
@@ -48,7 +48,7 @@ async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_in
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_full_queue_fails_samples_and_says_so() {
+async fn full_queue_fails_samples_with_reason() {
     let aggregator = Aggregator::start().await;
     let pipeline = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 8\nlimit = { iterations = 30 }";
     let tables = sleeper(50, "workers = 1\nqueue = 1", pipeline);
@@ -65,7 +65,7 @@ async fn a_full_queue_fails_samples_and_says_so() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_late_answer_is_a_timeout_and_the_run_goes_on() {
+async fn late_answer_is_timeout_and_run_continues() {
     let aggregator = Aggregator::start().await;
     let pipeline = "timeout_ms = 20\nlimit = { iterations = 3 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &sleeper(200, "", pipeline)).await;

@@ -33,7 +33,7 @@ impl Clock for Calendar {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_new_day_is_a_new_run_without_a_new_warm_up() {
+async fn midnight_begins_run_without_warm_up() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\

@@ -44,7 +44,7 @@ fn is_waiting(state: &PipelineState) -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_is_not_up_yet_is_waited_for() {
+async fn edge_waits_for_cloud_that_is_not_up() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
@@ -69,7 +69,7 @@ async fn a_cloud_that_is_not_up_yet_is_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_is_back() {
+async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let first = TestAgent::start("cloud", None, &cloud(port)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
@@ -100,7 +100,7 @@ async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_i
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_goes_while_the_sensor_waits_costs_no_sample_when_it_is_back_in_time() {
+async fn short_outage_while_sensor_waits_loses_no_sample() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let folder = tempfile::tempdir().expect("a folder");
     let gate = folder.path().join("gate");
@@ -134,7 +134,7 @@ async fn a_cloud_that_goes_while_the_sensor_waits_costs_no_sample_when_it_is_bac
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_unknown_model_is_refused_with_the_list_of_those_there_are() {
+async fn unknown_model_is_refused_with_list_of_models() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
     let edge = TestAgent::start("edge", None, &edge(port, "fast")).await;
@@ -148,7 +148,7 @@ async fn an_unknown_model_is_refused_with_the_list_of_those_there_are() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does() {
+async fn wrong_device_is_refused_with_models_device() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let tables = edge(port, "slow").replace("model = 'slow'", "model = 'slow', device = 'cuda:0'");
@@ -160,7 +160,7 @@ async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
+async fn only_lost_edge_is_incident() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
     let mut served = cloud.running.served();
@@ -183,7 +183,7 @@ async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn connections_that_end_without_an_aggregator_are_counted() {
+async fn connections_ended_without_aggregator_are_counted() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let absent = Aggregator::start().await.down().await;

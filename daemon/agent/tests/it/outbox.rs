@@ -38,7 +38,7 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
+async fn refusal_of_aggregator_is_retried_and_reported_once() {
     let behaviour = AggregatorBehaviour {
         refuse: Some("another host is named edge".into()),
         ..AggregatorBehaviour::default()
@@ -57,7 +57,7 @@ async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
+async fn run_starts_are_repeated_to_emptied_aggregator() {
     let aggregator = Aggregator::start().await;
     let keys = "load = { mode = 'rate', hz = 100.0 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -71,7 +71,7 @@ async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_answers_but_is_no_aggregator_is_named_once_and_tried_again() {
+async fn silent_listener_is_reported_once_and_retried() {
     let behaviour = AggregatorBehaviour { mute: true, ..AggregatorBehaviour::default() };
     let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;

@@ -28,7 +28,7 @@ fn delay(iteration: &Iteration, name: &str) -> peernet_clock::OneWayDelay {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn on_one_clock_every_way_is_exact() {
+async fn same_clock_gives_exact_delays() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = edge(&cloud, "echo", "limit = { iterations = 50 }");
@@ -70,7 +70,7 @@ async fn on_one_clock_every_way_is_exact() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn several_requests_are_under_way_at_once() {
+async fn several_requests_are_in_flight_at_once() {
     let aggregator = Aggregator::start().await;
     let cloud = CLOUD.replace("kind = 'sleep'", "kind = 'sleep'\nworkers = 4");
     let cloud = TestAgent::start("cloud", None, &cloud).await;
@@ -96,7 +96,7 @@ async fn several_requests_are_under_way_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_is_overloaded_says_so() {
+async fn overloaded_cloud_is_reported() {
     let aggregator = Aggregator::start().await;
     let cloud = CLOUD.replace("kind = 'sleep'", "kind = 'sleep'\nworkers = 1\nqueue = 1");
     let cloud = TestAgent::start("cloud", None, &cloud).await;
@@ -112,7 +112,7 @@ async fn a_cloud_that_is_overloaded_says_so() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_remote_answer_that_is_late_is_a_timeout() {
+async fn late_remote_answer_is_timeout() {
     let aggregator = Aggregator::start().await;
     let cloud =
         TestAgent::start("cloud", None, &CLOUD.replace("inference_ms = 20", "inference_ms = 300")).await;

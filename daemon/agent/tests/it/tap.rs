@@ -30,7 +30,7 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_counted() {
+async fn program_receives_events_and_missed_ones_are_counted() {
     for room in [1000, 10] {
         let state = tempfile::tempdir().expect("a folder");
         let mut config = config(LINE);

@@ -5,7 +5,7 @@ use peernet_stream::{IncidentKind, Outcome, PipelineState};
 use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
+async fn broken_picture_fails_iteration_and_run_continues() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["a.png", "b.png", "d.png"] {
@@ -36,7 +36,7 @@ async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_traceback_is_a_reason_of_one_line() {
+async fn traceback_becomes_reason_of_one_line() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     let code =
@@ -58,7 +58,7 @@ async fn a_traceback_is_a_reason_of_one_line() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() {
+async fn cloud_learns_of_missing_iterations_at_run_end() {
     let folder = tempfile::tempdir().expect("a folder");
     image::RgbImage::new(8, 6).save(folder.path().join("a.png")).expect("written");
     std::fs::write(folder.path().join("b.png"), b"not a picture").expect("written");
@@ -93,7 +93,7 @@ async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pictures_that_are_all_gone_are_reported_once() {
+async fn missing_pictures_are_reported_once() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("a.png"), b"bytes").expect("written");
@@ -119,7 +119,7 @@ async fn pictures_that_are_all_gone_are_reported_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_pipeline_that_cannot_start_says_why_and_leaves_the_others_alone() {
+async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
         [[pipeline]]\nname = 'blind'\nsensor = { kind = 'images', path = '/nowhere/at/all' }\n\

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_file_that_is_certainly_away_is_gone() {
+    fn only_certainly_missing_file_is_gone() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");

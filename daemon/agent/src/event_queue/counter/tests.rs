@@ -71,7 +71,7 @@ fn other_files_of_the_name_are_not_read() {
 }
 
 #[test]
-fn runs_beyond_the_places_count_among_all() {
+fn runs_beyond_capacity_are_counted_in_total() {
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
@@ -101,7 +101,7 @@ fn file_is_abandoned_once_its_process_and_spool_are_gone() {
 }
 
 #[test]
-fn file_of_a_spool_that_is_there_stays() {
+fn file_of_existing_spool_stays() {
     let (_own_folder, own) = spool();
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");

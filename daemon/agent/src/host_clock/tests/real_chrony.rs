@@ -15,7 +15,7 @@ async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
 }
 
 #[tokio::test]
-async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
+async fn interval_contains_known_bias_and_not_its_opposite() {
     let server = Chronyd::server();
     // chrony adds `offset` to its measurement of a server with the same clock: it assumes that true time is 50 ms
     // ahead of the clock, or behind it.
@@ -36,7 +36,7 @@ async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
 }
 
 #[tokio::test]
-async fn who_follows_nobody_or_only_itself_claims_nothing() {
+async fn daemon_without_other_source_claims_nothing() {
     let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);
@@ -51,7 +51,7 @@ async fn who_follows_nobody_or_only_itself_claims_nothing() {
 }
 
 #[tokio::test]
-async fn a_daemon_that_ends_takes_its_claim_with_it() {
+async fn claim_ends_with_its_daemon() {
     let server = Chronyd::server();
     let mut client = Chronyd::client(&server, 0.0);
     let clock = system_clock();
@@ -63,7 +63,7 @@ async fn a_daemon_that_ends_takes_its_claim_with_it() {
 }
 
 #[tokio::test]
-async fn a_host_without_chrony_says_what_it_has() {
+async fn host_without_chrony_reports_kernel() {
     let clock = system_clock();
     let config = ClockConfig { chronyc: "/nowhere/chronyc".to_owned(), ..ClockConfig::default() };
     let (mut published, _running) = watched(config, None, &clock);
@@ -72,7 +72,7 @@ async fn a_host_without_chrony_says_what_it_has() {
 }
 
 #[tokio::test]
-async fn a_command_that_hangs_or_prints_nonsense_claims_nothing() {
+async fn hanging_or_invalid_command_claims_nothing() {
     let clock = system_clock();
     for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot be understood")] {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");

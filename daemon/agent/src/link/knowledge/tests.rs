@@ -55,7 +55,7 @@ fn network() -> NetworkName {
 }
 
 #[test]
-fn what_is_told_of_clocks_that_were_not_stepped_voids_nothing() {
+fn announcement_without_step_keeps_window() {
     let mut knowledge = knowledge();
     knowledge.edge_announced(told(0, None), now(0).raw);
     let _ = knowledge.cloud_announced(told(0, None), now(0).raw);
@@ -67,7 +67,7 @@ fn what_is_told_of_clocks_that_were_not_stepped_voids_nothing() {
 }
 
 #[test]
-fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
+fn nonempty_second_is_reported_once_when_over() {
     let mut knowledge = knowledge();
     for sent in [0, 300, 600] {
         let ([up, down], changes) = knowledge.judge(
@@ -109,7 +109,7 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
 }
 
 #[test]
-fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
+fn step_of_peers_clock_begins_window_and_is_named() {
     let mut knowledge = knowledge();
     for sent in [0, 100, 200] {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
@@ -142,7 +142,7 @@ fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
 }
 
 #[test]
-fn an_exchange_across_a_step_has_no_value_and_is_counted() {
+fn exchange_across_step_is_counted_without_value() {
     let mut knowledge = knowledge();
     let message_delay = MessageDelay { raw: Span::from_seconds(3), bits: None };
     let (delays, _) = knowledge.stepped(&network(), [message_delay, message_delay], now(4));
@@ -157,7 +157,7 @@ fn an_exchange_across_a_step_has_no_value_and_is_counted() {
 }
 
 #[test]
-fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() {
+fn claims_after_step_do_not_reach_earlier_window() {
     let mut knowledge = knowledge();
     let claiming = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
@@ -178,7 +178,7 @@ fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() 
 }
 
 #[test]
-fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
+fn probe_across_own_step_reports_only_step() {
     let mut knowledge = knowledge();
     for millis in [0, 100, 200] {
         let _ = knowledge.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
@@ -197,7 +197,7 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
 }
 
 #[test]
-fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
+fn claim_before_step_stays_void() {
     let mut knowledge = knowledge();
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
@@ -222,7 +222,7 @@ fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
 }
 
 #[test]
-fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
+fn networks_of_pair_share_relation_but_not_delays() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     for sent in [0, 100, 200] {
@@ -258,7 +258,7 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
 }
 
 #[test]
-fn network_that_another_session_probes_for_is_told_of_two_seconds_longer() {
+fn ended_network_is_sampled_for_two_more_seconds() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     knowledge.leave(&other);
@@ -270,7 +270,7 @@ fn network_that_another_session_probes_for_is_told_of_two_seconds_longer() {
 }
 
 #[test]
-fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
+fn samples_of_ended_network_include_all_its_probes() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(900));
@@ -306,7 +306,7 @@ fn late_answer_counts_neither_as_answered_nor_as_refused() {
 }
 
 #[test]
-fn wall_clock_of_cloud_counts_only_where_it_is_related() {
+fn wall_clock_of_cloud_counts_only_if_related() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
         let is_related = clocks == RelatedClocks::RawToWall;
         let mut knowledge = knowledge_of(clocks);
@@ -324,7 +324,7 @@ fn wall_clock_of_cloud_counts_only_where_it_is_related() {
 }
 
 #[test]
-fn raw_difference_is_that_of_wall_clocks() {
+fn raw_difference_is_of_wall_clocks() {
     let mut knowledge = knowledge();
     let hour = Span::from_seconds(3_600);
     let message_delays = [MessageDelay { raw: hour, bits: None }, MessageDelay { raw: -hour, bits: None }];
@@ -335,7 +335,7 @@ fn raw_difference_is_that_of_wall_clocks() {
 }
 
 #[test]
-fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
+fn sample_has_basis_of_bounds_and_end_of_second() {
     let mut knowledge = knowledge();
     let _ = knowledge.judge(&network(), &exchange(300, 0), WAYS, now(304));
     // `turn` is called 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running
@@ -366,7 +366,7 @@ fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
 }
 
 #[test]
-fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
+fn observed_stamps_are_judged_without_learning() {
     let mut knowledge = knowledge();
     let (up, down) = observed(0, 0, 0);
     let [unknown, _] = knowledge.judge_stamps(&up, Some(&down));

@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_bytes_tell_what_a_file_is() {
+    fn first_bytes_identify_file_kind() {
         let mut head = [0; HEAD];
         head[..MAGIC.len()].copy_from_slice(MAGIC);
         assert_eq!(FileKind::of(&head), FileKind::Spool, "without tables");

@@ -256,7 +256,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_are_read_as_they_were_written() {
+    fn counts_read_back_as_written() {
         let mut counts = RunCounts::default();
         counts.add(Some(RunId::random()), 7);
         counts.add(Some(RunId::random()), 1 << 40);

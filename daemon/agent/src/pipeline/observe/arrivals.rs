@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn periods_and_their_differences_are_told() {
+    fn periods_and_their_differences_are_recorded() {
         let mut arrivals = Arrivals::default();
         let mut record = |millis: i64| arrivals.record(MonoTime::from_nanos(millis * 1_000_000));
         assert_eq!(record(0), Arrival::default());

@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn node_name_is_one_that_ros_allows() {
+    fn node_name_is_valid_in_ros() {
         let name = |host: &str, pipeline: &str| {
             node_name(&host.parse().expect("a name"), &pipeline.parse().expect("a name"))
         };

@@ -144,13 +144,13 @@ async fn broken(sensor: &str, reader: Reader) -> String {
 }
 
 #[tokio::test]
-async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
+async fn panic_fails_pipeline_with_reason_and_ends_run() {
     let reason = broken("{ kind = 'synthetic', size_bytes = 1 }", Reader::Any).await;
     assert!(reason.contains("panicked: as planned"), "{reason}");
 }
 
 #[tokio::test]
-async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
+async fn dead_sensor_thread_ends_pipeline_and_is_named() {
     let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
     assert!(reason.contains("the sensor's thread has died"), "{reason}");
 }
@@ -191,7 +191,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
 }
 
 #[tokio::test]
-async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
+async fn sample_without_connection_is_recorded_as_lost() {
     let outcomes = taken_up(|current| current).await;
     assert!(
         matches!(outcomes.as_slice(), [Outcome::Lost(reason)] if reason.contains("no connection")),
@@ -200,6 +200,6 @@ async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
 }
 
 #[tokio::test]
-async fn a_sample_that_an_earlier_run_asked_for_is_no_iteration_of_this_one() {
+async fn sample_requested_by_earlier_run_is_no_iteration() {
     assert_eq!(taken_up(|_| RunId::random()).await, []);
 }

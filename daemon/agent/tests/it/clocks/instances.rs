@@ -72,7 +72,7 @@ impl Cloud {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
+async fn probes_at_another_process_are_refused_and_reported() {
     let listen = "127.0.0.1:0".parse().expect("an address");
     let elsewhere = ReflectorConfig {
         listen,
@@ -109,7 +109,7 @@ async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_was_started_anew_is_known_by_nothing_while_a_session_of_before_hangs() {
+async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let host = HostId::random();
     let mut before = Cloud::start(host, 1, None).await;
     let mut after = Cloud::start(host, 2, None).await;

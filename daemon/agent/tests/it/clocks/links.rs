@@ -11,7 +11,7 @@ use super::{CLOUD, line};
 use crate::harness::{Aggregator, TestAgent, config};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
+async fn pipelines_to_one_cloud_share_link_until_last_ends() {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let short = line("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
     let long = line("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
@@ -40,7 +40,7 @@ async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
+async fn same_clock_is_recognised_and_probed_rarely() {
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = line("line", &cloud, "load = { mode = 'rate', hz = 50.0 }");
     let edge = TestAgent::start("edge", None, &tables).await;
@@ -56,7 +56,7 @@ async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
+async fn each_network_of_pair_has_all_probe_results() {
     let aggregator = Aggregator::start().await;
     let listen = "[serve]\nlisten = ['tcp://127.0.0.1:0', 'udp://127.0.0.1:0']\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
     let cloud = TestAgent::start_with("cloud", None, config(listen), "cloud").await;

@@ -15,7 +15,7 @@ use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_probes_the_data_bounds_the_delays() {
+async fn data_bounds_delays_without_probes() {
     let silent = "[probes]\nsend = false\n";
     let deaf = "[probes]\nreflect = false\n";
     for (edge_keys, cloud_keys, why) in [(silent, "", "send = false"), ("", deaf, "cloud answers no probes")]
@@ -51,7 +51,7 @@ async fn without_probes_the_data_bounds_the_delays() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not() {
+async fn probes_are_answered_only_with_shared_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -79,7 +79,7 @@ async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
+async fn key_only_at_edge_is_named_as_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -104,7 +104,7 @@ async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_port_for_probes_that_is_taken_is_an_error_only_if_it_was_asked_for() {
+async fn occupied_probe_port_is_error_only_if_configured() {
     let taken = UdpSocket::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port();
     let state = tempfile::tempdir().expect("a folder");

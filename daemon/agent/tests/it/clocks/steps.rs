@@ -107,7 +107,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_step_is_announced_to_peers_that_send_nothing() {
+async fn step_is_announced_to_idle_peers() {
     let switchable_clock = Arc::new(SwitchableClock::new(clock("cloud")));
     let cloud =
         TestAgent::start_on(Arc::<SwitchableClock>::clone(&switchable_clock), "cloud", None, config(CLOUD))

@@ -8,7 +8,7 @@ use super::{idle, line, nobody, spooled, state};
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_exactly_once() {
+async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let agent = TestAgent::start("edge", Some(&address), "").await;
@@ -48,7 +48,7 @@ async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_ex
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
+async fn stop_without_aggregator_keeps_events_in_spool() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let mut config = line(keys);
@@ -77,7 +77,7 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_an_aggregator_does_not_take_in_time_goes_out_after_the_next_start() {
+async fn undelivered_events_are_sent_after_next_start() {
     let behaviour = AggregatorBehaviour { slow: Some(Duration::from_millis(40)), ..Default::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), behaviour).await;
     let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");

@@ -7,7 +7,7 @@ use super::{idle, line, state};
 use crate::harness::{Aggregator, TestAgent, clock};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_spool_that_was_deleted_begins_a_new_stream() {
+async fn deleted_spool_begins_new_stream() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, line("limit = { iterations = 20 }")).await;
     aggregator.until(|seen| !seen.ended().is_empty()).await;
@@ -23,7 +23,7 @@ async fn a_spool_that_was_deleted_begins_a_new_stream() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_broken_spool_is_put_aside_and_measuring_begins_all_the_same() {
+async fn broken_spool_is_quarantined_and_measuring_begins() {
     let (aggregator, state) = (Aggregator::start().await, state());
     let file = state.path().join("spool.sqlite");
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");
@@ -56,7 +56,7 @@ async fn two_agents_cannot_use_one_spool() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_an_aggregator_there_is_no_spool() {
+async fn agent_without_aggregator_has_no_spool() {
     let agent = TestAgent::start("edge", None, "").await;
     assert!(!agent.spool().exists());
     agent.stop().await.expect("stops well");

@@ -10,7 +10,7 @@ use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it_is_back() {
+async fn events_are_sent_from_memory_while_file_is_missing() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, line(RATE)).await;
     aggregator.until(|seen| seen.iterations().len() >= 50).await;
@@ -44,7 +44,7 @@ async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_file_and_aggregator_memory_is_the_limit_and_what_does_not_fit_is_counted() {
+async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
     let (address, seen) = nobody().await;
     let mut config =
         line("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
@@ -71,7 +71,7 @@ async fn without_file_and_aggregator_memory_is_the_limit_and_what_does_not_fit_i
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn stopping_with_nowhere_to_put_the_events_ends_at_the_deadline_and_loses_only_those() {
+async fn stop_without_file_and_aggregator_ends_at_deadline() {
     let (address, seen) = nobody().await;
     let mut config = line(RATE);
     config.agent.stop_timeout_ms = 600;

@@ -11,7 +11,7 @@ use super::*;
 use crate::outbox::spool::aside::{beside, condemn, condemned};
 
 #[tokio::test]
-async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
+async fn invalid_database_is_quarantined_and_replaced() {
     let place = Place::new();
     fs::write(place.path(), b"this is no database at all, and long enough to be seen as none".repeat(100))
         .expect("written");
@@ -32,7 +32,7 @@ async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
 }
 
 #[tokio::test]
-async fn a_file_that_never_was_a_spool_is_left_alone() {
+async fn file_of_another_program_is_kept() {
     let place = Place::new();
     let notes = place.folder.path().join("notes");
     fs::write(&notes, "not for you").expect("written");
@@ -57,7 +57,7 @@ async fn a_file_that_never_was_a_spool_is_left_alone() {
 }
 
 #[tokio::test]
-async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
+async fn spool_that_is_only_in_log_is_recognised() {
     let place = Place::new();
     let (file, state) = place.sound().await;
     let killed = Place::new();
@@ -70,7 +70,7 @@ async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
 }
 
 #[tokio::test]
-async fn a_file_whose_tables_are_broken_is_put_aside() {
+async fn file_with_broken_tables_is_quarantined() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
@@ -89,7 +89,7 @@ async fn a_file_whose_tables_are_broken_is_put_aside() {
 }
 
 #[tokio::test]
-async fn a_rotten_batch_ends_the_list_and_is_named() {
+async fn damaged_batch_ends_list_and_is_named() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
@@ -108,7 +108,7 @@ async fn a_rotten_batch_ends_the_list_and_is_named() {
 }
 
 #[tokio::test]
-async fn a_missing_batch_ends_the_list() {
+async fn missing_batch_ends_list() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
@@ -125,7 +125,7 @@ async fn a_missing_batch_ends_the_list() {
 }
 
 #[tokio::test]
-async fn a_spool_of_a_newer_version_is_refused_and_left_alone() {
+async fn spool_of_newer_version_is_refused_and_kept() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     sqlx::query(
@@ -142,7 +142,7 @@ async fn a_spool_of_a_newer_version_is_refused_and_left_alone() {
 }
 
 #[tokio::test]
-async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
+async fn damaged_page_loses_only_its_batches() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=200, 2000);
@@ -172,7 +172,7 @@ async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
 }
 
 #[tokio::test]
-async fn a_mark_without_its_spool_keeps_nobody_from_beginning_anew() {
+async fn mark_without_spool_allows_new_spool() {
     let place = Place::new();
     condemn(&place.path(), "a page was broken");
     let (_, state) = place.sound().await;

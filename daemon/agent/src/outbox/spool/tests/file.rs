@@ -5,7 +5,7 @@ use peernet_stream::{Chain, Reached, StreamId, Usage};
 use super::*;
 
 #[tokio::test]
-async fn a_new_spool_is_empty_and_keeps_its_stream() {
+async fn new_spool_is_empty_and_keeps_its_stream() {
     let place = Place::new();
     let (file, fresh) = place.sound().await;
     assert_eq!(
@@ -24,7 +24,7 @@ async fn a_new_spool_is_empty_and_keeps_its_stream() {
 }
 
 #[tokio::test]
-async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
+async fn batches_totals_and_deletions_survive_reopening() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=9, 100);
@@ -50,7 +50,7 @@ async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
 }
 
 #[tokio::test]
-async fn an_emptied_spool_knows_where_it_was() {
+async fn emptied_spool_keeps_its_position() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
@@ -64,7 +64,7 @@ async fn an_emptied_spool_knows_where_it_was() {
 }
 
 #[tokio::test]
-async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
+async fn batches_stored_without_spool_leave_no_hole() {
     // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let place = Place::new();
     let (mut file, _) = place.sound().await;
@@ -79,7 +79,7 @@ async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
 }
 
 #[tokio::test]
-async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
+async fn renewed_spool_keeps_its_batches_in_another_stream() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=3, 10);
@@ -94,7 +94,7 @@ async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
 }
 
 #[tokio::test]
-async fn who_sent_from_the_file_is_remembered() {
+async fn senders_from_file_are_remembered() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     assert_eq!(fresh.reached, []);
@@ -121,7 +121,7 @@ async fn who_sent_from_the_file_is_remembered() {
 }
 
 #[tokio::test]
-async fn a_repeated_append_replaces_what_is_there() {
+async fn repeated_append_replaces_batches() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
@@ -131,7 +131,7 @@ async fn a_repeated_append_replaces_what_is_there() {
 }
 
 #[tokio::test]
-async fn a_second_agent_is_refused_and_another_hosts_spool_too() {
+async fn second_agent_and_other_hosts_spool_are_refused() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let refused = place.open().await.expect_err("one has it").to_string();

@@ -24,7 +24,7 @@ fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
 }
 
 #[tokio::test]
-async fn killed_process_leaves_its_losses_until_they_are_told() {
+async fn losses_of_killed_process_stay_until_reported() {
     let (place, run) = (Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     hand_in(&counter, run, 10);
@@ -62,7 +62,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
 }
 
 #[tokio::test]
-async fn what_was_sent_without_the_spool_stays_open_until_it_is_resolved() {
+async fn unspooled_sends_stay_open_until_resolved() {
     let (place, run) = (Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     hand_in(&counter, run, 10);
@@ -107,7 +107,7 @@ async fn lost_counter_proves_nothing() {
 }
 
 #[tokio::test]
-async fn copy_of_a_spool_leaves_the_count_to_the_first() {
+async fn copied_spool_leaves_count_to_original() {
     let (place, copy, run) = (Place::new(), Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))

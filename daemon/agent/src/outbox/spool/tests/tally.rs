@@ -46,7 +46,7 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
 }
 
 #[tokio::test]
-async fn every_iteration_of_a_batch_is_in_one_range_and_nothing_else_is() {
+async fn each_iteration_of_batch_is_in_one_range() {
     let (clock, place) = (clock(), Place::new());
     let (_, state) = place.sound().await;
     let mut runs = [RunId::random(), RunId::random()];

@@ -11,7 +11,7 @@ use super::*;
 const HOUR: Duration = Duration::from_secs(3600);
 
 #[tokio::test]
-async fn orders_are_done_one_after_the_other_and_answered() {
+async fn orders_are_done_in_sequence_and_answered() {
     let place = Place::new();
     let (file, fresh) = place.sound().await;
     let mut task = SpoolTask::start(file, HOUR);
@@ -33,7 +33,7 @@ async fn orders_are_done_one_after_the_other_and_answered() {
 }
 
 #[tokio::test]
-async fn what_was_ordered_last_is_done_before_it_closes() {
+async fn last_order_is_done_before_closing() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let task = SpoolTask::start(file, HOUR);
@@ -44,7 +44,7 @@ async fn what_was_ordered_last_is_done_before_it_closes() {
 }
 
 #[tokio::test]
-async fn trouble_is_told_in_words() {
+async fn error_names_the_moved_file() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let mut task = SpoolTask::start(file, HOUR);
@@ -57,7 +57,7 @@ async fn trouble_is_told_in_words() {
 }
 
 #[tokio::test]
-async fn a_file_that_turns_out_to_be_broken_is_put_aside_at_the_next_start() {
+async fn file_found_broken_is_quarantined_at_next_start() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     // Damage that SQLite itself detects: the tree of the table leads to a page of another table.

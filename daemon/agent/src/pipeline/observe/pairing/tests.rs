@@ -57,7 +57,7 @@ fn input_without_output_is_given_up_at_its_deadline() {
 }
 
 #[test]
-fn order_pairs_the_oldest_and_never_with_a_later_input() {
+fn order_pairs_oldest_input_and_never_a_later_one() {
     let mut pairing = pairing();
     assert_eq!(pairing.take_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
     pairing.take_input(None, at(1), 1);

@@ -287,7 +287,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn agent_of_an_earlier_release_is_to_be_updated() {
+    fn earlier_release_of_peer_is_told_to_update() {
         let refused = |reason: String| {
             let address = "tcp://rack:5551".parse().expect("an address");
             advised(OpenError::Refused { address, reason }.to_string())
