@@ -94,7 +94,7 @@ impl Agent {
 
     /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground: each event also
     /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
-    /// into `tap` are counted ([`Running::untapped`]).
+    /// into `tap` are counted ([`Running::events_missed_by_tap`]).
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -133,7 +133,7 @@ async fn start(
     let event_queue = event_queue.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
-    let (publish_clock, host_clock) = watch::channel(host_clock::not_asked_yet(&clock));
+    let (publish_clock, host_clock) = watch::channel(host_clock::initial_state(&clock));
     let link_context = LinkContext {
         name: name.clone(),
         clock: Arc::clone(&clock),
@@ -279,14 +279,14 @@ impl Running {
     }
 
     /// Returns the cloud that serves a pipeline, or that served it last.
-    pub fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
-        self.live.links.served_by(pipeline)
+    pub fn serving_cloud(&self, pipeline: &Slug) -> Option<Cloud> {
+        self.live.links.serving_cloud(pipeline)
     }
 
     /// Returns the time since which a pipeline waits for its sensor to be set up or to give a sample; `None` if it
     /// does not wait.
-    pub fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.live.live_statistics.senses_since(pipeline)
+    pub fn sensor_busy_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.live.live_statistics.sensor_busy_since(pipeline)
     }
 
     /// Loads one of this host's models now, so that an error shows at once and the first peer does not wait for the
@@ -297,7 +297,7 @@ impl Running {
     }
 
     /// Returns the number of events that did not fit into the tap of [`Agent::start_observed`].
-    pub fn untapped(&self) -> u64 {
+    pub fn events_missed_by_tap(&self) -> u64 {
         self.tap.as_ref().map_or(0, EventTap::missed)
     }
 
@@ -382,7 +382,7 @@ fn start_pipelines(
     let patience = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
         let placement = pipeline::intended(&pipeline.placement);
-        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_in_words(), placement));
+        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_text(), placement));
         match pipeline.start {
             StartMode::Boot => {
                 let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));

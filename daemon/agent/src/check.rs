@@ -43,7 +43,7 @@ const MAX_IN_FLIGHT: u64 = 4096;
 /// Longest time to wait for an answer: a day.
 const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 /// Duration of the longest run in seconds: a year.
-const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
+const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 
 /// A problem of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -248,7 +248,7 @@ fn check_pipeline(
         report.add(format!("{at}.placement.model"), format!("no [[model]] is named {model}; {known}"));
     }
     if let Some(hz) = pipeline.load.hz()
-        && !(hz * LONGEST_RUN_S >= 1.0 && hz <= 100_000.0)
+        && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)
     {
         report.add(
             format!("{at}.load.hz"),
@@ -256,11 +256,11 @@ fn check_pipeline(
         );
     }
     if let Some(seconds) = pipeline.limit.duration_s
-        && !(seconds > 0.0 && seconds <= LONGEST_RUN_S)
+        && !(seconds > 0.0 && seconds <= MAX_RUN_S)
     {
         report.add(
             format!("{at}.limit.duration_s"),
-            format!("{seconds:?} is not a number of seconds above 0 and at most {LONGEST_RUN_S}"),
+            format!("{seconds:?} is not a number of seconds above 0 and at most {MAX_RUN_S}"),
         );
     }
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {

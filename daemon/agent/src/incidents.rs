@@ -8,7 +8,7 @@ use crate::event_queue::EventQueue;
 
 /// Formats how far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the
 /// unit that fits.
-pub(crate) fn far_in_words(by: Span) -> String {
+pub(crate) fn step_size_text(by: Span) -> String {
     let far = by.abs();
     if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }
 }
@@ -51,7 +51,7 @@ impl Incidents {
             _ => {
                 let pipeline = what.pipeline.map_or("-", Slug::as_str);
                 tracing::warn!(%kind, pipeline, "{text}");
-                self.tell(kind, what, text);
+                self.enqueue(kind, what, text);
             }
         }
     }
@@ -59,17 +59,17 @@ impl Incidents {
     /// Reports an incident that makes a connection worse than it could be, with the target [`REMARKS`].
     pub(crate) fn remark(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         remark(&text);
-        self.tell(kind, what, text);
+        self.enqueue(kind, what, text);
     }
 
     /// Reports an incident that needs no attention, whatever its kind; it is logged at level info.
     pub(crate) fn note(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let pipeline = what.pipeline.map_or("-", Slug::as_str);
         tracing::info!(%kind, pipeline, "{text}");
-        self.tell(kind, what, text);
+        self.enqueue(kind, what, text);
     }
 
-    fn tell(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
+    fn enqueue(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),
             kind,

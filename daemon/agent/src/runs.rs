@@ -41,7 +41,7 @@ impl Runs {
     }
 
     /// Returns the start events of all runs in progress.
-    pub(crate) fn beginnings(&self) -> Vec<Event> {
+    pub(crate) fn run_starts(&self) -> Vec<Event> {
         let runs = self.lock();
         let open = runs.values().filter(|latest| !latest.ended);
         open.map(|latest| Event::RunStarted(latest.description.clone())).collect()

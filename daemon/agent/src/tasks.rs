@@ -24,7 +24,7 @@ pub struct Failure {
 pub enum FailureCause {
     /// The task ended before it was asked to stop.
     #[error("it was not told to")]
-    NotTold,
+    EndedEarly,
     /// The task panicked.
     #[error(transparent)]
     Panicked(#[from] JoinError),
@@ -76,7 +76,7 @@ impl Tasks {
         let stop = self.stop();
         self.spawn(there, name, async move {
             task.await.map_err(|error| FailureCause::Failed(Box::new(error)))?;
-            if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::NotTold) }
+            if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::EndedEarly) }
         });
     }
 

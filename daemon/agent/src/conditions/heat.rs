@@ -8,13 +8,14 @@ use super::files::{entries, processors, text, value};
 use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
-const COOL: &str = "cool the host or lower its load, wait, and repeat the run";
-const WATCH: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
+const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
+const OBSERVING_ADVICE: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
                      its cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
-const NEAR_CELSIUS: f64 = 5.0;
+const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
 /// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.
-const SLOWING: [&str; 6] = ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
+const THROTTLING_DEVICES: [&str; 6] =
+    ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
 /// Judges all signs of throttling: one that is active now is bad, one since the host was started is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
@@ -44,7 +45,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     let mut active = Vec::new();
     for device in devices {
         let Some(kind) = text(&device.join("type")) else { continue };
-        if !kind.contains("throttle-alert") && !SLOWING.iter().any(|name| kind.starts_with(name)) {
+        if !kind.contains("throttle-alert") && !THROTTLING_DEVICES.iter().any(|name| kind.starts_with(name)) {
             continue;
         }
         let Some(state) = value::<i64>(&device.join("cur_state")) else { continue };
@@ -56,7 +57,7 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     }
     let finding = || {
         let found = format!("the kernel slows the host down now ({})", active.join(", "));
-        Finding::worse(ABOUT, Grade::Bad, found, COOL)
+        Finding::worse(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
@@ -79,9 +80,9 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
         let heat = format!("{name} is at {celsius:.0} °C, and from {point:.0} °C on the host is slowed down");
         if celsius >= point {
-            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOL));
-        } else if celsius >= point - NEAR_CELSIUS {
-            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOL));
+            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
+        } else if celsius >= point - TRIP_POINT_MARGIN_CELSIUS {
+            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
     known.then_some(found)
@@ -103,7 +104,7 @@ fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
         vec![Finding::worse(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
     } else if !before.is_empty() {
         let found = format!("the firmware reports {before} since the board was started");
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found, WATCH)]
+        vec![Finding::worse(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
     } else {
         Vec::new()
     })
@@ -120,5 +121,9 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let counts: Vec<u64> = counters.chain(boards).filter_map(|path| value(&path)).collect();
     let most = counts.into_iter().max()?;
     let found = || format!("the processor slowed down {most} times since the host was started");
-    Some(if most == 0 { Vec::new() } else { vec![Finding::worse(ABOUT, Grade::Doubtful, found(), WATCH)] })
+    Some(if most == 0 {
+        Vec::new()
+    } else {
+        vec![Finding::worse(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
+    })
 }

@@ -9,11 +9,11 @@ use super::files::{entries, processors, text};
 use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
-const BETWEEN_LOOKS: Duration = Duration::from_millis(8);
+const COUNT_INTERVAL: Duration = Duration::from_millis(8);
 /// Number of other runnable threads per processor from which on the run is disturbed now and then.
-const DISTURBED: f64 = 0.25;
+const COMPETING_DOUBTFUL: f64 = 0.25;
 /// Number of other runnable threads per processor from which on the run shares every processor.
-const SHARED: f64 = 1.0;
+const COMPETING_BAD: f64 = 1.0;
 /// Share of steal time since this host was started from which on it is doubtful.
 const STEAL_DOUBTFUL: f64 = 0.01;
 /// Share of steal time since this host was started from which on it is bad.
@@ -29,7 +29,7 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     let looks = settings.looks.max(1);
     for nth in 0..looks {
         if nth > 0 {
-            thread::sleep(BETWEEN_LOOKS);
+            thread::sleep(COUNT_INTERVAL);
         }
         let Some(running) = runnable_threads(settings) else {
             return Finding::unknown(ABOUT, "the kernel does not tell how many threads want to run");
@@ -44,8 +44,8 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
     let advice = "stop what else runs on this host and repeat the run; `top` names it";
     match others / cores {
-        share if share >= SHARED => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        share if share >= DISTURBED => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        share if share >= COMPETING_BAD => Finding::worse(ABOUT, Grade::Bad, found, advice),
+        share if share >= COMPETING_DOUBTFUL => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),
     }
 }

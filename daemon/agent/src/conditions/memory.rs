@@ -7,7 +7,7 @@ use super::{Finding, InspectionSettings};
 
 /// Share of the memory's size from which on swapped memory is doubtful. A little is normal, because unused pages are
 /// swapped out.
-const NOTED: f64 = 0.05;
+const DOUBTFUL_SHARE: f64 = 0.05;
 
 /// Judges the swap in use. Swapped memory is read back from the disk when it is needed.
 pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
@@ -20,7 +20,7 @@ pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     }
     let used = total.saturating_sub(free);
     let found = format!("{} MiB in use", used / 1024);
-    Some(if used as f64 / memory as f64 >= NOTED {
+    Some(if used as f64 / memory as f64 >= DOUBTFUL_SHARE {
         let advice =
             "free memory: stop other programs, or start anew so that nothing of the run lies in the swap";
         Finding::worse(ABOUT, Grade::Doubtful, found, advice)

@@ -227,7 +227,7 @@ pub enum StartMode {
 
 impl PipelineConfig {
     /// Returns the schedule in words; that of an observed system is not known.
-    pub fn load_in_words(&self) -> String {
+    pub fn load_text(&self) -> String {
         match &self.placement {
             PlacementConfig::Observe(_) => "observed".to_owned(),
             _ => self.load.describe(),

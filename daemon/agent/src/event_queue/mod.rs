@@ -20,7 +20,7 @@ use tokio::sync::mpsc;
 use crate::config::HostConfig;
 
 /// Places for iterations. The outbox empties the queue every few milliseconds.
-const PLACES: usize = 4096;
+const CAPACITY: usize = 4096;
 /// Places reserved for other events, because an iteration is useless without the start of its run.
 const RESERVE: usize = 512;
 
@@ -63,7 +63,7 @@ type Origin = (Option<Slug>, Option<RunId>);
 
 /// Creates a queue and returns its two ends.
 pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, QueueReceiver) {
-    let (sender, queue) = mpsc::channel(PLACES + RESERVE);
+    let (sender, queue) = mpsc::channel(CAPACITY + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
     let queue_sender =
         QueueSender { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
@@ -204,7 +204,7 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
         let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
-        let offered = PLACES as u64 + 2;
+        let offered = CAPACITY as u64 + 2;
         for number in 1..=offered {
             clock.advance(Span::from_nanos(10));
             event_queue.iteration(&pipeline, iteration(&clock, run, number));
@@ -212,7 +212,7 @@ mod tests {
         let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
         event_queue.event(Some(&pipeline), Event::RunEnded(ended));
 
-        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (PLACES + 1, 2));
+        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (CAPACITY + 1, 2));
         let gaps = receiver.overflow.take_gaps();
         assert_eq!(gaps.len(), 1);
         assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));

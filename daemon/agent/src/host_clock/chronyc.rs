@@ -13,7 +13,7 @@ use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
 /// Longest time that `chronyc` may take. It gives up after some seconds itself if chronyd does not answer.
-pub(super) const PATIENCE: Duration = Duration::from_secs(2);
+pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
 /// Largest number of bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
 
@@ -22,7 +22,7 @@ const MAX_OUTPUT: u64 = 4096;
 enum ChronycError {
     #[error("cannot run {command}: {source}")]
     Run { command: String, source: io::Error },
-    #[error("no answer within {} s", PATIENCE.as_secs())]
+    #[error("no answer within {} s", CHRONYC_TIMEOUT.as_secs())]
     Timeout,
     /// Error text that `chronyc` printed.
     #[error("{0}")]
@@ -74,7 +74,7 @@ impl Chronyc {
     async fn track(&mut self) -> Result<SourceReport, ChronycError> {
         let at = self.clock.mono();
         let command = || self.command.clone();
-        let printed = tokio::time::timeout(PATIENCE, self.print()).await;
+        let printed = tokio::time::timeout(CHRONYC_TIMEOUT, self.print()).await;
         let (status, output, errors) = printed
             .map_err(|_| ChronycError::Timeout)?
             .map_err(|source| ChronycError::Run { command: command(), source })?;

@@ -45,14 +45,14 @@ use sources::Sources;
 use vmclock::Vmclock;
 
 /// Interval at which the clocks are checked.
-const LOOK: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Number of checks after which peers are sent again how far the wall clock is ahead of the free-running one.
-const LOOKS_BETWEEN_NEWS: u32 = 100;
+const CHECKS_BETWEEN_ANNOUNCEMENTS: u32 = 100;
 /// Number of checks between two such announcements while a time daemon makes a claim, which is about the wall clock.
-const LOOKS_BETWEEN_CLAIMS: u32 = 10;
+const CHECKS_BETWEEN_CLAIMS: u32 = 10;
 
 /// Returns the state of the clocks before any source was queried.
-pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
+pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
     PeerClock {
         discipline: None,
         text: "not asked yet".to_owned(),
@@ -74,7 +74,7 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
 }
 
 /// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with
-/// [`not_asked_yet`].
+/// [`initial_state`].
 ///
 /// A new epoch is published within a tenth of a second and voids all claims. Claims are published every
 /// `discipline_interval_s`, and once a second if clock fault injection makes them exact.
@@ -90,12 +90,12 @@ pub(crate) async fn run(
     let vmclock = Vmclock::below(Path::new("/dev"));
     let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
     let looking = async {
-        let mut ticks = interval(LOOK);
-        let mut looks = 0_u32;
+        let mut ticks = interval(CHECK_INTERVAL);
+        let mut checks = 0_u32;
         loop {
             ticks.tick().await;
-            monitor.look(&incidents);
-            looks = looks.wrapping_add(1);
+            monitor.check(&incidents);
+            checks = checks.wrapping_add(1);
             let (wall_epoch, raw) = (clock.wall_epoch(), raw_clock(&clock, monitor.clocksource().to_owned()));
             publish.send_if_modified(|known| {
                 let is_disturbed = known.epoch != wall_epoch
@@ -105,9 +105,12 @@ pub(crate) async fn run(
                     known.discipline = None;
                     "the clock was disturbed, not asked since".clone_into(&mut known.text);
                 }
-                let between =
-                    if known.discipline.is_some() { LOOKS_BETWEEN_CLAIMS } else { LOOKS_BETWEEN_NEWS };
-                let is_due = looks.is_multiple_of(between);
+                let between = if known.discipline.is_some() {
+                    CHECKS_BETWEEN_CLAIMS
+                } else {
+                    CHECKS_BETWEEN_ANNOUNCEMENTS
+                };
+                let is_due = checks.is_multiple_of(between);
                 known.raw = Some(raw);
                 is_disturbed || is_due
             });

@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, Span};
 
-use super::chronyc::{Chronyc, PATIENCE};
+use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
 use super::claim::{Summary, combine};
 use super::{kernel, rehearsed};
 use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
 
 /// Time that a claim must hold after the next query is due, because the query takes time, and so does the
 /// announcement to a peer.
-const ON_THE_WAY: Duration = PATIENCE.saturating_add(Duration::from_secs(1));
+const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
 /// Longest interval between exact claims. It is short, because the clock may drift fast.
 const EXACT_PERIOD: Duration = Duration::from_secs(1);
 
@@ -66,7 +66,7 @@ impl Sources {
 
     /// Queries all sources. The summary holds until the next query, and for the time that its announcement may take.
     pub(super) async fn ask(&mut self) -> Summary {
-        let ahead = Span::from(self.period + ON_THE_WAY);
+        let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
             Claims::None => Summary { text: "rehearsed, claims nothing".to_owned(), ..Summary::default() },
             Claims::Exact => Summary {

@@ -4,7 +4,7 @@ use peernet_clock::{Discipline, Interval, RawTime, Span};
 use peernet_networks::PeerClock;
 
 /// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
-const ON_THE_WAY: Span = Span::from_seconds(1);
+const MAX_TRANSIT: Span = Span::from_seconds(1);
 
 /// The related clock of a host, and the host's latest announcement.
 #[derive(Debug)]
@@ -72,7 +72,7 @@ impl AnnouncedClock {
             return Some(claim);
         }
         let ahead = self.clock.raw.as_ref()?.wall_ahead;
-        let age = (now - self.at).max(Span::ZERO) + ON_THE_WAY;
+        let age = (now - self.at).max(Span::ZERO) + MAX_TRANSIT;
         let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let Interval { lo, hi } = claim.error;
         Some(Discipline { error: Interval { lo: lo - ahead.hi - drift, hi: hi - ahead.lo + drift }, ..claim })

@@ -7,7 +7,7 @@ use peernet_probes::stamp::sender::{ALTERED_ANSWER, ALTERED_PROBE, ANOTHER_PROCE
 use peernet_stream::Probing;
 
 /// Number of probes lost in a row after which they count as not answered.
-const SILENCE: u32 = 3;
+const UNANSWERED_AFTER: u32 = 3;
 
 /// Reason that is shown when answers come too late.
 const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, which count as lost";
@@ -54,7 +54,7 @@ impl Answers {
             ProbeResult::Lost => {
                 self.under_way = self.under_way.saturating_sub(1);
                 self.lost = self.lost.saturating_add(1);
-                if self.lost >= SILENCE
+                if self.lost >= UNANSWERED_AFTER
                     && let Probing::On { address, .. } = &*shown
                 {
                     let unanswered = self.unanswered(address.clone());
@@ -136,7 +136,7 @@ mod tests {
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
         let now = MonoTime::from_nanos(0);
-        for _ in 0..SILENCE {
+        for _ in 0..UNANSWERED_AFTER {
             answers.note(&ProbeResult::Sent, now, &mut shown);
             answers.note(&ProbeResult::Lost, now, &mut shown);
         }

@@ -1,7 +1,7 @@
 //! Downsampling to a bounded number of values.
 
 /// Largest number of values that are kept.
-const MOST: usize = 256;
+const MAX_VALUES: usize = 256;
 
 /// Every n-th of the values, with n as small as the bound allows, so that the choice is even over the whole time.
 #[derive(Debug)]
@@ -21,7 +21,7 @@ impl<T> Default for Downsampled<T> {
 impl<T: Copy> Downsampled<T> {
     pub(super) fn push(&mut self, value: T) {
         if self.seen.is_multiple_of(self.stride) {
-            if self.kept.len() == MOST {
+            if self.kept.len() == MAX_VALUES {
                 let mut place = 0;
                 self.kept.retain(|_| {
                     place += 1;
@@ -63,9 +63,9 @@ mod tests {
         let mut many = Downsampled::default();
         for value in 0..100_000_i64 {
             many.push(value);
-            assert!(many.kept.len() <= MOST);
+            assert!(many.kept.len() <= MAX_VALUES);
         }
-        assert!(many.kept.len() > MOST / 2);
+        assert!(many.kept.len() > MAX_VALUES / 2);
         let steps: Vec<i64> = many.kept.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "{steps:?}");
         let median = many.median(|value| *value).expect("not empty");

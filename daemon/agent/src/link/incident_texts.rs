@@ -4,7 +4,7 @@ use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
-use crate::incidents::far_in_words;
+use crate::incidents::step_size_text;
 
 /// Returns the text of a restart: whose clock was stepped, and by how much.
 pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
@@ -19,7 +19,7 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
         let own = restart.edge && !restart.cloud;
         let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
-        let far = far_in_words(moved);
+        let far = step_size_text(moved);
         format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
     let outlook = match restart.doubt {
@@ -48,8 +48,8 @@ pub(super) fn wall_set_text(cloud: &Slug) -> String {
 /// Returns the text of a suspected jump, with both possible causes.
 pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
-    let far = far_in_words(jump.moved);
-    let others = untold_in_words(jump.untold);
+    let far = step_size_text(jump.moved);
+    let others = unreported_text(jump.unreported);
     format!(
         "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
          them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
@@ -59,7 +59,7 @@ pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> Strin
 
 /// Returns the text of a lost proof that both processes read one clock, with the reason.
 pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
-    let others = untold_in_words(lost.untold);
+    let others = unreported_text(lost.unreported);
     format!(
         "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
          are measured until they prove it again",
@@ -68,8 +68,8 @@ pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> St
 }
 
 /// Returns the text about events that were not reported since the last report.
-fn untold_in_words(untold: u32) -> String {
-    match untold {
+fn unreported_text(unreported: u32) -> String {
+    match unreported {
         0 => String::new(),
         1 => ", and once more since the last report".to_owned(),
         times => format!(", and {times} times more since the last report"),
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn lost_proof_names_both_hosts_and_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
+        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
         for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
             assert!(text.contains(part), "{text}");
         }
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn jump_names_explanations_and_number_of_unreported_ones() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
+        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }

@@ -22,7 +22,7 @@ use crate::same_clock::NotProven;
 
 /// Longest time between the end of a second and the time at which it counts as closed, unless exchanges stopped or
 /// the wall clock was set.
-const MOST_OVERDUE: Span = Span::from_seconds(2);
+const MAX_OVERDUE: Span = Span::from_seconds(2);
 
 /// The clock relation of a link, and what the current second adds to it.
 #[derive(Debug)]
@@ -425,7 +425,7 @@ impl Knowledge {
 
 /// Returns the edge's clocks at the wall-clock time `at`, shortly before `now`.
 fn edge_time(now: Stamp, at: WallTime) -> Stamp {
-    let since = (now.wall - at).max(Span::ZERO).min(MOST_OVERDUE);
+    let since = (now.wall - at).max(Span::ZERO).min(MAX_OVERDUE);
     Stamp { wall: at, raw: now.raw - since, ..now }
 }
 

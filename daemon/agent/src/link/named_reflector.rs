@@ -23,7 +23,7 @@ use super::shared::{Shared, lock};
 use crate::config::ReflectorAddress;
 
 /// Number of answers whose round trips are kept.
-const MOST_TRIPS: usize = 100;
+const MAX_TRIPS: usize = 100;
 
 /// A reflector that the configuration names for a cloud.
 #[derive(Debug)]
@@ -118,7 +118,7 @@ impl ReflectorAnswers {
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.learn(observation);
-                if self.trips.len() >= MOST_TRIPS {
+                if self.trips.len() >= MAX_TRIPS {
                     self.trips.pop_front();
                 }
                 self.trips.push_back(observation.exchange.round_trip());

@@ -28,7 +28,7 @@ use crate::same_clock::NotProven;
 
 /// Longest wait of a session for the proof that both ends read one clock. A cloud that has connected answers within a
 /// millisecond.
-const FIRST_PROOF: Duration = Duration::from_millis(500);
+const FIRST_PROOF_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The link to one cloud, over whatever networks. Locks are held for microseconds, never while waiting; that of the
 /// connections is taken by live updates only.
@@ -198,11 +198,11 @@ impl Link {
         self.report(changes);
     }
 
-    /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF`].
+    /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF_TIMEOUT`].
     pub(crate) async fn first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
         let known = same_clock.wait_for(Option::is_some);
-        if tokio::time::timeout(FIRST_PROOF, known).await.is_err() {
+        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, known).await.is_err() {
             tracing::debug!(peer = %self.cloud.name, "not known yet whether both processes read one clock");
         }
     }

@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use super::shared::{ProbeSettings, lock};
 
 /// Time since the last data after which the probes are no longer sent at their full rate.
-const IN_USE: Span = Span::from_seconds(3);
+const IDLE_AFTER: Span = Span::from_seconds(3);
 
 /// The rate of a link's probes, which is high while the link carries data.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ impl ProbePace {
     /// Sets the current rate. Between two ends on one clock there is nothing to estimate: probes at the idle rate
     /// only check that the path works and the clock is really shared.
     pub(super) fn adjust(&self, probes: &ProbeSettings, is_same_clock: bool, now: MonoTime) {
-        let is_busy = now - *lock(&self.used) < IN_USE;
+        let is_busy = now - *lock(&self.used) < IDLE_AFTER;
         let wanted = if is_busy && !is_same_clock { probes.rate_hz } else { probes.idle_rate_hz };
         self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
     }

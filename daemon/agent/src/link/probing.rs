@@ -18,14 +18,14 @@ use super::shared::{Session, lock};
 use crate::same_clock::prove;
 
 /// Runs the task of a link until its last session is over.
-pub(super) async fn tend(link: Arc<Link>) {
+pub(super) async fn maintain(link: Arc<Link>) {
     let mut beside = pin!(link.probe_named_reflector());
     let mut sessions = link.sessions.subscribe();
     loop {
         // The oldest session is used: it says where the cloud is, and receives what the cloud announces of its clock.
         let Some(session) = sessions.borrow_and_update().first().cloned() else { break };
         tokio::select! {
-            () = tend_by(&link, session, &mut sessions) => {}
+            () = maintain_over(&link, session, &mut sessions) => {}
             never = &mut beside => match never {},
         }
     }
@@ -33,7 +33,7 @@ pub(super) async fn tend(link: Arc<Link>) {
 }
 
 /// Runs the task by means of one session, until that session is over.
-async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
+async fn maintain_over(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());

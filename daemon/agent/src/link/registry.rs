@@ -29,7 +29,7 @@ struct Inner {
     shared: Arc<Shared>,
     open: Mutex<BTreeMap<HostId, Arc<Link>>>,
     /// Latest cloud of each pipeline.
-    served_by: Mutex<BTreeMap<Slug, Cloud>>,
+    serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
     /// Tracker of the tasks: one per link, which ends with the link's last session.
     tasks: TaskTracker,
     /// First panic of one of these tasks.
@@ -73,7 +73,7 @@ impl Links {
         Self(Arc::new(Inner {
             shared,
             open: Mutex::default(),
-            served_by: Mutex::default(),
+            serving_cloud: Mutex::default(),
             tasks: TaskTracker::new(),
             died: watch::Sender::new(None),
             sessions: AtomicU64::new(0),
@@ -96,7 +96,7 @@ impl Links {
             version: accepted.version.clone(),
             hardware: accepted.hardware.clone(),
         };
-        lock(&self.0.served_by).insert(pipeline.clone(), cloud);
+        lock(&self.0.serving_cloud).insert(pipeline.clone(), cloud);
         let clocks = session.clocks();
         let own = self.0.shared.host.clock.identity();
         // A proof is of use only between free-running clocks, and only if both hosts use the same name for their
@@ -127,7 +127,7 @@ impl Links {
                 let link = Arc::new(Link::new(&self.0.shared, accepted, clocks));
                 link.join(joining);
                 open.insert(accepted.host, Arc::clone(&link));
-                self.0.tasks.spawn(self.clone().tend(Arc::clone(&link)));
+                self.0.tasks.spawn(self.clone().maintain(Arc::clone(&link)));
                 link
             }
         };
@@ -136,8 +136,8 @@ impl Links {
     }
 
     /// Returns the latest cloud of a pipeline, which may be gone.
-    pub(crate) fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
-        lock(&self.0.served_by).get(pipeline).cloned()
+    pub(crate) fn serving_cloud(&self, pipeline: &Slug) -> Option<Cloud> {
+        lock(&self.0.serving_cloud).get(pipeline).cloned()
     }
 
     /// Returns the live state of all links.
@@ -173,9 +173,9 @@ impl Links {
     }
 
     /// Runs the task of a link.
-    async fn tend(self, link: Arc<Link>) {
+    async fn maintain(self, link: Arc<Link>) {
         let peer = link.name().clone();
-        if AssertUnwindSafe(probing::tend(link)).catch_unwind().await.is_err() {
+        if AssertUnwindSafe(probing::maintain(link)).catch_unwind().await.is_err() {
             self.0.died.send_replace(Some(LinkPanic { peer }));
         }
     }

@@ -31,18 +31,18 @@ pub(super) struct ClockReports {
 struct ReportLimit {
     last_report: Option<RawTime>,
     /// Number of events since the last report.
-    untold: u32,
+    unreported: u32,
 }
 
 impl ReportLimit {
     /// Returns the number of events since the last report if another one is allowed; otherwise counts this event.
-    fn untold_before(&mut self, at: RawTime) -> Option<u32> {
+    fn unreported_before(&mut self, at: RawTime) -> Option<u32> {
         if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
-            self.untold = self.untold.saturating_add(1);
+            self.unreported = self.unreported.saturating_add(1);
             return None;
         }
         self.last_report = Some(at);
-        Some(std::mem::take(&mut self.untold))
+        Some(std::mem::take(&mut self.unreported))
     }
 }
 
@@ -66,8 +66,8 @@ impl ClockReports {
 
     /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
     pub(super) fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
-        let untold = self.jumps.untold_before(at)?;
-        Some(SuspectedJump { moved, untold })
+        let unreported = self.jumps.unreported_before(at)?;
+        Some(SuspectedJump { moved, unreported })
     }
 
     /// Returns the report of a lost proof, unless there was one shortly before. A proof that was lost with its
@@ -77,8 +77,8 @@ impl ClockReports {
             self.ended_proof = Some((why, at));
             return None;
         }
-        let untold = self.lost_proofs.untold_before(at)?;
-        Some(LostProof { why, untold })
+        let unreported = self.lost_proofs.unreported_before(at)?;
+        Some(LostProof { why, unreported })
     }
 
     /// Records that the common clock is proven again.
@@ -89,8 +89,8 @@ impl ClockReports {
     /// Returns the report of a proof whose connection ended some time ago.
     pub(super) fn second_over(&mut self, now: RawTime) -> Option<LostProof> {
         let (why, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
-        let untold = self.lost_proofs.untold_before(at)?;
-        Some(LostProof { why, untold })
+        let unreported = self.lost_proofs.unreported_before(at)?;
+        Some(LostProof { why, unreported })
     }
 
     /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
@@ -106,7 +106,7 @@ pub(super) struct SuspectedJump {
     /// Size of the jump.
     pub(super) moved: Span,
     /// Number of suspected jumps since the last report that were not reported.
-    pub(super) untold: u32,
+    pub(super) unreported: u32,
 }
 
 /// Loss of the proof that both processes read one clock.
@@ -114,7 +114,7 @@ pub(super) struct SuspectedJump {
 pub(super) struct LostProof {
     pub(super) why: NotProven,
     /// Number of lost proofs since the last report that were not reported.
-    pub(super) untold: u32,
+    pub(super) unreported: u32,
 }
 
 /// Skew beyond the limit, as proven by the exchanges.
@@ -157,8 +157,9 @@ mod tests {
     #[test]
     fn lost_proofs_are_reported_once_a_minute_with_their_number() {
         let mut reports = ClockReports::default();
-        let mut untold = |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.untold);
-        let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut untold);
+        let mut unreported =
+            |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
+        let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut unreported);
         assert_eq!(told, [Some(0), None, None, Some(2), None, Some(1)]);
     }
 
@@ -175,7 +176,7 @@ mod tests {
         assert!(reports.proof_lost(ended(), at(0)).is_none());
         assert!(reports.second_over(at(999)).is_none(), "the session may still end");
         let lost = reports.second_over(at(1_000)).expect("the session goes on");
-        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), untold: 0 }), "{lost:?}");
+        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
         assert!(reports.second_over(at(2_000)).is_none(), "it is reported once");
 
         assert!(reports.proof_lost(ended(), at(100_000)).is_none());

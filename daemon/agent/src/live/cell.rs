@@ -10,7 +10,7 @@ use peernet_stream::{Outcome, OutcomeCounts, Second};
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
 /// Largest number of names per second. A peer adds nodes of its choice, and their memory must be bounded.
-const MOST_NAMES: usize = 64;
+const MAX_NAMES: usize = 64;
 
 /// Statistics of one second of one pipeline.
 #[derive(Debug)]
@@ -75,7 +75,7 @@ impl Cell {
         let known = self.verdicts.iter_mut().find(|(name, given, _)| *name == node.name && *given == verdict);
         if let Some((_, _, count)) = known {
             *count += 1;
-        } else if self.verdicts.len() < MOST_NAMES {
+        } else if self.verdicts.len() < MAX_NAMES {
             self.verdicts.push((node.name.clone(), Name::from_static(verdict), 1));
         }
     }
@@ -116,7 +116,7 @@ impl Summaries {
             Some((known, _)) if known == name => Some(hint),
             _ => self.0.iter().position(|(known, _)| known == name),
         };
-        if found.is_none() && self.0.len() < MOST_NAMES {
+        if found.is_none() && self.0.len() < MAX_NAMES {
             self.0.push((name.clone(), Summary::default()));
             return Some(self.0.len() - 1);
         }

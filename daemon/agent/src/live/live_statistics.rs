@@ -22,7 +22,7 @@ struct DisplayState {
     run: Option<RunId>,
     placement: Placement,
     ring: Ring,
-    senses_since: Option<MonoTime>,
+    sensor_busy_since: Option<MonoTime>,
 }
 
 impl Display {
@@ -33,7 +33,7 @@ impl Display {
             run: None,
             placement,
             ring: Ring::default(),
-            senses_since: None,
+            sensor_busy_since: None,
         };
         Self { pipeline, load, display_state: Mutex::new(display_state) }
     }
@@ -44,8 +44,8 @@ impl Display {
     }
 
     /// Sets the time since which the sensor is being set up or its thread is asked for a sample; `None` if neither.
-    pub(crate) fn set_senses_since(&self, since: Option<MonoTime>) {
-        self.display_state().senses_since = since;
+    pub(crate) fn set_sensor_busy_since(&self, since: Option<MonoTime>) {
+        self.display_state().sensor_busy_since = since;
     }
 
     /// Sets the run in progress.
@@ -103,8 +103,8 @@ impl LiveStatistics {
     }
 
     /// Returns the time since which a pipeline waits for its sensor, if it does.
-    pub(crate) fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.0.iter().find(|display| display.pipeline == *pipeline)?.display_state().senses_since
+    pub(crate) fn sensor_busy_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.0.iter().find(|display| display.pipeline == *pipeline)?.display_state().sensor_busy_since
     }
 
     /// Marks the seconds of a receipt as sent.

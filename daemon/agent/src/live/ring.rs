@@ -8,12 +8,12 @@ use peernet_stream::{Outcome, Second};
 use super::cell::Cell;
 
 /// Number of seconds that are kept.
-const KEPT: usize = 64;
+const MAX_SECONDS: usize = 64;
 /// Largest number of seconds in one update. After an outage the newest are sent first.
-const SENT: usize = 8;
+const MAX_SENT_SECONDS: usize = 8;
 /// Largest distance in seconds by which an iteration may be recorded before the newest one. Iterations are recorded
 /// when they end, so that a larger distance means that the wall clock was set back.
-const STEP: i64 = 1;
+const MAX_STEP_BACK: i64 = 1;
 
 /// Cells of the seconds in which an iteration ended, oldest first.
 #[derive(Debug, Default)]
@@ -38,7 +38,7 @@ impl Ring {
     }
 
     fn cell(&mut self, at: i64) -> &mut Cell {
-        if self.cells.back().is_some_and(|newest| at < newest.at - STEP) {
+        if self.cells.back().is_some_and(|newest| at < newest.at - MAX_STEP_BACK) {
             // Seconds that occur again after the clock was set back replace the earlier ones.
             self.cells.retain(|cell| cell.at < at);
         }
@@ -48,7 +48,7 @@ impl Ring {
             other => {
                 let mut index = other.map_or(0, |index| index + 1);
                 self.cells.insert(index, Cell::new(at));
-                if self.cells.len() > KEPT && index > 0 {
+                if self.cells.len() > MAX_SECONDS && index > 0 {
                     self.cells.pop_front();
                     index -= 1;
                 }
@@ -60,7 +60,7 @@ impl Ring {
 
     /// Returns the seconds that changed since they were last sent, newest first.
     pub(super) fn changed(&self) -> (Vec<Second>, Shown) {
-        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(SENT);
+        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(MAX_SENT_SECONDS);
         let (seconds, shown) = changed.map(|cell| (cell.second(), (cell.at, cell.version))).unzip();
         (seconds, Shown(shown))
     }
@@ -180,18 +180,18 @@ mod tests {
         for at in 0..1000 {
             ring.record(at, &Outcome::Ok, &tree(1));
         }
-        assert_eq!(ring.cells.len(), KEPT);
+        assert_eq!(ring.cells.len(), MAX_SECONDS);
         let mut seen = Vec::new();
         loop {
             let (seconds, shown) = ring.changed();
             if seconds.is_empty() {
                 break;
             }
-            assert!(seconds.len() <= SENT);
+            assert!(seconds.len() <= MAX_SENT_SECONDS);
             seen.extend(seconds.iter().map(|second| second.at));
             ring.shown(&shown);
         }
-        assert!(seen.iter().copied().eq((1000 - KEPT as i64..1000).rev()), "newest first: {seen:?}");
+        assert!(seen.iter().copied().eq((1000 - MAX_SECONDS as i64..1000).rev()), "newest first: {seen:?}");
     }
 
     #[test]

@@ -13,12 +13,12 @@ use zeromq::{
 
 /// Number of messages that the socket buffers. It is small, because live figures grow old behind them.
 const QUEUE: u32 = 8;
-const HEARTBEAT: Duration = Duration::from_secs(1);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without a sign of the peer after which it counts as gone.
-const SILENCE: Duration = Duration::from_secs(5);
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Longest time for finding out why a connection failed.
-const DIAGNOSIS: Duration = Duration::from_secs(1);
-const HANDSHAKE: Duration = Duration::from_secs(5);
+const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Interval of the library's own reconnecting, which is switched off: it would happen unnoticed, with old messages
 /// still in the queue.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
@@ -45,7 +45,7 @@ pub(super) enum ConnectionError {
     #[error("something there takes connections and closes them at once")]
     ClosedAtOnce,
     /// The connection was open and has ended.
-    #[error("{}", in_words(.0))]
+    #[error("{}", disconnect_text(.0))]
     Disconnected(DisconnectReason),
 }
 
@@ -66,11 +66,11 @@ impl Connection {
             .workload_profile(WorkloadProfile::Latency)
             .send_hwm(QUEUE)
             .max_message_size(peernet_stream::codec::MAX_MESSAGE_BYTES)
-            .heartbeat_interval(HEARTBEAT)
-            .heartbeat_timeout(SILENCE)
+            .heartbeat_interval(HEARTBEAT_INTERVAL)
+            .heartbeat_timeout(SILENCE_TIMEOUT)
             // Without it TCP would repeat unacknowledged data for many minutes on a dead link.
-            .tcp_user_timeout(SILENCE)
-            .handshake_timeout(HANDSHAKE)
+            .tcp_user_timeout(SILENCE_TIMEOUT)
+            .handshake_timeout(HANDSHAKE_TIMEOUT)
             .reconnect(ReconnectPolicy::Fixed(NEVER))
             // Batches that are lost with the connection are sent again.
             .linger(Duration::ZERO);
@@ -138,14 +138,14 @@ impl Connection {
 
 /// Finds out why a connection failed, by connecting once more, because the library does not say why.
 async fn diagnose(address: &Address) -> ConnectionError {
-    match tokio::time::timeout(DIAGNOSIS, TcpStream::connect(address.authority())).await {
+    match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => ConnectionError::Refused(error),
         Ok(Ok(_)) => ConnectionError::ClosedAtOnce,
         Err(_) => ConnectionError::Unanswered,
     }
 }
 
-fn in_words(reason: &DisconnectReason) -> String {
+fn disconnect_text(reason: &DisconnectReason) -> String {
     match reason {
         DisconnectReason::PeerClosed => "the aggregator closed the connection".to_owned(),
         DisconnectReason::Error(text) => text.clone(),

@@ -2,7 +2,7 @@
 
 use peernet_clock::{MonoTime, Span};
 
-const SAY_EVERY: Span = Span::from_seconds(60);
+const REPORT_INTERVAL: Span = Span::from_seconds(60);
 /// Time without a further loss after which a period of losses is over.
 const OVER_AFTER: Span = Span::from_seconds(5);
 
@@ -49,7 +49,7 @@ impl DroppingWatch {
                     self.period = None;
                     return Some(DroppingReport::Over(count));
                 }
-                (now - period.said >= SAY_EVERY).then(|| {
+                (now - period.said >= REPORT_INTERVAL).then(|| {
                     period.said = now;
                     DroppingReport::Dropping(count)
                 })

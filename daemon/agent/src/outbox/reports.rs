@@ -35,7 +35,7 @@ pub(super) struct Welcome {
     /// Number of events that wait.
     pub(super) waiting: u64,
     /// Number of connections to clouds that ended since the last live update.
-    pub(super) untold_ends: u64,
+    pub(super) unreported_ends: u64,
 }
 
 /// Reports each trouble once.
@@ -56,7 +56,7 @@ impl Reports {
 
     /// Reports that the aggregator accepted the agent.
     pub(super) fn welcomed(&mut self, aggregator: &Slug, welcome: &Welcome) {
-        let Welcome { stored, lacks, waiting, untold_ends } = *welcome;
+        let Welcome { stored, lacks, waiting, unreported_ends } = *welcome;
         self.said = None;
         let has = match stored {
             0 => String::new(),
@@ -73,7 +73,7 @@ impl Reports {
             1 => ", 1 event waits".to_owned(),
             waiting => format!(", {} events wait", grouped(waiting)),
         };
-        let untold = match untold_ends {
+        let unreported = match unreported_ends {
             0 => String::new(),
             1 => "; 1 connection to a cloud ended meanwhile, what it sent and received since the last live figures is not stored".to_owned(),
             ends => format!(
@@ -81,7 +81,7 @@ impl Reports {
                 grouped(ends)
             ),
         };
-        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{untold}");
+        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{unreported}");
         self.incidents.report(IncidentKind::Connected, IncidentContext::default(), text);
     }
 
@@ -113,7 +113,7 @@ impl Reports {
     }
 
     /// Reports that the peer accepts connections but does not speak the protocol.
-    pub(super) fn mute(&mut self, address: &Address) {
+    pub(super) fn silent(&mut self, address: &Address) {
         let text = format!(
             "connected to {address}, but no aggregator answers there; is it the event port (5550) of an \
              aggregator? It is tried again, events wait"

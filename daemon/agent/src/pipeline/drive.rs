@@ -59,11 +59,11 @@ pub(super) async fn drive(
                 pipeline_loop.end(LoopEnd::Disconnected(reason.to_string()));
             }
             Some(completed) = executing.next() => pipeline_loop.complete(completed),
-            Some(sensed) = maybe(sensing) => match sensed {
+            Some(sensed) = await_if_some(sensing) => match sensed {
                 Ok(sensed) => pipeline_loop.sensed(sensed),
                 Err(_) => pipeline_loop.sensor_died(),
             },
-            Some(elapsed) = maybe(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
+            Some(elapsed) = await_if_some(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
                 if let Err(error) = elapsed {
                     pipeline_loop.end(LoopEnd::Broken(LoopError::Timer(Arc::new(error))));
                 }
@@ -77,7 +77,7 @@ pub(super) async fn drive(
 }
 
 /// Waits for `future` and returns its result; `None` at once if there is no future.
-async fn maybe<F: Future>(future: Option<F>) -> Option<F::Output> {
+async fn await_if_some<F: Future>(future: Option<F>) -> Option<F::Output> {
     match future {
         Some(future) => Some(future.await),
         None => None,

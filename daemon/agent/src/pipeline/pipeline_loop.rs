@@ -103,7 +103,7 @@ impl<'a> PipelineLoop<'a> {
         let came = self.resources.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
         let since =
             self.resources.sensing.as_ref().filter(|_| came.is_none()).map(|awaited| awaited.began_at);
-        self.resources.display.set_senses_since(since);
+        self.resources.display.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = came else { return };
         let Some(PendingSample { run, start, began_at, .. }) = self.resources.sensing.take() else { return };
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
@@ -148,7 +148,7 @@ impl<'a> PipelineLoop<'a> {
             SensorResponse::Done(sensed) => self.accept_sample(self.run.id(), (start, began_at), sensed),
             SensorResponse::Pending(sample) => {
                 self.resources.sensing = Some(PendingSample { run: self.run.id(), start, began_at, sample });
-                self.resources.display.set_senses_since(Some(began_at));
+                self.resources.display.set_sensor_busy_since(Some(began_at));
             }
         }
         true
@@ -179,7 +179,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the answer of the sensor's thread.
     pub(super) fn sensed(&mut self, sensed: SensorOutput) {
         if let Some(PendingSample { run, start, began_at, .. }) = self.resources.sensing.take() {
-            self.resources.display.set_senses_since(None);
+            self.resources.display.set_sensor_busy_since(None);
             self.accept_sample(run, (start, began_at), sensed);
         }
     }
@@ -187,7 +187,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the end of the sensor's thread, which will not answer any more.
     pub(super) fn sensor_died(&mut self) {
         self.resources.sensing = None;
-        self.resources.display.set_senses_since(None);
+        self.resources.display.set_sensor_busy_since(None);
         self.end(LoopEnd::Broken(LoopError::SensorDied));
     }
 

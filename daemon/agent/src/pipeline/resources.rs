@@ -72,7 +72,7 @@ impl PipelineResources {
         let mut facts = sensor.facts();
         facts.extend(sensor_config.arguments(fingerprints));
         if !transforms.is_empty() {
-            facts.push(("Transforms".to_owned(), in_words(&transforms)));
+            facts.push(("Transforms".to_owned(), transforms_text(&transforms)));
         }
         facts.push(("Load".to_owned(), config.load.describe()));
         if config.load.hz().is_some() {
@@ -110,6 +110,6 @@ impl PipelineResources {
     }
 }
 
-fn in_words(transforms: &[Box<dyn Transform>]) -> String {
+fn transforms_text(transforms: &[Box<dyn Transform>]) -> String {
     transforms.iter().map(|transform| transform.describe()).collect::<Vec<_>>().join(", ")
 }

@@ -157,10 +157,10 @@ impl Runner {
     async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
         let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
-        self.display.set_senses_since(Some(clock.mono()));
+        self.display.set_sensor_busy_since(Some(clock.mono()));
         let assembling = move || PipelineResources::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
-        self.display.set_senses_since(None);
+        self.display.set_sensor_busy_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 

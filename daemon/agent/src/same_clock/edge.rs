@@ -20,10 +20,10 @@ use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
 /// Largest number of processes that may connect while a session is opened. Usually it is one; others do not belong to
 /// PEERNet.
-const MOST_PEERS: usize = 16;
+const MAX_PEERS: usize = 16;
 /// Time after which a process that has not answered the first question is ignored: it does not serve the session, or
 /// is stopped. A question that is late because this process was paused has as much time.
-const FIRST_ANSWER: Duration = Duration::from_millis(500);
+const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session names while it is opened.
 #[derive(Debug)]
@@ -60,7 +60,7 @@ impl ClockSocket {
     pub(crate) fn connected(self, session: SessionId) -> ClockPeers {
         let mut streams = Vec::new();
         // Non-blocking: if no connection waits, `accept` returns an error.
-        while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MOST_PEERS) {
+        while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MAX_PEERS) {
             streams.push(stream);
         }
         ClockPeers { session: Some(session), streams: Arc::new(Mutex::new(streams)) }
@@ -116,7 +116,7 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
     async fn run(mut self, stream: StdStream) -> Result<Infallible, NotProven> {
         stream.set_nonblocking(true)?;
         let mut stream = UnixStream::from_std(stream)?;
-        let first = tokio::time::timeout(FIRST_ANSWER, self.ask(&mut stream)).await;
+        let first = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.ask(&mut stream)).await;
         first.map_err(|_| NotProven::Foreign)??;
         loop {
             let pause = self.proof.pause();
@@ -159,7 +159,7 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
         // The proof was not renewed in time because this process was paused, which says nothing about the other
         // process.
         let was_paused = self.proof.holds_for(self.clock.mono()) == Some(Span::ZERO);
-        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER, &mut waiting).await {
+        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut waiting).await {
             return done;
         }
         loop {

@@ -8,11 +8,11 @@ use peernet_clock::{MonoTime, RawTime, Span};
 use super::messages::{Answer, Nonce, Question};
 
 /// Pause between two questions while answers prove it.
-const PAUSE: Duration = Duration::from_secs(2);
+const QUESTION_INTERVAL: Duration = Duration::from_secs(2);
 /// Time that a proof holds after its answer.
 const VALIDITY: Span = Span::from_seconds(5);
 /// Longest round trip of an answer that proves something. Within it another clock could differ by as much.
-const MOST_TAKEN: Span = Span::from_millis(5);
+const MAX_ROUND_TRIP: Span = Span::from_millis(5);
 /// Number of slow answers in a row after each of which the next question follows at once.
 const QUICK_RETRIES: u32 = 8;
 
@@ -118,7 +118,7 @@ impl Proof {
         if answer.raw > own.raw {
             return self.refuted(NotProven::OtherClock(answer.raw - own.raw));
         }
-        if own.raw - before > MOST_TAKEN {
+        if own.raw - before > MAX_ROUND_TRIP {
             self.slow = self.slow.saturating_add(1);
             return Outcome::Slow;
         }
@@ -128,7 +128,7 @@ impl Proof {
 
     /// Returns the time to wait before the next question.
     pub(super) const fn pause(&self) -> Duration {
-        if self.slow == 0 || self.slow > QUICK_RETRIES { PAUSE } else { Duration::ZERO }
+        if self.slow == 0 || self.slow > QUICK_RETRIES { QUESTION_INTERVAL } else { Duration::ZERO }
     }
 
     /// Returns how long the proof holds without another answer; `None` without a proof.
@@ -265,7 +265,7 @@ mod tests {
             prop_assert_eq!(is_cloud, !matches!(outcome, Outcome::Foreign));
             if is_proven {
                 prop_assert!(is_cloud && time_namespace == NAMESPACE && kernel == (true, true));
-                prop_assert!(offset_us.abs() <= MOST_TAKEN.nanos() / 1_000);
+                prop_assert!(offset_us.abs() <= MAX_ROUND_TRIP.nanos() / 1_000);
             } else if is_cloud && time_namespace == NAMESPACE && kernel == (true, true) && offset_us == 0 {
                 prop_assert!(there_us + back_us > 5_000, "the truth was refused: {outcome:?}");
             }

@@ -11,7 +11,7 @@ use peernet_logger::{HostId, Slug};
 
 /// Number of runs above which those of edges without a session are forgotten. They are kept for when the edge comes
 /// back.
-const MOST: usize = 256;
+const MAX_RUNS: usize = 256;
 
 /// Requests of the current run of each pipeline.
 #[derive(Debug, Default)]
@@ -20,7 +20,7 @@ pub(super) struct RequestCounts(HashMap<(HostId, Slug), Arc<AtomicU64>>);
 impl RequestCounts {
     /// Returns the counter of the requests of a new session.
     pub(super) fn by(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
-        if self.0.len() >= MOST {
+        if self.0.len() >= MAX_RUNS {
             self.0.retain(|_, count| Arc::strong_count(count) > 1);
         }
         Arc::clone(self.0.entry((host, pipeline.clone())).or_default())
@@ -53,10 +53,10 @@ mod tests {
         assert_eq!(request_counts.missed(host, &line, Some(5)), 5, "and begins anew");
         let open = request_counts.by(host, &line);
         open.fetch_add(3, Ordering::Relaxed);
-        for _ in 0..2 * MOST {
+        for _ in 0..2 * MAX_RUNS {
             request_counts.by(HostId::random(), &line);
         }
-        assert!(request_counts.0.len() <= MOST);
+        assert!(request_counts.0.len() <= MAX_RUNS);
         assert_eq!(request_counts.missed(host, &line, Some(4)), 1);
     }
 }

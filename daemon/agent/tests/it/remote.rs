@@ -56,8 +56,8 @@ async fn same_clock_gives_exact_delays() {
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
     let run = seen.runs()[0];
-    let served_by = edge.running.served_by(&run.pipeline).expect("it was served");
-    assert_eq!((run.version.as_str(), served_by.version.as_str()), (VERSION, VERSION));
+    let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("it was served");
+    assert_eq!((run.version.as_str(), serving_cloud.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
     assert_eq!(run.placement.peer.as_ref().map(peernet_logger::Slug::as_str), Some("cloud"));
     assert_eq!(

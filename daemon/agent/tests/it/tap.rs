@@ -44,7 +44,7 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         while running.live().pipelines[0].state != PipelineState::Finished {
             tokio::time::sleep(std::time::Duration::from_millis(5)).await;
         }
-        let untapped = running.untapped();
+        let events_missed_by_tap = running.events_missed_by_tap();
         stop.cancel();
         running.join().await.expect("stops well");
         let mut seen = Vec::new();
@@ -54,11 +54,11 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
         // The model, the run's two ends and a hundred iterations.
-        assert_eq!(seen.len() as u64 + untapped, 103);
+        assert_eq!(seen.len() as u64 + events_missed_by_tap, 103);
         if room > 103 {
-            assert_eq!((iterations, ended, untapped), (100, 1, 0));
+            assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
-            assert_eq!((seen.len(), untapped), (room, 93));
+            assert_eq!((seen.len(), events_missed_by_tap), (room, 93));
         }
     }
 }

@@ -162,7 +162,7 @@ async fn watch<E: RunObserver>(
         complain("ending; what is under way may take some seconds, Ctrl-C again does not wait for it");
     }
     stop.cancel();
-    let missed = running.untapped();
+    let missed = running.events_missed_by_tap();
     tokio::select! {
         joined = running.join() => joined.map_err(|error| Failure::new(Exit::Software, error))?,
         () = signals.next() => complain("what was under way is left alone"),

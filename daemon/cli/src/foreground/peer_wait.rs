@@ -26,7 +26,7 @@ impl PipelineActivity {
     /// Returns the activity of the first pipeline.
     pub(crate) fn of(running: &Running) -> Self {
         let Some(pipeline) = running.live().pipelines.into_iter().next() else { return Self::Running };
-        match (pipeline.state, running.senses_since(&pipeline.pipeline)) {
+        match (pipeline.state, running.sensor_busy_since(&pipeline.pipeline)) {
             (PipelineState::Waiting(reason), _) => Self::Away(Some(reason)),
             (PipelineState::Starting, Some(since)) => Self::Preparing(since),
             (PipelineState::Starting, None) => Self::Away(None),

@@ -155,7 +155,7 @@ impl<'a> RunRecorder<'a> {
 
     /// Notes who serves: it may be another program after an absence.
     fn record_hosts(&mut self, running: Option<&Running>) {
-        let cloud = running.and_then(|running| running.served_by(&self.pipeline));
+        let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
         let Some(live) = running.map(Running::live) else { return };
         let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());

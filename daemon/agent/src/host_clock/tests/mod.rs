@@ -11,7 +11,7 @@ use peernet_networks::PeerClock;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::{not_asked_yet, run};
+use super::{initial_state, run};
 use crate::config::{ClockConfig, HostConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 
@@ -31,7 +31,7 @@ fn watched(
         crate::event_queue::EventCounter::default(),
     );
     let incidents = Incidents::new(Arc::clone(clock), event_queue);
-    let (publish, published) = watch::channel(not_asked_yet(clock));
+    let (publish, published) = watch::channel(initial_state(clock));
     let stop = CancellationToken::new();
     tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));
     (published, stop.drop_guard())

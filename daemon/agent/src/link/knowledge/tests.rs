@@ -436,6 +436,9 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
         windows.insert(knowledge.now(&network(), now(sent + 9)).window);
     }
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
-    assert!((jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.untold == 0, "{jump:?}");
+    assert!(
+        (jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
+        "{jump:?}"
+    );
     assert!(windows.contains(&before) && windows.len() == 3, "{windows:?}");
 }

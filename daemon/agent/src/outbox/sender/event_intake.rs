@@ -7,7 +7,7 @@ use crate::event_queue::QueueReceiver;
 use crate::runs::Runs;
 
 /// Time without an event after which the task waits for the next one instead of polling.
-const QUIET: Span = Span::from_millis(500);
+const IDLE_AFTER: Span = Span::from_millis(500);
 
 /// Receiving end of the event queue, and the runs in progress.
 #[derive(Debug)]
@@ -23,9 +23,9 @@ impl EventIntake {
         Self { receiver, runs, fed: now }
     }
 
-    /// Returns whether no event was received for [`QUIET`].
+    /// Returns whether no event was received for [`IDLE_AFTER`].
     pub(super) fn is_quiet(&self, now: MonoTime) -> bool {
-        now - self.fed >= QUIET
+        now - self.fed >= IDLE_AFTER
     }
 
     /// Waits for the next event.
@@ -52,8 +52,8 @@ impl EventIntake {
 
     /// Offers the starts of the runs in progress again. The aggregator lacks what it once stored, and an iteration is
     /// of little use without the start of its run.
-    pub(super) fn repeat_beginnings(&self, machine: &mut Sending, now: Stamp) {
-        for event in self.runs.beginnings() {
+    pub(super) fn repeat_run_starts(&self, machine: &mut Sending, now: Stamp) {
+        for event in self.runs.run_starts() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
             self.receiver.counter.count(pipeline, event.run(), now.wall);

@@ -46,7 +46,7 @@ impl LiveLane {
 
     /// Returns the number of connections to clouds that ended since the last update was sent: their final totals
     /// never reached the aggregator.
-    pub(super) fn untold_ends(&self) -> u64 {
+    pub(super) fn unreported_ends(&self) -> u64 {
         self.sources.links.ended_sessions().saturating_sub(self.told_ends)
     }
 

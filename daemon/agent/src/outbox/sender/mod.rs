@@ -28,16 +28,16 @@ use crate::runs::Runs;
 
 /// Interval at which the queue is emptied while events come. It is polled, because waking the task for each event
 /// would cost the pipeline more.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Longest wait for the aggregator's answer to the hello. Its machine may be busy, but not for longer.
-const WELCOME: Duration = Duration::from_secs(5);
+const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Longest wait for room for the last update and the goodbye, and then for their being sent.
-const LINGER: Duration = Duration::from_millis(250);
+const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Longest time for closing the spool. Its content is safe without it.
-const CLOSING: Duration = Duration::from_secs(2);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// State of the outbox task.
 #[derive(Debug)]
@@ -81,13 +81,13 @@ impl Sender {
         mut reconnect_backoff: ReconnectBackoff,
         stop: oneshot::Receiver<Instant>,
     ) -> Result<(), SpoolTaskError> {
-        let mut looks = tokio::time::interval(LOOK);
+        let mut polls = tokio::time::interval(POLL_INTERVAL);
         let mut shows = tokio::time::interval(live::INTERVAL);
-        for ticks in [&mut looks, &mut shows] {
+        for ticks in [&mut polls, &mut shows] {
             // One tick is enough after a stall, because each empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
-        let mut stopping = pin!(told(stop));
+        let mut stopping = pin!(deadline_of(stop));
         let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
@@ -114,7 +114,7 @@ impl Sender {
                 event = connection_state.next(blocked) => match event {
                     ConnectionEvent::Connected(connection) => {
                         unanswered = true;
-                        welcome.as_mut().reset(Instant::now() + WELCOME);
+                        welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.away = false;
                         self.machine.connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
@@ -144,10 +144,10 @@ impl Sender {
                 () = &mut welcome, if unanswered => {
                     unanswered = false;
                     self.lost();
-                    self.reports.mute(&address);
+                    self.reports.silent(&address);
                     connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                 }
-                _ = looks.tick(), if !quiet => self.take(),
+                _ = polls.tick(), if !quiet => self.take(),
                 Some(event) = self.intake.next(), if quiet => {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.take();
@@ -186,7 +186,7 @@ impl Sender {
     }
 
     async fn leave(mut self, connection_state: ConnectionState) {
-        let closed = Instant::now() + CLOSING;
+        let closed = Instant::now() + CLOSE_TIMEOUT;
         self.give_up(closed).await;
         let account = self.count();
         if account.waiting > 0 {
@@ -195,7 +195,7 @@ impl Sender {
                 "stopped; what waits in the spool goes out after the next start"
             );
         }
-        let connections = self.live.untold_ends();
+        let connections = self.live.unreported_ends();
         // If a session is up, the last update contains the ends of these connections.
         if connections > 0 && !self.machine.is_up() {
             tracing::warn!(
@@ -206,10 +206,10 @@ impl Sender {
         }
         if let ConnectionState::Open(connection) = connection_state {
             let frames = self.last_frames();
-            if tokio::time::timeout(LINGER, connection.deliver(frames)).await.is_err() {
+            if tokio::time::timeout(LAST_FRAMES_TIMEOUT, connection.deliver(frames)).await.is_err() {
                 tracing::debug!("the connection had no room for the last words");
             }
-            connection.close(LINGER).await;
+            connection.close(LAST_FRAMES_TIMEOUT).await;
         }
         self.publish();
         match tokio::time::timeout_at(closed, self.spool.close()).await {
@@ -297,7 +297,7 @@ impl Sender {
 }
 
 /// Waits for the deadline that `stop` names; for ever if it is dropped.
-async fn told(stop: oneshot::Receiver<Instant>) -> Instant {
+async fn deadline_of(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,
         Err(_) => std::future::pending().await,

@@ -102,19 +102,19 @@ impl Sender {
                     stored,
                     lacks,
                     waiting: self.count().waiting,
-                    untold_ends: self.live.untold_ends(),
+                    unreported_ends: self.live.unreported_ends(),
                 };
                 self.reports.welcomed(&aggregator, &welcome);
                 self.live.start_over();
                 if lacks {
-                    self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+                    self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }
             Notice::Enrolling { aggregator } => self.reports.enrolling(&aggregator),
             Notice::Refused(reason) => self.reports.refused(&reason),
             Notice::StreamRenewed { stored, newest } => {
                 self.reports.renewed(stored, newest);
-                self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+                self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
             }
             Notice::SpoolFailed(reason) => self.reports.spool_failed(&reason),
             Notice::SpoolRecovered => self.reports.spool_recovered(),

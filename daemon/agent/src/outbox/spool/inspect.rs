@@ -13,7 +13,7 @@ use super::error::is_corrupt;
 use super::file_kind::APPLICATION_ID;
 
 /// Longest wait for another program that has locked the file.
-const BUSY: Duration = Duration::from_secs(10);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Contents of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -141,7 +141,11 @@ async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i6
 }
 
 fn reading(path: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
+    SqliteConnectOptions::new()
+        .filename(path)
+        .read_only(true)
+        .busy_timeout(BUSY_TIMEOUT)
+        .disable_statement_logging()
 }
 
 #[derive(sqlx::FromRow)]

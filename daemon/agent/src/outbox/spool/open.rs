@@ -16,7 +16,7 @@ use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
 use super::file_kind::{APPLICATION_ID, FileKind};
 use super::reserve::Reserve;
-use super::statements::MOST_PROCESSES;
+use super::statements::MAX_PROCESSES;
 use super::{QuarantinedSpool, SpoolError, tail};
 use crate::event_queue::EventCounter;
 use crate::event_queue::counter::CountOwner;
@@ -25,7 +25,7 @@ use crate::lock::FileLock;
 pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
 
 /// Longest wait for another program that reads the file.
-const BUSY: Duration = Duration::from_secs(1);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
 /// Number of pages in the log after which it is moved to the file: 1 MiB.
 const LOG_PAGES: &str = "256";
 /// Length of the log that is kept after a large transaction, in bytes.
@@ -106,7 +106,7 @@ fn settings(path: &Path) -> SqliteConnectOptions {
         .synchronous(SqliteSynchronous::Normal)
         .pragma("journal_size_limit", LOG_BYTES)
         .pragma("wal_autocheckpoint", LOG_PAGES)
-        .busy_timeout(BUSY)
+        .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }
 
@@ -248,7 +248,7 @@ async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<Strea
 
 /// Totals of the waiting batches.
 #[derive(FromRow)]
-struct Held {
+struct WaitingTotals {
     batches: i64,
     events: i64,
     bytes: i64,
@@ -257,7 +257,7 @@ struct Held {
     chain: Option<Vec<u8>>,
 }
 
-async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
+async fn held(connection: &mut SqliteConnection) -> Result<WaitingTotals, sqlx::Error> {
     // length() of a blob reads its header only.
     sqlx::query_as(
         "SELECT COUNT(*) AS batches, COALESCE(SUM(events), 0) AS events, COALESCE(SUM(length(body)), 0) AS bytes,
@@ -273,7 +273,7 @@ async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
 async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
-            .bind(MOST_PROCESSES)
+            .bind(MAX_PROCESSES)
             .fetch_all(connection)
             .await?;
     let reached = |(process, number): (i64, i64)| Reached {
@@ -284,7 +284,7 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, SpoolDefect> {
+    fn state(self, held: WaitingTotals, reached: Vec<Reached>) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();

@@ -7,7 +7,7 @@ use sqlx::SqliteConnection;
 use super::tail;
 
 /// Number of processes whose last batch is kept, the newest ones. Each start of the agent is a process.
-pub(super) const MOST_PROCESSES: i64 = 64;
+pub(super) const MAX_PROCESSES: i64 = 64;
 
 /// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
@@ -82,7 +82,7 @@ pub(super) async fn delete(
     sqlx::query(
         "DELETE FROM reached WHERE process NOT IN (SELECT process FROM reached ORDER BY number DESC LIMIT ?)",
     )
-    .bind(MOST_PROCESSES)
+    .bind(MAX_PROCESSES)
     .execute(connection)
     .await
     .map(drop)

@@ -10,7 +10,7 @@ use tracing::Level;
 const TARGET: &str = "peernet_agent::outbox::spool";
 
 /// Logs the iterations of batches that are in the spool: one line per batch, run and contiguous range of numbers.
-pub(super) fn tell(batches: &[SpooledBatch]) {
+pub(super) fn log_ranges(batches: &[SpooledBatch]) {
     if !tracing::enabled!(target: TARGET, Level::DEBUG) {
         return;
     }

@@ -16,7 +16,7 @@ use super::sync::Syncing;
 use super::tally;
 
 /// Capacity of the channels. The state machine has at most one order of each of the four kinds in progress.
-const ORDERS: usize = 8;
+const MAX_ORDERS: usize = 8;
 
 /// An operation that the task is asked to do.
 #[derive(Clone, Debug)]
@@ -71,8 +71,8 @@ pub(in crate::outbox) struct SpoolTask {
 impl SpoolTask {
     /// Starts the task.
     pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
-        let (orders, ordered) = mpsc::channel(ORDERS);
-        let (answers, done) = mpsc::channel(ORDERS);
+        let (orders, ordered) = mpsc::channel(MAX_ORDERS);
+        let (answers, done) = mpsc::channel(MAX_ORDERS);
         let task = AbortOnDropHandle::new(tokio::spawn(work(file, sync_interval, ordered, answers)));
         Self { orders, done, task }
     }
@@ -120,7 +120,7 @@ async fn work(
             }
             order = orders.recv() => {
                 let Some(order) = order else { break };
-                let done = obey(&mut file, &mut syncing, order).await;
+                let done = execute(&mut file, &mut syncing, order).await;
                 // The outbox may have ended; the order is done all the same.
                 let _ = answers.send(done).await;
             }
@@ -131,13 +131,13 @@ async fn work(
     file.close().await
 }
 
-async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
+async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
     match order {
         Order::Append { batches, totals } => {
             let appended = file.append(&batches, &totals).await;
             if appended.is_ok() {
                 syncing.written();
-                tally::tell(&batches);
+                tally::log_ranges(&batches);
             }
             Done::Appended(condemn_if_corrupt(file, appended))
         }

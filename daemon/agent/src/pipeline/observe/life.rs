@@ -16,7 +16,7 @@ use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// Time without a publisher after which a topic is reported.
-const QUIET: Duration = Duration::from_secs(10);
+const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master
 /// is away, this waits for it to come back.
@@ -84,11 +84,17 @@ async fn begin(
     peer: Option<&PeerStamps>,
     warm: bool,
 ) -> Run {
-    let told = peer.map(PeerStamps::told);
-    let conditions = conditions(told.map(|told| &*told.conditions), &runner.context, warm).await;
-    let description = observed(config, told.map(|told| told.name.clone()));
+    let peer_description = peer.map(PeerStamps::peer_description);
+    let conditions = conditions(
+        peer_description.map(|peer_description| &*peer_description.conditions),
+        &runner.context,
+        warm,
+    )
+    .await;
+    let description =
+        observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
     runner.display.set_placement(description.clone());
-    runner.begin_run(facts(config, source, told), description, conditions, warm)
+    runner.begin_run(facts(config, source, peer_description), description, conditions, warm)
 }
 
 /// Returns the facts about the observed system for the run's page.
@@ -161,7 +167,7 @@ async fn await_publishers(
     source: &mut Source,
     run: Option<RunId>,
 ) -> Result<bool, SourceError> {
-    let mut quiet = std::pin::pin!(tokio::time::sleep(QUIET));
+    let mut quiet = std::pin::pin!(tokio::time::sleep(PUBLISHER_TIMEOUT));
     let mut is_reported = false;
     loop {
         source.follow_publishers()?;
@@ -177,7 +183,7 @@ async fn await_publishers(
             () = runner.stop.cancelled() => return Ok(false),
             () = &mut quiet, if !is_reported => {
                 is_reported = true;
-                let since = format!("{trouble} since {} s", QUIET.as_secs());
+                let since = format!("{trouble} since {} s", PUBLISHER_TIMEOUT.as_secs());
                 let text = format!("{}; the run begins when one does", source.advised(&since));
                 runner.report(IncidentKind::Disconnected, None, text);
             }

@@ -25,7 +25,7 @@ use crate::pipeline::runner::Runner;
 /// seconds.
 const MAX_WAITING: usize = 4096;
 /// Longest time between two checks of the publishers and of the end of the run.
-const LOOK: Span = Span::from_seconds(1);
+const CHECK_INTERVAL: Span = Span::from_seconds(1);
 
 /// Reason why a session ended.
 #[derive(Debug)]
@@ -98,7 +98,7 @@ impl<'a> Observation<'a> {
                 self.settle(resolution, run, runner);
             }
             if now >= look_at {
-                look_at = now + LOOK;
+                look_at = now + CHECK_INTERVAL;
                 let current = source.trouble();
                 if current != trouble {
                     let reported = current.as_ref().map(|trouble| source.advised(trouble));

@@ -138,7 +138,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     assert_eq!(Some(ended.run), started);
     let reason = ended.reason.failure().expect("it broke off").to_owned();
     assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).look();
+    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).snapshot();
     assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
     reason
 }

@@ -238,7 +238,7 @@ impl PeerConnection {
     }
 
     /// Returns the description of the peer for the run's page.
-    pub(super) async fn told(&self) -> PeerDescription {
+    pub(super) async fn peer_description(&self) -> PeerDescription {
         let mut facts =
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());

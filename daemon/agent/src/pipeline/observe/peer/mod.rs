@@ -55,7 +55,7 @@ pub(super) struct PeerStamps {
     settled: mpsc::Receiver<SettledPair>,
     /// Number of pairs that were sent to the task and have not come back.
     waiting: usize,
-    told: PeerDescription,
+    peer_description: PeerDescription,
     task: JoinHandle<()>,
 }
 
@@ -83,15 +83,15 @@ impl PeerStamps {
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
-        let told = connection.told().await;
+        let peer_description = connection.peer_description().await;
         let (ask, asked) = mpsc::channel(MAX_PENDING);
         let (settle, settled) = mpsc::channel(MAX_PENDING);
         let task = tokio::spawn(PeerTask::new(connector, asked, settle).run(connection));
-        Some(Self { ask: Some(ask), settled, waiting: 0, told, task })
+        Some(Self { ask: Some(ask), settled, waiting: 0, peer_description, task })
     }
 
-    pub(super) const fn told(&self) -> &PeerDescription {
-        &self.told
+    pub(super) const fn peer_description(&self) -> &PeerDescription {
+        &self.peer_description
     }
 
     /// Asks the peer about a pair. Returns the pair if too many wait, or if no more are asked.

@@ -8,7 +8,7 @@ use peernet_logger::HostId;
 use crate::observed::ObservedPair;
 
 /// Time until the peer is asked about the same messages again, because it may receive them later than this host.
-const ASK_AGAIN: Span = Span::from_millis(100);
+const RETRY_INTERVAL: Span = Span::from_millis(100);
 
 /// Pairs of messages that wait for the peer's stamps.
 #[derive(Debug)]
@@ -47,11 +47,11 @@ impl<P> PendingPairs<P> {
         self.pairs.push_back(Pending { key, ask_at: now, give_up_at, answer: None, pair });
     }
 
-    /// Returns up to `most` keys to ask for at `now`. They are due again after [`ASK_AGAIN`].
+    /// Returns up to `most` keys to ask for at `now`. They are due again after [`RETRY_INTERVAL`].
     pub(super) fn take_due(&mut self, now: MonoTime, most: usize) -> Vec<i64> {
         let due = self.pairs.iter_mut().filter(|pending| pending.ask_at <= now).take(most);
         due.map(|pending| {
-            pending.ask_at = now + ASK_AGAIN;
+            pending.ask_at = now + RETRY_INTERVAL;
             pending.key
         })
         .collect()

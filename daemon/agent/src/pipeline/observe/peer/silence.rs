@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span};
 
 /// Time without a message that both hosts received, after which it is reported.
-const SILENCE: Span = Span::from_seconds(10);
+const REPORT_AFTER: Span = Span::from_seconds(10);
 
 /// Watches whether the peer receives the messages that are received here.
 #[derive(Debug, Default)]
@@ -30,7 +30,7 @@ impl SilenceWatch {
             return std::mem::take(&mut self.is_reported).then_some(SilenceReport::Ended);
         }
         let since = *self.since.get_or_insert(now);
-        if self.is_reported || now - since < SILENCE {
+        if self.is_reported || now - since < REPORT_AFTER {
             return None;
         }
         self.is_reported = true;

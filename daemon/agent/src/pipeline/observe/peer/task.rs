@@ -56,7 +56,7 @@ impl PeerTask {
         let mut next = Some(first);
         while let Some(connection) = next.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
-            let Some(reason) = self.converse(&connection).await else {
+            let Some(reason) = self.ask_over(&connection).await else {
                 self.give_up();
                 // Dropping the channels lets the observer continue: it need not wait for the goodbye.
                 drop(self);
@@ -77,14 +77,14 @@ impl PeerTask {
     }
 
     /// Asks over one session. Returns the reason of its end, or `None` if the observer has closed its channel.
-    async fn converse(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
+    async fn ask_over(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
         loop {
             self.expire();
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
-                match self.attend(connection.ask(keys)).await? {
+                match self.wait_for(connection.ask(keys)).await? {
                     // An answer is limited to as many pairs as can be asked for, whatever the peer sends.
                     Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| {
                         self.take_answer(&PeerAnswer { peer: connection.host, seen: *pair });
@@ -114,7 +114,7 @@ impl PeerTask {
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
         let mut said = None;
         loop {
-            let trouble = match self.attend(connector.open()).await? {
+            let trouble = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
                 Err(trouble) => trouble,
             };
@@ -124,12 +124,12 @@ impl PeerTask {
                 connector.report(trouble.kind(), None, trouble.describe());
                 said = Some(trouble);
             }
-            self.attend(tokio::time::sleep(pause)).await?;
+            self.wait_for(tokio::time::sleep(pause)).await?;
         }
     }
 
     /// Waits for a future while pairs are added and expire. Returns `None` if the observer has closed its channel.
-    async fn attend<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
+    async fn wait_for<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
         let mut future = pin!(future);
         loop {
             self.expire();
