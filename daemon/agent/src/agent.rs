@@ -317,10 +317,10 @@ impl Running {
         let Self { bank, parts, .. } = self;
         let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
         let stop = tasks.stop();
-        let told = stop.clone();
+        let stopped = stop.clone();
         // The time for stopping counts from the request, however long the tasks take to end.
         let began = tokio::spawn(async move {
-            told.cancelled().await;
+            stopped.cancelled().await;
             Instant::now()
         });
         let ended = tasks.join().await;

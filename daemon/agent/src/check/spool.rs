@@ -87,10 +87,10 @@ mod tests {
         assert!(problems(state, &notes).is_empty(), "it is made at the start");
         for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
             std::fs::write(&notes, content).expect("it can be written");
-            let said = problems(state, &notes).join(" ");
+            let found = problems(state, &notes).join(" ");
             assert!(
-                said.contains(objection) && said.is_empty() == objection.is_empty(),
-                "{content:?}: {said}"
+                found.contains(objection) && found.is_empty() == objection.is_empty(),
+                "{content:?}: {found}"
             );
         }
         let own = state.join("spool.sqlite");

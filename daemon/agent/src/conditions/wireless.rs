@@ -42,13 +42,13 @@ fn of(settings: &InspectionSettings, interface: &Path) -> Finding {
 
 /// Returns the line that `iw` prints; `None` if it cannot be run or fails.
 fn ask(iw: &Path, interface: &str) -> Option<String> {
-    let asked = Command::new(iw)
+    let iw_output = Command::new(iw)
         .args(["dev", interface, "get", "power_save"])
         .stdin(Stdio::null())
         .stderr(Stdio::null())
         .output()
         .ok()
         .filter(|output| output.status.success())?;
-    let printed = String::from_utf8_lossy(&asked.stdout);
+    let printed = String::from_utf8_lossy(&iw_output.stdout);
     printed.lines().next().map(|line| line.trim().to_owned())
 }

@@ -135,9 +135,9 @@ mod tests {
             (json!(["tcp://a:1", "a:1"]), "\"a:1\" is not an address: the scheme is missing"),
             (json!(5551), "expected an address or a list of addresses"),
         ];
-        for (value, said) in wrong {
-            let error = from_value::<ListenAddresses>(value).expect_err(said).to_string();
-            assert!(error.contains(said), "{error}");
+        for (value, expected) in wrong {
+            let error = from_value::<ListenAddresses>(value).expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

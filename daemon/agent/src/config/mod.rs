@@ -69,9 +69,10 @@ impl AgentConfig {
     /// which may be secret as well, are still in it: they are serialised only within
     /// [`with_arguments`](peernet_external::exec::with_arguments).
     pub fn publishable(&self) -> Self {
-        let mut told = self.clone();
-        told.models.iter_mut().for_each(ModelConfig::hide_secrets);
-        told.pipelines = told.pipelines.iter().map(PipelineConfig::publishable).collect();
-        told
+        let mut without_secrets = self.clone();
+        without_secrets.models.iter_mut().for_each(ModelConfig::hide_secrets);
+        without_secrets.pipelines =
+            without_secrets.pipelines.iter().map(PipelineConfig::publishable).collect();
+        without_secrets
     }
 }

@@ -66,12 +66,12 @@ pub struct PipelineConfig {
 impl PipelineConfig {
     /// Returns a copy without the values of `env`, which may be secret. The arguments of programs are still in it.
     pub(crate) fn publishable(&self) -> Self {
-        let mut told = self.clone();
-        if let Some(sensor) = &mut told.sensor {
+        let mut without_secrets = self.clone();
+        if let Some(sensor) = &mut without_secrets.sensor {
             sensor.hide_secrets();
         }
-        told.actuator.hide_secrets();
-        told
+        without_secrets.actuator.hide_secrets();
+        without_secrets
     }
 }
 

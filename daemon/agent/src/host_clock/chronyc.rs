@@ -43,14 +43,14 @@ pub(super) struct Chronyc {
     clock: SharedClock,
     trust: Trust,
     /// `true` once it was logged that chrony is not installed.
-    told: bool,
+    is_absence_logged: bool,
 }
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
         let trust = Trust::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
-        Self { command, arguments, clock, trust, told: false }
+        Self { command, arguments, clock, trust, is_absence_logged: false }
     }
 
     /// Queries chrony; `None` if it is not installed on this host.
@@ -58,12 +58,12 @@ impl Chronyc {
         match self.track().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                if !self.told {
+                if !self.is_absence_logged {
                     tracing::info!(
                         "{} is not installed: chrony is not asked about this host's clock",
                         self.command
                     );
-                    self.told = true;
+                    self.is_absence_logged = true;
                 }
                 None
             }

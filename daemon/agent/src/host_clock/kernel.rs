@@ -52,7 +52,7 @@ fn judge(state: Timex) -> (Option<Span>, String) {
 mod tests {
     use super::*;
 
-    fn said(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
+    fn judged(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
         let state = Timex { synchronised, max_error_us, estimated_error_us };
         let answer = answer(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
@@ -61,27 +61,27 @@ mod tests {
     #[test]
     fn stated_bound_of_daemon_is_used() {
         assert_eq!(
-            said(true, 27_503, 311),
+            judged(true, 27_503, 311),
             (Some(Span::from_micros(27_503)), "kernel, synchronised".to_owned())
         );
     }
 
     #[test]
     fn unsynchronised_kernel_claims_nothing() {
-        assert_eq!(said(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
+        assert_eq!(judged(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
     }
 
     #[test]
     fn growth_without_daemons_estimate_is_no_bound() {
-        let (bound, text) = said(true, 123_000, 0);
+        let (bound, text) = judged(true, 123_000, 0);
         assert_eq!(bound, None);
         assert!(text.contains("states no error"), "{text}");
     }
 
     #[test]
     fn ptp_clock_is_believed_within_one_second_of_growth() {
-        assert_eq!(said(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
-        assert_eq!(said(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
+        assert_eq!(judged(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
+        assert_eq!(judged(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
     }
 
     #[test]

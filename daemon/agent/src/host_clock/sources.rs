@@ -44,7 +44,7 @@ impl Sources {
         truth: SharedClock,
     ) -> Self {
         let mut period = config.discipline_interval();
-        let asked = |source| config.discipline.contains(&source);
+        let is_configured = |source| config.discipline.contains(&source);
         let claims = match rehearsal.map(|rehearsal| rehearsal.discipline) {
             Some(RehearsedDiscipline::None) => Claims::None,
             Some(RehearsedDiscipline::Exact) => {
@@ -52,8 +52,8 @@ impl Sources {
                 Claims::Exact
             }
             Some(RehearsedDiscipline::Unaware) | None => Claims::Daemons {
-                kernel: asked(DisciplineSource::Kernel),
-                chronyc: asked(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
+                kernel: is_configured(DisciplineSource::Kernel),
+                chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
         Self { clock, truth, period, claims, is_contradictory: false }

@@ -107,7 +107,7 @@ mod tests {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let by =
             |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
-        for (restart, begin, told) in [
+        for (restart, begin, expected) in [
             (
                 by(-3_000_007_000, true, false),
                 "the clock of robot was",
@@ -121,7 +121,7 @@ mod tests {
             (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
         ] {
             let text = restart_text(restart, &edge, &cloud);
-            assert!(text.starts_with(begin) && text.contains(told), "{text}");
+            assert!(text.starts_with(begin) && text.contains(expected), "{text}");
         }
         for (doubt, key) in [
             ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),

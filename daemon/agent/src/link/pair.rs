@@ -65,8 +65,9 @@ impl Link {
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
         let relation = Relation::new(settings);
-        let told = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
-        let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
+        let announcements = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
+        let mut knowledge =
+            Knowledge::new((accepted.host, accepted.name.clone()), relation, announcements, now);
         // The announcement of the latest interruption may not have arrived yet.
         knowledge.begin_epoch_of_edge(clock.epoch());
         let named = shared.probes.reflectors.get(&accepted.name);

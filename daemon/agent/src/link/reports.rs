@@ -159,8 +159,8 @@ mod tests {
         let mut reports = ClockReports::default();
         let mut unreported =
             |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
-        let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut unreported);
-        assert_eq!(told, [Some(0), None, None, Some(2), None, Some(1)]);
+        let reported = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut unreported);
+        assert_eq!(reported, [Some(0), None, None, Some(2), None, Some(1)]);
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub(super) struct DroppingWatch {
 struct DroppingPeriod {
     before: u64,
     last: MonoTime,
-    said: MonoTime,
+    reported_at: MonoTime,
 }
 
 /// Report for the log.
@@ -36,7 +36,7 @@ impl DroppingWatch {
         let seen = self.seen.replace(dropped).unwrap_or(dropped);
         match &mut self.period {
             None if dropped > seen => {
-                self.period = Some(DroppingPeriod { before: seen, last: now, said: now });
+                self.period = Some(DroppingPeriod { before: seen, last: now, reported_at: now });
                 Some(DroppingReport::Dropping(dropped - seen))
             }
             None => None,
@@ -49,8 +49,8 @@ impl DroppingWatch {
                     self.period = None;
                     return Some(DroppingReport::Over(count));
                 }
-                (now - period.said >= REPORT_INTERVAL).then(|| {
-                    period.said = now;
+                (now - period.reported_at >= REPORT_INTERVAL).then(|| {
+                    period.reported_at = now;
                     DroppingReport::Dropping(count)
                 })
             }
@@ -69,8 +69,8 @@ mod tests {
         // Events that were dropped before the start are not reported.
         assert_eq!(dropping.update(7, at(0)), None);
         assert_eq!(dropping.update(9, at(1)), Some(DroppingReport::Dropping(2)));
-        let told: Vec<_> = (2..130).filter_map(|s| dropping.update(9 + s as u64, at(s))).collect();
-        assert_eq!(told, [DroppingReport::Dropping(63), DroppingReport::Dropping(123)]);
+        let reported: Vec<_> = (2..130).filter_map(|s| dropping.update(9 + s as u64, at(s))).collect();
+        assert_eq!(reported, [DroppingReport::Dropping(63), DroppingReport::Dropping(123)]);
         assert_eq!(dropping.update(138, at(133)), None);
         assert_eq!(dropping.update(138, at(134)), Some(DroppingReport::Over(131)));
         assert_eq!(dropping.update(138, at(500)), None);

@@ -110,11 +110,11 @@ impl Outbox {
         let reconnect_backoff = ReconnectBackoff::new(description.id);
         let machine = Sending::new(sending(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
-        let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
+        let ((stop, stop_receiver), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
         let sender = Sender::new(machine, spool, receiver, publish, reports, clock, (runs, live));
         // On the heap, because the future contains the large state machine.
-        let work = Box::pin(sender.run(address, reconnect_backoff, told));
+        let work = Box::pin(sender.run(address, reconnect_backoff, stop_receiver));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;

@@ -43,7 +43,7 @@ pub(super) struct Welcome {
 pub(super) struct Reports {
     incidents: Incidents,
     /// Trouble with the connection that was reported last.
-    said: Option<String>,
+    reported_trouble: Option<String>,
     /// Damage in the spool that was reported last.
     damage: Option<String>,
     dropping: DroppingWatch,
@@ -51,13 +51,13 @@ pub(super) struct Reports {
 
 impl Reports {
     pub(super) fn new(incidents: Incidents) -> Self {
-        Self { incidents, said: None, damage: None, dropping: DroppingWatch::default() }
+        Self { incidents, reported_trouble: None, damage: None, dropping: DroppingWatch::default() }
     }
 
     /// Reports that the aggregator accepted the agent.
     pub(super) fn welcomed(&mut self, aggregator: &Slug, welcome: &Welcome) {
         let Welcome { stored, lacks, waiting, unreported_ends } = *welcome;
-        self.said = None;
+        self.reported_trouble = None;
         let has = match stored {
             0 => String::new(),
             stored => format!(", which has batches up to {stored}"),
@@ -101,7 +101,7 @@ impl Reports {
 
     /// Reports the loss of the connection, or that it cannot be opened.
     pub(super) fn away(&mut self, address: &Address, reason: &impl fmt::Display) {
-        if self.said.is_none() {
+        if self.reported_trouble.is_none() {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \
                  tried again every {} to {} s",
@@ -182,9 +182,9 @@ impl Reports {
     }
 
     fn connection(&mut self, kind: IncidentKind, text: String) {
-        if self.said.as_ref() != Some(&text) {
+        if self.reported_trouble.as_ref() != Some(&text) {
             self.incidents.report(kind, IncidentContext::default(), text.clone());
-            self.said = Some(text);
+            self.reported_trouble = Some(text);
         }
     }
 }

@@ -226,7 +226,7 @@ impl Runner {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         // Each trouble is reported once and not at every attempt. In mid-run the loss of the peer has been reported
         // already.
-        let mut said = run.map(|_| ConnectTrouble::Away);
+        let mut reported = run.map(|_| ConnectTrouble::Away);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
@@ -249,9 +249,9 @@ impl Runner {
                     (ConnectTrouble::Refused(error.clone()), error, reconnect_backoff.refused())
                 }
             };
-            if said.as_ref() != Some(&trouble) {
+            if reported.as_ref() != Some(&trouble) {
                 self.report(trouble.kind(), run, format!("{error} ({})", trouble.outlook()));
-                said = Some(trouble);
+                reported = Some(trouble);
             }
             self.display.set_state(PipelineState::Waiting(error));
             if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
@@ -282,14 +282,14 @@ impl Runner {
         let Some(mut remarks) = placement.remarks() else { return };
         let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());
         tokio::spawn(async move {
-            let mut told = 0;
+            let mut reported_remarks = 0;
             while remarks.changed().await.is_ok() {
                 let all = remarks.borrow_and_update().clone();
-                for text in all.get(told..).unwrap_or_default() {
+                for text in all.get(reported_remarks..).unwrap_or_default() {
                     let what = IncidentContext { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
                     incidents.remark(IncidentKind::Connected, what, format!("pipeline {pipeline}: {text}"));
                 }
-                told = all.len();
+                reported_remarks = all.len();
             }
         });
     }

@@ -73,7 +73,7 @@ pub(super) struct Proof {
     session: [u8; 16],
     time_namespace: u64,
     /// Nonce of the open question, and the reading of the free-running clock before it was sent.
-    asked: Option<(Nonce, RawTime)>,
+    open_question: Option<(Nonce, RawTime)>,
     /// Number of answers in a row that took too long.
     slow: u32,
     /// Time of the last answer that proved it.
@@ -82,13 +82,13 @@ pub(super) struct Proof {
 
 impl Proof {
     pub(super) const fn new(session: [u8; 16], time_namespace: u64) -> Self {
-        Self { session, time_namespace, asked: None, slow: 0, proven: None }
+        Self { session, time_namespace, open_question: None, slow: 0, proven: None }
     }
 
     /// Creates the next question, with a nonce that was never used before; `before` is the reading of the
     /// free-running clock.
     pub(super) fn ask(&mut self, nonce: Nonce, before: RawTime) -> Question {
-        self.asked = Some((nonce, before));
+        self.open_question = Some((nonce, before));
         Question { nonce }
     }
 
@@ -98,8 +98,8 @@ impl Proof {
     /// other end. The name of the socket is not a secret among the processes of this machine (`/proc/net/unix`). The
     /// nonce prevents the replay of an old answer.
     pub(super) fn answered(&mut self, answer: Option<Answer>, own: OwnClock) -> Outcome {
-        let asked = self.asked.take();
-        let (Some(answer), Some((nonce, before))) = (answer, asked) else { return self.foreign() };
+        let open_question = self.open_question.take();
+        let (Some(answer), Some((nonce, before))) = (answer, open_question) else { return self.foreign() };
         if answer.session != self.session || answer.nonce != nonce {
             return self.foreign();
         }
@@ -183,7 +183,7 @@ mod tests {
     }
 
     /// Returns a proof with a question at 100 µs.
-    fn asked() -> Proof {
+    fn proof_with_open_question() -> Proof {
         let mut proof = Proof::new(SESSION, NAMESPACE);
         proof.ask([1; 16], raw(100));
         proof
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn proof_holds_for_five_seconds() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert_eq!(proof.holds_for(mono(0)), None);
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert_eq!(proof.holds_for(mono(12)), Some(Span::from_seconds(3)));
@@ -210,7 +210,7 @@ mod tests {
             (Answer { raw: raw(141), ..good([2; 16]) }, own(140, 12), "off what"),
         ];
         for (answer, own_clock, words) in answers {
-            let mut proof = asked();
+            let mut proof = proof_with_open_question();
             assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
             proof.ask([2; 16], raw(100));
             let Outcome::Refuted(why) = proof.answered(Some(answer), own_clock) else { panic!("{words}") };
@@ -221,7 +221,7 @@ mod tests {
 
     #[test]
     fn slow_answer_keeps_proof_until_it_expires_and_is_asked_again() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         for retry in 1..=QUICK_RETRIES + 1 {
             proof.ask([2; 16], raw(100));
@@ -234,10 +234,10 @@ mod tests {
 
     #[test]
     fn answer_without_question_or_twice_is_foreign() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Foreign), "a replay");
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(None, own(140, 10)), Outcome::Foreign));
     }
 
@@ -251,7 +251,7 @@ mod tests {
             offset_us in prop_oneof![Just(0i64), -100_000i64..100_000],
             (there_us, back_us) in (0i64..4_000, 0i64..4_000),
         ) {
-            let mut proof = asked();
+            let mut proof = proof_with_open_question();
             let answer = Answer {
                 nonce, session, time_namespace,
                 shows_kernel_time: kernel.0,

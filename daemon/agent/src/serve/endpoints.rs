@@ -47,8 +47,8 @@ impl ServeEndpoints {
         let offers_key = config.probes.reflect && probes.key.is_none();
         let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
         let (reflectors, probes) = if config.probes.reflect {
-            let asked = reflector::Answering { settings: probes, instance, session_key: probe_key };
-            reflector::bind_all(listen, &config.probes, asked, &host.clock).await?
+            let answering = reflector::Answering { settings: probes, instance, session_key: probe_key };
+            reflector::bind_all(listen, &config.probes, answering, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };

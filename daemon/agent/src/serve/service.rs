@@ -41,8 +41,9 @@ impl Service {
         let model = hello.model.clone().map_or_else(|| context.bank.only(), Ok);
         let pool = model.and_then(|model| context.bank.load(&model, hello.device.as_deref()));
         pool.map(Self::Model).map_err(|error: LoadError| {
-            let asked = hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
-            Refusal { reason: error.to_string(), to_peer: error.to_peer(&asked) }
+            let requested =
+                hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
+            Refusal { reason: error.to_string(), to_peer: error.to_peer(&requested) }
         })
     }
 

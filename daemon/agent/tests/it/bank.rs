@@ -93,13 +93,13 @@ async fn peer_gets_named_model_on_allowed_device() {
     assert_eq!(outcomes, [&Outcome::Ok; 3]);
     edge.stop().await.expect("stops well");
 
-    for (placement, told) in [
+    for (placement, expected) in [
         (", model = 'plates', device = 'cuda:0'", "only on cpu"),
         (", model = 'quality-control'", "this host offers plates, plates_2"),
     ] {
         let edge = TestAgent::start("edge", None, &line(&cloud, placement)).await;
         let reason = reason(&edge).await;
-        assert!(reason.contains(told), "{reason}");
+        assert!(reason.contains(expected), "{reason}");
         edge.stop().await.expect("stops well");
     }
     let outside = toml::from_str::<peernet_agent::AgentConfig>(&line(&cloud, ", model = '..'"));

@@ -50,9 +50,9 @@ async fn variables_of_program_are_set_and_recorded_by_name() {
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
-    let told = seen.runs()[0].configuration.clone();
-    assert_eq!(told.matches("API_KEY = \"(not told)\"").count(), 2, "{told}");
-    assert!(!told.replace("= hunter2 ]", "").contains("hunter"), "{told}");
+    let first_configuration = seen.runs()[0].configuration.clone();
+    assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");
+    assert!(!first_configuration.replace("= hunter2 ]", "").contains("hunter"), "{first_configuration}");
     agent.stop().await.expect("stops well");
 }
 

@@ -50,8 +50,8 @@ async fn edge_waits_for_cloud_that_is_not_up() {
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains(&port.to_string()), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
-    let said = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
-    assert!(said.contains("the pipeline goes on by itself"), "{said}");
+    let reported = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
+    assert!(reported.contains("the pipeline goes on by itself"), "{reported}");
     assert!(seen.runs().is_empty(), "nothing to run yet");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
@@ -141,8 +141,11 @@ async fn unknown_model_is_refused_with_list_of_models() {
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains("no model named fast") && reason.contains("slow"), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Refused).is_empty()).await;
-    let said = &seen.incidents(IncidentKind::Refused)[0].text;
-    assert!(said.contains("edge") && said.contains("line") && said.contains("fast"), "{said}");
+    let reported = &seen.incidents(IncidentKind::Refused)[0].text;
+    assert!(
+        reported.contains("edge") && reported.contains("line") && reported.contains("fast"),
+        "{reported}"
+    );
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }
@@ -198,15 +201,15 @@ async fn connections_ended_without_aggregator_are_counted() {
     };
     let aggregator = Aggregator::up(absent).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
-    let said = &welcomes(&seen)[0];
-    assert!(said.contains("1 connection to a cloud ended meanwhile"), "{said}");
+    let reported = &welcomes(&seen)[0];
+    assert!(reported.contains("1 connection to a cloud ended meanwhile"), "{reported}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
     // A number that was reported is not reported again.
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
-    let said = &welcomes(&seen)[1];
-    assert!(!said.contains("ended meanwhile"), "{said}");
+    let reported = &welcomes(&seen)[1];
+    assert!(!reported.contains("ended meanwhile"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

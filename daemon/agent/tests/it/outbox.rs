@@ -79,9 +79,9 @@ async fn silent_listener_is_reported_once_and_retried() {
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::up(mute.down().await).await;
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;
-    let said = seen.incidents(IncidentKind::Disconnected);
-    assert_eq!(said.len(), 1, "{said:?}");
-    assert!(said[0].text.contains("no aggregator answers there"), "{}", said[0].text);
+    let reported = seen.incidents(IncidentKind::Disconnected);
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    assert!(reported[0].text.contains("no aggregator answers there"), "{}", reported[0].text);
     assert_eq!(seen.iterations().len(), 10);
     agent.stop().await.expect("stops well");
 }

@@ -77,7 +77,7 @@ impl Chronyd {
     }
 
     /// Returns the configuration of an agent that queries only this chronyd.
-    pub(super) fn asked(&self) -> ClockConfig {
+    pub(super) fn clock_config(&self) -> ClockConfig {
         ClockConfig {
             discipline: vec![DisciplineSource::Chrony],
             discipline_interval_s: 0.1,

@@ -9,9 +9,9 @@ use super::{system_clock, watched};
 use crate::config::ClockConfig;
 
 /// Waits for the first state after chrony was queried.
-async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
-    let asked = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
-    asked.await.expect("the task runs").clone()
+async fn first_answer(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
+    let answered = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
+    answered.await.expect("the task runs").clone()
 }
 
 #[tokio::test]
@@ -22,8 +22,8 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
     for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
         let client = Chronyd::client(&server, offset_s);
         let clock = system_clock();
-        let (mut published, _running) = watched(client.asked(), None, &clock);
-        let known = asked(&mut published).await;
+        let (mut published, _running) = watched(client.clock_config(), None, &clock);
+        let known = first_answer(&mut published).await;
         assert_eq!(known.text, "chrony, stratum 11, to 127.0.0.1");
         let claim = known.discipline.expect("chrony is synchronised");
         assert_eq!(claim.source, DelaySource::Chrony);
@@ -44,8 +44,8 @@ async fn daemon_without_other_source_claims_nothing() {
         [(&server, "chrony, following nothing but its own clock"), (&lonely, "chrony, not synchronised")];
     for (daemon, text) in expected {
         let clock = system_clock();
-        let (mut published, _running) = watched(daemon.asked(), None, &clock);
-        let known = asked(&mut published).await;
+        let (mut published, _running) = watched(daemon.clock_config(), None, &clock);
+        let known = first_answer(&mut published).await;
         assert_eq!((known.discipline, known.text.as_str()), (None, text));
     }
 }
@@ -55,7 +55,7 @@ async fn claim_ends_with_its_daemon() {
     let server = Chronyd::server();
     let mut client = Chronyd::client(&server, 0.0);
     let clock = system_clock();
-    let (mut published, _running) = watched(client.asked(), None, &clock);
+    let (mut published, _running) = watched(client.clock_config(), None, &clock);
     published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs");
     client.end();
     let known = published.wait_for(|known| known.discipline.is_none()).await.expect("the task runs").clone();
@@ -67,7 +67,7 @@ async fn host_without_chrony_reports_kernel() {
     let clock = system_clock();
     let config = ClockConfig { chronyc: "/nowhere/chronyc".to_owned(), ..ClockConfig::default() };
     let (mut published, _running) = watched(config, None, &clock);
-    let known = asked(&mut published).await;
+    let known = first_answer(&mut published).await;
     assert!(known.text.starts_with("kernel, "), "{}", known.text);
 }
 
@@ -86,7 +86,7 @@ async fn hanging_or_invalid_command_claims_nothing() {
             ..ClockConfig::default()
         };
         let (mut published, _running) = watched(config, None, &clock);
-        let known = asked(&mut published).await;
+        let known = first_answer(&mut published).await;
         assert_eq!(known.discipline, None);
         assert!(known.text.contains(words), "{}", known.text);
     }

@@ -19,7 +19,7 @@ fn now(millis: i64) -> Stamp {
 }
 
 /// Returns a host's announcement in this epoch of its free-running clock, which agrees with its wall clock.
-fn told(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
+fn announcement(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
     let wall_ahead = Interval::exactly(Span::ZERO);
     let raw = Some(RawClock { epoch, wall_ahead, clocksource: "tsc".into() });
     PeerClock { raw, discipline, ..PeerClock::default() }
@@ -45,7 +45,8 @@ fn knowledge_of(clocks: RelatedClocks) -> Knowledge {
     let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
     let relation = Relation::new(settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
-    let mut knowledge = Knowledge::new(peer, relation, (told(0, None), told(0, None)), now(0));
+    let mut knowledge =
+        Knowledge::new(peer, relation, (announcement(0, None), announcement(0, None)), now(0));
     knowledge.join(&network());
     knowledge
 }
@@ -57,12 +58,12 @@ fn network() -> NetworkName {
 #[test]
 fn announcement_without_step_keeps_window() {
     let mut knowledge = knowledge();
-    knowledge.edge_announced(told(0, None), now(0).raw);
-    let _ = knowledge.cloud_announced(told(0, None), now(0).raw);
+    knowledge.edge_announced(announcement(0, None), now(0).raw);
+    let _ = knowledge.cloud_announced(announcement(0, None), now(0).raw);
     let ([up, _], _) = knowledge.judge(&network(), &exchange(0, 0), WAYS, now(4));
     assert!(up.value.is_some(), "{up:?}");
-    let _ =
-        knowledge.cloud_announced(PeerClock { text: "something else".into(), ..told(0, None) }, now(5).raw);
+    let _ = knowledge
+        .cloud_announced(PeerClock { text: "something else".into(), ..announcement(0, None) }, now(5).raw);
     assert_eq!(knowledge.judge(&network(), &exchange(10, 0), WAYS, now(14)).1.restart, None);
 }
 
@@ -115,7 +116,7 @@ fn step_of_peers_clock_begins_window_and_is_named() {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     let before = knowledge.now(&network(), now(250)).window;
-    let _ = knowledge.cloud_announced(told(1, None), now(250).raw);
+    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
     // An exchange that was in flight when the step was announced is not used, however plausible it is.
     let under_way = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
     let ([up, down], changes) = knowledge.judge(&network(), &under_way, WAYS, now(304));
@@ -136,7 +137,7 @@ fn step_of_peers_clock_begins_window_and_is_named() {
     assert_ne!(changes.samples[0].window, before);
     assert_eq!(changes.samples[0].upper, Some(after.exchange));
 
-    let _ = knowledge.cloud_announced(told(1, None), now(250).raw);
+    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
     let again = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
     assert_eq!(knowledge.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
 }
@@ -161,7 +162,7 @@ fn claims_after_step_do_not_reach_earlier_window() {
     let mut knowledge = knowledge();
     let claiming = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
-        told(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
+        announcement(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
     };
     let _ = knowledge.cloud_announced(claiming(0, 0), now(5000).raw);
     let _ = knowledge.judge(&network(), &exchange(5000, 0), WAYS, now(5004));
@@ -202,7 +203,7 @@ fn claim_before_step_stays_void() {
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
         let discipline = Some(Discipline { source: DelaySource::Chrony, error });
-        told(epoch, discipline)
+        announcement(epoch, discipline)
     };
     knowledge.edge_announced(claim(0), now(0).raw);
     let _ = knowledge.cloud_announced(claim(0), now(0).raw);
@@ -262,11 +263,11 @@ fn ended_network_is_sampled_for_two_more_seconds() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     knowledge.leave(&other);
-    let mut told = |second: i64| {
+    let mut sample_count = |second: i64| {
         let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_000 * second + 100));
         knowledge.turn(now(1_000 * (second + 1) + 1)).samples.len()
     };
-    assert_eq!([0, 1, 2, 3].map(&mut told), [2, 2, 1, 1]);
+    assert_eq!([0, 1, 2, 3].map(&mut sample_count), [2, 2, 1, 1]);
 }
 
 #[test]
@@ -314,7 +315,7 @@ fn wall_clock_of_cloud_counts_only_if_related() {
             let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
         }
         // A cloud of an earlier release announces nothing about its free-running clock.
-        let raw = told(0, None).raw.filter(|_| !is_related);
+        let raw = announcement(0, None).raw.filter(|_| !is_related);
         let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
         let changes = knowledge.cloud_announced(stepped.clone(), now(250).raw);
         assert_eq!(changes.is_cloud_wall_set, !is_related);
@@ -408,7 +409,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     let stepped = [Some(Verdict::Stepped); 2];
     assert_ne!(verdicts(&knowledge, 0, 0), stepped);
     assert_eq!(verdicts(&knowledge, 0, 1), stepped, "the relation does not know of the step yet");
-    let _ = knowledge.cloud_announced(told(1, None), now(400).raw);
+    let _ = knowledge.cloud_announced(announcement(1, None), now(400).raw);
     assert_eq!(verdicts(&knowledge, 0, 0), stepped, "they were made before the step");
     let (mut up, _) = observed(320, 0, 1);
     up.sender.epoch = None;

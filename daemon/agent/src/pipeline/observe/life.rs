@@ -127,7 +127,7 @@ async fn connect(
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
     let mut reconnect_backoff = ReconnectBackoff::new(host.id);
-    let mut said = String::new();
+    let mut reported = String::new();
     loop {
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
         let Some(opened) = opening.await else { return Ok(None) };
@@ -149,9 +149,9 @@ async fn connect(
             return Err(error);
         }
         let text = error.to_string();
-        if said != text {
+        if reported != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (trying again)"));
-            said.clone_from(&text);
+            reported.clone_from(&text);
         }
         runner.display.set_state(PipelineState::Waiting(text));
         if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.grow())).await.is_none() {

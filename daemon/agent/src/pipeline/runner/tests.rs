@@ -156,8 +156,8 @@ async fn dead_sensor_thread_ends_pipeline_and_is_named() {
 }
 
 /// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
-/// `asked` had requested.
-async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
+/// `requesting_run` had requested.
+async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
     let (context, pipeline, display, mut receiver) = context(sensor, Arc::clone(&clock));
@@ -176,7 +176,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    resources.sensing = Some(PendingSample { run: asked(run.id()), start, began_at, sample });
+    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, began_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
     assert!(resources.sensing.is_none());
     run.end(EndReason::Stopped, &context);

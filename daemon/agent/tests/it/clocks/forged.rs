@@ -55,13 +55,13 @@ async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
 /// Forwards probes at once and forges each answer.
 async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<AtomicUsize>) {
     let far = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
-    let (mut asked, mut answered) = ([0; 2048], [0; 2048]);
+    let (mut request, mut answered) = ([0; 2048], [0; 2048]);
     let mut edge = None;
     loop {
         tokio::select! {
-            Ok((length, from)) = near.recv_from(&mut asked) => {
+            Ok((length, from)) = near.recv_from(&mut request) => {
                 edge = Some(from);
-                far.send_to(&asked[..length], reflector).await.expect("loopback takes it");
+                far.send_to(&request[..length], reflector).await.expect("loopback takes it");
             }
             Ok((length, _)) = far.recv_from(&mut answered) => {
                 let answer = &mut answered[..length];
@@ -109,8 +109,8 @@ async fn forged_answers_to_probes_reach_no_delay() {
     let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
     let table = line("line", &cloud, load).replace(&cloud.address(), &relayed);
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
-    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("not authenticated by the key") && reason.ends_with(" refused)"));
-    edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    let is_refused = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("not authenticated by the key") && reason.ends_with(" refused)"));
+    edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let mut judged = 0;
     for iteration in seen.iterations() {

@@ -93,8 +93,8 @@ async fn probes_at_another_process_are_refused_and_reported() {
     let open = cloud.next_open().await;
     cloud.accept(open);
     let cloud = cloud.stay();
-    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
-    let live = edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    let is_refused = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
+    let live = edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     assert!(answers.read().answered > 0, "they were answered");
     // This session has no key, as with clouds of earlier releases.
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);

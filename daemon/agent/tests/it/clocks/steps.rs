@@ -93,8 +93,12 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
         if on_edge {
             assert_eq!((of_link(&seen).len(), set(&seen)), (0, 1));
         } else {
-            let [told] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
-            assert!(told.text.starts_with("the wall clock of cloud was stepped or ran off"), "{}", told.text);
+            let [reported] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
+            assert!(
+                reported.text.starts_with("the wall clock of cloud was stepped or ran off"),
+                "{}",
+                reported.text
+            );
         }
 
         edge.stop().await.expect("stops well");

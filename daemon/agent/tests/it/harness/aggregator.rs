@@ -74,9 +74,9 @@ impl Aggregator {
         let address = bind(&socket, address).await;
         let socket = socket.identity_routing().expect("a router");
         let stop = CancellationToken::new();
-        let (told, memory) = (stop.clone(), Arc::clone(&seen));
+        let (stopped, memory) = (stop.clone(), Arc::clone(&seen));
         let task = tokio::spawn(async move {
-            told.run_until_cancelled(serve(&socket, &memory, behaviour)).await;
+            stopped.run_until_cancelled(serve(&socket, &memory, behaviour)).await;
             socket.into_inner().close().await.expect("closes");
         });
         Self { address, seen, stop, task }

@@ -30,9 +30,9 @@ async fn broken_spool_is_quarantined_and_measuring_begins() {
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.iterations().len(), 20);
-    let said = seen.incidents(IncidentKind::Gap);
-    assert_eq!(said.len(), 1, "{said:?}");
-    let (_, kept) = said[0].text.split_once("kept as ").expect("says where");
+    let reported = seen.incidents(IncidentKind::Gap);
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    let (_, kept) = reported[0].text.split_once("kept as ").expect("says where");
     let (kept, _) = kept.split_once(',').expect("says more");
     assert!(std::fs::read(kept).expect("kept").starts_with(b"not a database"), "{kept}");
     agent.stop().await.expect("stops well");

@@ -19,8 +19,8 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
     let trouble = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.trouble;
     assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
-    let said = &seen.incidents(IncidentKind::Gap)[0].text;
-    assert!(said.contains("spool.sqlite") && said.contains("measuring goes on"), "{said}");
+    let reported = &seen.incidents(IncidentKind::Gap)[0].text;
+    assert!(reported.contains("spool.sqlite") && reported.contains("measuring goes on"), "{reported}");
     let before = seen.iterations().len();
     aggregator.until(|seen| seen.iterations().len() >= before + 100).await;
 

@@ -109,7 +109,7 @@ impl PeerConnector {
     /// Opens the session that a run waits for. Returns `None` if the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        let mut said = None;
+        let mut reported = None;
         loop {
             let trouble = match runner.stop.run_until_cancelled(self.open()).await? {
                 Ok(connection) => return Some(connection),
@@ -117,10 +117,10 @@ impl PeerConnector {
             };
             runner.display.set_state(PipelineState::Waiting(trouble.text.clone()));
             let pause = trouble.pause(&mut reconnect_backoff);
-            if said.as_ref() != Some(&trouble) {
+            if reported.as_ref() != Some(&trouble) {
                 let text = format!("{}; the run begins when the peer answers", trouble.describe());
                 self.report(trouble.kind(), None, text);
-                said = Some(trouble);
+                reported = Some(trouble);
             }
             runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
         }

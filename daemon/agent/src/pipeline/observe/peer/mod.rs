@@ -84,9 +84,9 @@ impl PeerStamps {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
         let peer_description = connection.peer_description().await;
-        let (ask, asked) = mpsc::channel(MAX_PENDING);
+        let (ask, requests) = mpsc::channel(MAX_PENDING);
         let (settle, settled) = mpsc::channel(MAX_PENDING);
-        let task = tokio::spawn(PeerTask::new(connector, asked, settle).run(connection));
+        let task = tokio::spawn(PeerTask::new(connector, requests, settle).run(connection));
         Some(Self { ask: Some(ask), settled, waiting: 0, peer_description, task })
     }
 

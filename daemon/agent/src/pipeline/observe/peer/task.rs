@@ -23,7 +23,7 @@ pub(super) struct PeerTask {
     connector: Arc<PeerConnector>,
     /// The session, if one is open.
     connection: Option<Arc<PeerConnection>>,
-    asked: mpsc::Receiver<(i64, Pair)>,
+    requests: mpsc::Receiver<(i64, Pair)>,
     settle: mpsc::Sender<SettledPair>,
     pending: PendingPairs<Pair>,
     silence: SilenceWatch,
@@ -43,12 +43,20 @@ enum WaitResult<T> {
 impl PeerTask {
     pub(super) fn new(
         connector: PeerConnector,
-        asked: mpsc::Receiver<(i64, Pair)>,
+        requests: mpsc::Receiver<(i64, Pair)>,
         settle: mpsc::Sender<SettledPair>,
     ) -> Self {
         let pending = PendingPairs::new(Span::from(connector.timeout()));
         let (silence, throttle) = (SilenceWatch::default(), LogThrottle::default());
-        Self { connector: Arc::new(connector), connection: None, asked, settle, pending, silence, throttle }
+        Self {
+            connector: Arc::new(connector),
+            connection: None,
+            requests,
+            settle,
+            pending,
+            silence,
+            throttle,
+        }
     }
 
     /// Asks the peer, reopening the session when it is lost, until the observer closes its channel.
@@ -112,7 +120,7 @@ impl PeerTask {
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
-        let mut said = None;
+        let mut reported = None;
         loop {
             let trouble = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
@@ -120,9 +128,9 @@ impl PeerTask {
             };
             let pause = trouble.pause(&mut reconnect_backoff);
             // The loss itself has been reported; only a refusal is news.
-            if trouble.is_refusal() && said.as_ref() != Some(&trouble) {
+            if trouble.is_refusal() && reported.as_ref() != Some(&trouble) {
                 connector.report(trouble.kind(), None, trouble.describe());
-                said = Some(trouble);
+                reported = Some(trouble);
             }
             self.wait_for(tokio::time::sleep(pause)).await?;
         }
@@ -146,7 +154,7 @@ impl PeerTask {
         let expiry = self.pending.next_expiry();
         tokio::select! {
             done = future => WaitResult::Done(done),
-            asked = self.asked.recv() => match asked {
+            request = self.requests.recv() => match request {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
                     WaitResult::Woken
@@ -174,7 +182,7 @@ impl PeerTask {
 
     /// Records all waiting pairs.
     fn give_up(&mut self) {
-        while let Ok((key, pair)) = self.asked.try_recv() {
+        while let Ok((key, pair)) = self.requests.try_recv() {
             self.pending.add(key, pair, self.now());
         }
         while let Some((pair, answer)) = self.pending.give_up() {
