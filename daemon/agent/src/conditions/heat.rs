@@ -9,8 +9,8 @@ use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
 const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
-const OBSERVING_ADVICE: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
-                     its cooling";
+const OBSERVING_ADVICE: &str = "look whether it is slowed down during the run as well: compare the halves of the run, \
+                                and see to its cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
 const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
 /// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.

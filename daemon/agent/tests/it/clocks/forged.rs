@@ -109,7 +109,10 @@ async fn forged_answers_to_probes_reach_no_delay() {
     let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
     let table = line("line", &cloud, load).replace(&cloud.address(), &relayed);
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
-    let is_refused = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("not authenticated by the key") && reason.ends_with(" refused)"));
+    let is_refused = |probing: &Probing| {
+        let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
+        reason.contains("not authenticated by the key") && reason.ends_with(" refused)")
+    };
     edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let mut judged = 0;

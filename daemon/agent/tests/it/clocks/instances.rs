@@ -93,7 +93,10 @@ async fn probes_at_another_process_are_refused_and_reported() {
     let open = cloud.next_open().await;
     cloud.accept(open);
     let cloud = cloud.stay();
-    let is_refused = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
+    let is_refused = |probing: &Probing| {
+        let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
+        reason.contains("another process")
+    };
     let live = edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     assert!(answers.read().answered > 0, "they were answered");
     // This session has no key, as with clouds of earlier releases.
