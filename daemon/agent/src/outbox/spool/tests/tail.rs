@@ -16,11 +16,11 @@ fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
     (0..events).for_each(|n| counter.count(Some(&pipeline), Some(run), at(n.cast_signed())));
 }
 
-/// Returns totals after `events` more events of a run are in batches, and gaps for `told` lost events.
-fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
+/// Returns totals after `events` more events of a run are in batches and `reported` lost events are in gaps.
+fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
     let mut handed_in = HandedIn { last: Some(at(1)), ..HandedIn::default() };
     handed_in.taken.add(Some(run), events);
-    Totals { produced: before.produced + events, told, handed_in, ..before.clone() }
+    Totals { produced: before.produced + events, told: reported, handed_in, ..before.clone() }
 }
 
 #[tokio::test]
