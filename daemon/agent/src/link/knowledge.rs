@@ -374,6 +374,7 @@ impl Knowledge {
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             changes.samples.extend_from_slice(&samples);
+            // For live updates, which show the last complete second.
             self.window.keep(samples);
         }
         self.networks.close_second();

@@ -142,6 +142,7 @@ impl Links {
 
     /// Returns the live state of all links.
     pub(crate) fn live(&self) -> Vec<LinkLive> {
+        // Cloned, so that sessions can open and close while the links are read.
         let links: Vec<_> = self.open().values().cloned().collect();
         links.iter().flat_map(|link| link.live()).collect()
     }
@@ -164,6 +165,7 @@ impl Links {
         };
         tokio::select! {
             biased;
+            // A link without its task would silently stop to learn, so that its panic ends the agent.
             panic = died.wait_for(Option::is_some) => match panic {
                 Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),

@@ -48,6 +48,7 @@ impl Ring {
             other => {
                 let mut index = other.map_or(0, |index| index + 1);
                 self.cells.insert(index, Cell::new(at));
+                // The new cell itself stays, because the caller writes to it.
                 if self.cells.len() > MAX_SECONDS && index > 0 {
                     self.cells.pop_front();
                     index -= 1;
@@ -68,6 +69,7 @@ impl Ring {
     /// Marks the seconds of an update as sent.
     pub(super) fn shown(&mut self, shown: &Shown) {
         for (at, version) in &shown.0 {
+            // A cell that changed after the update was made has a larger version and is sent again.
             if let Some(cell) = self.cells.iter_mut().find(|cell| cell.at == *at) {
                 cell.shown = *version;
             }

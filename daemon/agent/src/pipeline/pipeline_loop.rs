@@ -103,9 +103,12 @@ impl<'a> PipelineLoop<'a> {
         let came = self.resources.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
         let since =
             self.resources.sensing.as_ref().filter(|_| came.is_none()).map(|awaited| awaited.began_at);
+        // The live state says since when the pipeline waits for its sensor, also across a reconnect.
         self.resources.display.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = came else { return };
         let Some(PendingSample { run, start, began_at, .. }) = self.resources.sensing.take() else { return };
+        // The end of the sensor, its failure, and a sample of an earlier run mean the same with and without a
+        // connection.
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, began_at), SensorOutput { log, sample });
         }
@@ -129,6 +132,7 @@ impl<'a> PipelineLoop<'a> {
         }
         let clock = &self.context.host.clock;
         let now = clock.mono();
+        // Checked before a start is taken from the schedule, so that the start belongs to the next run.
         if self.run.is_from_previous_day(clock.wall()) {
             self.ending = Some(LoopEnd::Midnight);
             return true;
@@ -217,6 +221,8 @@ impl<'a> PipelineLoop<'a> {
 
     fn may_begin(&self) -> bool {
         let idle = self.ending.is_none() && self.resources.sensing.is_none() && self.waiting.is_none();
+        // A closed loop starts the next iteration when the last one is complete, an open loop also while others are
+        // in flight.
         idle && (self.in_flight.is_empty() || !self.resources.schedule.is_closed())
     }
 
@@ -235,6 +241,7 @@ impl<'a> PipelineLoop<'a> {
         }
         let mut pending = || PendingIteration { position: self.run.place(start.intended), start, began_at };
         match sample {
+            // No iteration is numbered, because there is no sample.
             Ok(None) => self.end(LoopEnd::NoMoreSamples),
             Ok(Some(sample)) => {
                 let pending = pending();
@@ -280,6 +287,7 @@ impl<'a> PipelineLoop<'a> {
         let outcome = with_printable_reason(outcome);
         let closed_loop = self.resources.schedule.is_closed();
         if closed_loop {
+            // Only a closed loop would repeat failures as fast as it can. An open loop keeps its rate.
             self.backoff.record_outcome(&outcome, ended.mono);
         }
         let tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);

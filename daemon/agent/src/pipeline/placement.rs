@@ -64,6 +64,7 @@ impl Placement {
         match &config.placement {
             PlacementConfig::Local { model } => {
                 let (bank, model) = (Arc::clone(&context.bank), model.clone());
+                // On a thread that may block, because a model may load for minutes.
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(OpenFailure::Model)
@@ -122,6 +123,7 @@ impl Placement {
             Self::Local(pool) => compute_here(pool, log, sample, timeout).await,
             Self::Remote { session, link, .. } => {
                 let mut exchange = session.request(log, sample, timeout).await;
+                // Corrected now and not when the run is read, because live statistics show the delays.
                 let transport = link.correct(&mut exchange);
                 Computed { log: exchange.log, result: exchange.result.map(Some).map_err(outcome), transport }
             }

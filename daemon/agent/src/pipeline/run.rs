@@ -59,6 +59,7 @@ impl Run {
         Self {
             id,
             pipeline: config.name.clone(),
+            // A run with a limit ends at its limit only, so that a measurement over midnight is one run.
             day: config.limit.is_none().then(|| day(started)),
             placement,
             deadline: config.deadline().map(Span::from),
@@ -95,6 +96,7 @@ impl Run {
     /// because it may continue then.
     pub(super) fn planned_iterations(&self, ended: &LoopEnd) -> Option<u64> {
         match ended {
+            // No further iteration begins, so that the number so far is the planned one.
             LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.given()),
             LoopEnd::NoMoreSamples | LoopEnd::Broken(_) => Some(self.progress.planned_iterations()),
             LoopEnd::Stopped | LoopEnd::Disconnected(_) => None,
@@ -144,6 +146,7 @@ pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineC
 
 fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
+    // Before the event is queued, so that the outbox does not repeat the start of the run after its end.
     context.events.runs.ended(pipeline, run);
     context.events.event_queue.event(Some(pipeline), Event::RunEnded(ended));
 }

@@ -98,6 +98,7 @@ impl Proof {
     /// other end. The name of the socket is not a secret among the processes of this machine (`/proc/net/unix`). The
     /// nonce prevents the replay of an old answer.
     pub(super) fn answered(&mut self, answer: Option<Answer>, own: OwnClock) -> Outcome {
+        // A question counts for one answer only: a second answer with the same nonce proves nothing.
         let open_question = self.open_question.take();
         let (Some(answer), Some((nonce, before))) = (answer, open_question) else { return self.foreign() };
         if answer.session != self.session || answer.nonce != nonce {
@@ -106,18 +107,23 @@ impl Proof {
         if answer.time_namespace != self.time_namespace {
             return self.refuted(NotProven::TimeNamespace);
         }
+        // A preloaded library may show a process other times than the kernel's. Then readings that agree do not mean
+        // one clock.
         if !own.shows_kernel_time {
             return self.refuted(NotProven::OwnTime);
         }
         if !answer.shows_kernel_time {
             return self.refuted(NotProven::PeerTime);
         }
+        // The cloud read its clock after the question was sent and before the answer arrived. A reading outside that
+        // interval is one of another clock.
         if answer.raw < before {
             return self.refuted(NotProven::OtherClock(answer.raw - before));
         }
         if answer.raw > own.raw {
             return self.refuted(NotProven::OtherClock(answer.raw - own.raw));
         }
+        // A slow answer contradicts nothing, so that an earlier proof holds until it expires.
         if own.raw - before > MAX_ROUND_TRIP {
             self.slow = self.slow.saturating_add(1);
             return Outcome::Slow;
@@ -128,6 +134,8 @@ impl Proof {
 
     /// Returns the time to wait before the next question.
     pub(super) const fn pause(&self) -> Duration {
+        // After a slow answer the next one is probably fast. After many the machine is busy, and more questions would
+        // add to its load.
         if self.slow == 0 || self.slow > QUICK_RETRIES { QUESTION_INTERVAL } else { Duration::ZERO }
     }
 

@@ -133,6 +133,7 @@ pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
 
 /// Returns the number of events lost by killed agents; `None` if the agent that wrote the spool did not count them.
 async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
+    // Spools of earlier releases lack the column. Inspecting a file does not migrate it.
     let column = "SELECT count(*) > 0 FROM pragma_table_info('stream') WHERE name = 'lost_when_killed'";
     if !sqlx::query_scalar(column).fetch_one(&mut *connection).await? {
         return Ok(None);
@@ -170,6 +171,7 @@ struct Batch {
 impl Inspection {
     async fn read(&mut self, path: &Path) -> Result<(), InspectError> {
         let mut connection = reading(path).connect().await?;
+        // One transaction, so that writes of the agent meanwhile do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
         let is_spool = refuse_others(&mut connection).await;
         if is_spool.is_ok() {
@@ -214,6 +216,7 @@ impl Inspection {
             if !follows {
                 holes.push(batch.number);
             }
+            // A batch after a missing one cannot be checked, because the hash before it is unknown.
             if stored.is_none() || (follows && before.1.is_some_and(|before| batch.after(before) != stored)) {
                 altered.push(batch.number);
             }

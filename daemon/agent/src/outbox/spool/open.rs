@@ -76,6 +76,8 @@ impl OpenSpool {
         let mut reserve = Reserve::new(beside(path, "-reserve"));
         let mut aside = None;
         let opened = match connect_in_any_room(path, host, &mut reserve).await {
+            // A broken spool must not keep the robot from measuring. The file is kept, because its events may be
+            // recovered by hand.
             Err(error) if error.is_damage() => {
                 let put = quarantine(path, error.to_string(), clock.wall());
                 aside = Some(put.map_err(io("put aside the damaged spool", path))?);
@@ -86,6 +88,7 @@ impl OpenSpool {
         let (connection, state, counter) = opened?;
         // A new directory entry must be on the disk before the content counts as safe.
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
+        // After the spool is open, because opening it may need that room.
         reserve.take();
         let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
             .map_err(io("look at", path))?;
@@ -171,6 +174,7 @@ async fn prepare(
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
     let row = stream(connection, host).await.map_err(cannot_open)?;
+    // Its batches are events of that host: this one would report them as its own.
     if row.host != host.to_string() {
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }

@@ -124,6 +124,7 @@ pub(super) async fn begin(
              spool lost is reported by the other one"
         );
     }
+    // `None` means that only the aggregator knows how many events were lost.
     let mut lost = Some(0);
     let counted = before.counter.as_deref().and_then(|name| counter::read(name, own));
     if let Some(counted) = counted {
@@ -154,6 +155,7 @@ pub(super) async fn begin(
              are stored, and a gap reports the others"
         ),
         (Some(lost), Some(name)) => {
+            // After the commit: if this process is killed before it, the next one needs the file again.
             counter::remove(name);
             if lost > 0 {
                 tracing::warn!(
@@ -164,6 +166,7 @@ pub(super) async fn begin(
         }
         (Some(_), None) => {}
     }
+    // Files of counts whose spool was deleted would stay in shared memory until the machine restarts.
     let (unresolved, current) = (unresolved_counter(connection).await?, counter.name());
     let needed: Vec<&str> = [&unresolved, &current].into_iter().filter_map(Option::as_deref).collect();
     counter::remove_abandoned(own, &needed);

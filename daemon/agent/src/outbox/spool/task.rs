@@ -116,6 +116,8 @@ async fn work(
             synced = syncing.ended(), if syncing.is_running() => report(&file, synced),
             _ = ticks.tick() => {
                 syncing.begin();
+                // In steps between orders, because a vacuum of the whole file would delay the orders that come
+                // meanwhile.
                 shrink(&mut file, &orders).await;
             }
             order = orders.recv() => {

@@ -114,6 +114,7 @@ impl<'a> Observation<'a> {
                     ending = Some(SessionEnded::Midnight);
                 }
             }
+            // Iterations that have begun are completed first, so that the end of a run cuts off no pair.
             if self.pairing.is_settled()
                 && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
                 && let Some(ending) = ending.take()
@@ -189,6 +190,7 @@ impl<'a> Observation<'a> {
         }
         let arrival = self.input.record(at);
         self.uncounted.input_missing += message.missing;
+        // The input message numbers the iteration, so that an input without an output is counted as well.
         let position = run.place(at);
         let key = message.key(self.config.pair_by);
         let at_host = self.stamps.take(Side::Input, &message, key.ok().flatten());
@@ -238,6 +240,7 @@ impl<'a> Observation<'a> {
     fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
+                // Missing messages have no iteration. The next complete one carries their numbers.
                 let uncounted = std::mem::take(&mut self.uncounted);
                 let host = &runner.context.host;
                 if let Some(peer) = &mut self.peer {
