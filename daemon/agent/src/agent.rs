@@ -146,6 +146,7 @@ async fn start(
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
+    // On the I/O threads, because a socket belongs to the runtime on which it was opened.
     let endpoints = io.within(ServeEndpoints::open(&config, &probes, &host)).await?;
     let serves = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serves {

@@ -120,6 +120,7 @@ impl EventCounter {
             counting.sent = Some(sent);
             let SentUnspooled { process, number, taken, told, events } = sent;
             let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
+            // A ring: a batch overwrites the one that is as many numbers older.
             let place = SENT as u64 + number % MOST_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
             let written = counting.file.write_all_at(&bytes, place);
             counting.check(written);
@@ -184,6 +185,7 @@ impl CountFile {
     }
 
     fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
+        // The total first, because the record may hold the newest one.
         self.file.write_all_at(&self.all.to_be_bytes(), HEAD_ALL)?;
         self.file.write_all_at(&[0; RECORD], (place * RECORD) as u64)?;
         self.runs.remove(&run);
@@ -196,6 +198,7 @@ impl CountFile {
             return Ok(());
         }
         let mut bytes = vec![0; FILE_BYTES];
+        // The open file keeps its content, although its name is gone.
         self.file.read_exact_at(&mut bytes, 0)?;
         let file = create_file(&self.name)?;
         file.write_all_at(&bytes, 0)?;
@@ -265,6 +268,7 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(own),
+        // Files of earlier releases do not name their spool. Only the spool knows their random name.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {
@@ -287,6 +291,7 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD) {
         let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
+        // A record without events is free.
         if events == 0 {
             continue;
         }

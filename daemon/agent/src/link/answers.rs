@@ -29,7 +29,7 @@ pub(super) struct Answers {
     refused: Option<&'static str>,
     /// Number of refusals since the last accepted answer.
     refusals: u32,
-    /// Number of late answers since the last accepted answer.
+    /// Number of answers that came too late since the last accepted one.
     late: u32,
     /// Limits log lines, so that a sender of garbage cannot fill the log.
     log: LogThrottle,

@@ -196,8 +196,10 @@ impl Knowledge {
             }
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
+                // Its stamps are from before and after a step of this host's clock, so that only the step is learnt.
                 self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
             }
+            // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
                 self.learn(observation, now, &mut changes);
             }

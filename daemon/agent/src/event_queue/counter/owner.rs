@@ -61,6 +61,7 @@ impl CountOwner {
         match fs::metadata(&self.path) {
             Ok(found) => found.dev() == self.device && (found.ino(), made(&found)) != (self.inode, self.made),
             Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
+            // For example without permission to read the folder: then nothing is certain.
             Err(_) => false,
         }
     }

@@ -133,6 +133,7 @@ impl SpoolFile {
                     loaded.damage = Some(self.damage(number, format!("cannot be read ({source})")));
                     break;
                 }
+                // What was read is sent first. If the error persists, the next call returns it.
                 Err(_) if !loaded.batches.is_empty() => break,
                 Err(file_error) => return Err(file_error),
             }

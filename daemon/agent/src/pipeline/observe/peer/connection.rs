@@ -146,6 +146,7 @@ impl PeerConnector {
             own: self.context.host.id,
             timeout: self.timeout,
         };
+        // A request without keys shows whether the peer has the pipeline.
         match connection.ask(Vec::new()).await {
             Ok(_) => {
                 let text = format!(
@@ -166,6 +167,7 @@ impl PeerConnector {
         match failure {
             OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
             OpenFailure::Refused(error) => PeerTrouble { is_refusal: true, text: advised(error.to_string()) },
+            // Cannot happen: this session uses no model of this host.
             OpenFailure::Model(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
                 PeerTrouble { is_refusal: false, text }

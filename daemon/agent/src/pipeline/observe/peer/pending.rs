@@ -73,6 +73,7 @@ impl<P> PendingPairs<P> {
             return Vec::new();
         }
         let mut settled = Vec::new();
+        // Several pairs may have the same key.
         while let Some(index) = self.pairs.iter().position(is_known) {
             settled.extend(self.pairs.remove(index).map(|pending| pending.pair));
         }
@@ -82,6 +83,7 @@ impl<P> PendingPairs<P> {
     /// Removes the next pair that has waited for too long by `now`, with the latest answer about it. Call it until it
     /// returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<PeerAnswer>)> {
+        // All pairs wait for the same time, so that they expire in the order in which they were added.
         let oldest = self.pairs.pop_front_if(|oldest| oldest.give_up_at <= now)?;
         Some((oldest.pair, oldest.answer))
     }
