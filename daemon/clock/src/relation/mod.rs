@@ -217,9 +217,11 @@ impl Relation {
                 None
             }
             None => {
-                self.contradictions.suspects.drop_if_refuted(&bounds);
                 let moved = self.windows.insert(exchange, &bounds);
-                self.contradictions.suspects.drop_if_settled(self.windows.current(), bounds.sent());
+                let suspects = &mut self.contradictions.suspects;
+                if !suspects.is_empty() {
+                    suspects.reconsider(&bounds, self.windows.current());
+                }
                 moved
             }
         };

@@ -72,26 +72,20 @@ impl SuspectExchanges {
         None
     }
 
-    /// Removes the suspects if an exchange that fits the band contradicts them.
+    /// Handles an exchange that fits the band, which contains it already. Removes the suspects if the exchange contradicts
+    /// them, or if they contradict nothing that bounds the offset any more, or are too old to bound it themselves.
     ///
-    /// A wide exchange that fits both refutes nothing. Otherwise no step could be recognised under load.
-    pub(super) fn drop_if_refuted(&mut self, bounds: &Bounds) {
-        self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
-    }
-
-    /// Removes the suspects when they contradict nothing that bounds the offset at a time, or are too old to bound it
-    /// themselves.
-    ///
-    /// Exchanges that fit both refute nothing. But either the suspects are wrong, or the exchanges that they contradict
-    /// are from before a change of the clocks; those leave the window no later than a window after the change.
-    pub(super) fn drop_if_settled(&mut self, current: &Band, at: RawTime) {
-        if self.is_empty() {
-            return;
-        }
-        let begin = current.bounds_from(at);
+    /// A wide exchange that fits both refutes nothing. Otherwise no step could be recognised under load. But either the
+    /// suspects are wrong, or the exchanges that they contradict are from before a change of the clocks; those leave the
+    /// window no later than a window after the change.
+    // Suspects are rare, and `learn` is called for every message.
+    #[cold]
+    pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
+        let begin = current.bounds_from(exchange.sent());
         let counting = current.since(begin);
         let is_open = |suspect: &Bounds| suspect.sent() >= begin && counting.contradiction(suspect).is_some();
-        if !self.bounds.iter().any(is_open) {
+        let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
+        if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(is_open) {
             self.band = None;
         }
     }

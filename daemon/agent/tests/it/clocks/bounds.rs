@@ -1,4 +1,4 @@
-//! Every delay has an interval, and the truth lies in it.
+//! Tests that every delay has an interval that contains the truth.
 
 use peernet_clock::{ClockFaults, DelaySource, Span, Verdict};
 
@@ -6,7 +6,7 @@ use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, rehearsed, value};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
+async fn every_delay_is_bounded_from_first_exchange_on() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
@@ -51,7 +51,7 @@ async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
             assert!(median.bits_per_second > Some(0.0));
         }
     }
-    // The live lane told the same: every verdict is counted, and each has its error bar.
+    // The live lane has the same data: every verdict is counted, and each has its error bar.
     let mut seconds = std::collections::BTreeMap::new();
     for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|line| &line.seconds) {
         seconds.insert(second.at, second.clone());
@@ -67,7 +67,7 @@ async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_wrong_clock_does_not_move_the_delays() {
+async fn wrong_clock_does_not_change_delays() {
     let right = |name| async move { (None, clock(name)) };
     let ahead = wrong(Span::from_seconds(1), 40.0);
     let behind = wrong(Span::from_seconds(-1), -40.0);

@@ -1,27 +1,27 @@
-//! A bounded choice out of many values.
+//! Downsampling to a bounded number of values.
 
-/// Values kept at most.
-const MOST: usize = 256;
+/// Largest number of values that are kept.
+const MAX_VALUES: usize = 256;
 
-/// Every n-th of the values it was given, with n as small as its bound allows: an even choice over the whole time.
+/// Every n-th of the values, with n as small as the bound allows, so that the choice is even over the whole time.
 #[derive(Debug)]
-pub(super) struct Thinned<T> {
+pub(super) struct Downsampled<T> {
     kept: Vec<T>,
-    /// Every so many are kept.
+    /// Distance between two values that are kept.
     stride: u64,
     seen: u64,
 }
 
-impl<T> Default for Thinned<T> {
+impl<T> Default for Downsampled<T> {
     fn default() -> Self {
         Self { kept: Vec::new(), stride: 1, seen: 0 }
     }
 }
 
-impl<T: Copy> Thinned<T> {
+impl<T: Copy> Downsampled<T> {
     pub(super) fn push(&mut self, value: T) {
         if self.seen.is_multiple_of(self.stride) {
-            if self.kept.len() == MOST {
+            if self.kept.len() == MAX_VALUES {
                 let mut place = 0;
                 self.kept.retain(|_| {
                     place += 1;
@@ -36,7 +36,7 @@ impl<T: Copy> Thinned<T> {
         self.seen += 1;
     }
 
-    /// The value in the middle of those kept, by `key`; the upper one of two.
+    /// Returns the median of the kept values by `key`; the upper one of two.
     pub(super) fn median<K: Ord>(&self, key: impl Fn(&T) -> K) -> Option<T> {
         let mut sorted = self.kept.clone();
         sorted.sort_unstable_by_key(key);
@@ -49,8 +49,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_values_are_all_kept_and_the_median_is_one_of_them() {
-        let mut few = Thinned::default();
+    fn few_values_are_all_kept() {
+        let mut few = Downsampled::default();
         assert_eq!(few.median(|value: &i32| *value), None);
         for value in [9, 1, 5] {
             few.push(value);
@@ -59,13 +59,13 @@ mod tests {
     }
 
     #[test]
-    fn many_values_are_thinned_evenly() {
-        let mut many = Thinned::default();
+    fn many_values_are_downsampled_evenly() {
+        let mut many = Downsampled::default();
         for value in 0..100_000_i64 {
             many.push(value);
-            assert!(many.kept.len() <= MOST);
+            assert!(many.kept.len() <= MAX_VALUES);
         }
-        assert!(many.kept.len() > MOST / 2);
+        assert!(many.kept.len() > MAX_VALUES / 2);
         let steps: Vec<i64> = many.kept.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(steps.iter().all(|step| *step == steps[0]), "{steps:?}");
         let median = many.median(|value| *value).expect("not empty");

@@ -1,4 +1,4 @@
-//! Taking down what the agent measures, until it ends.
+//! Recording of a run's measurements from the agent's events.
 
 use std::convert::Infallible;
 
@@ -12,34 +12,34 @@ use peernet_results::RowWriter;
 use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
-use super::{Phase, Seen, Watcher};
+use super::{Phase, ProgressDisplay, ProgressReport};
 use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver, p99};
 
 /// Observer of the agent.
-pub(super) struct Taking<'a> {
+pub(super) struct RunRecorder<'a> {
     clock: SharedClock,
-    watcher: &'a mut dyn Watcher,
+    progress_display: &'a mut dyn ProgressDisplay,
     peer_wait: PeerWait,
     most: Span,
     progress: RunProgress,
     pipeline: Slug,
-    /// The peer's address, then its name; `None` for a run on board.
+    /// Address of the peer, then its name; `None` for a run without a peer.
     peer: Option<String>,
-    /// Why the peer did not want at the first try.
+    /// `true` if the peer refused the first attempt.
     refused: bool,
-    taken: Taken,
+    recorded: RecordedRun,
     writer: RowWriter,
 }
 
-/// How far a run is, by its limit.
+/// Progress of a run towards its limit.
 struct RunProgress {
     limit: Limit,
-    /// Warm-up iterations at the least.
+    /// Minimum number of warm-up iterations.
     warm_up: u64,
     began: Option<MonoTime>,
-    /// Iterations that ended.
+    /// Number of finished iterations.
     done: u64,
-    /// Totals of those that count, seconds.
+    /// Totals of the iterations that count, seconds.
     totals: Summary,
 }
 
@@ -55,7 +55,7 @@ impl RunProgress {
         }
     }
 
-    /// Returns the number of iterations that there will be, where it sets the end.
+    /// Returns the number of iterations, if it limits the run.
     fn iterations(&self) -> Option<u64> {
         let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
         let total = self.limit.total.map(std::num::NonZero::get);
@@ -66,15 +66,15 @@ impl RunProgress {
         self.limit.total.is_some_and(|total| self.done >= total.get())
     }
 
-    /// Returns what is shown of it in this phase.
-    fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> Seen {
+    /// Returns the state to be shown in this phase.
+    fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
         let (done, of) = (self.done, self.iterations());
         let elapsed = self.began.map_or(0.0, |began| (now - began).seconds());
         let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
         let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
         let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
         let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
-        Seen {
+        ProgressReport {
             phase,
             done,
             of,
@@ -87,35 +87,35 @@ impl RunProgress {
     }
 }
 
-/// What was seen.
+/// Recorded measurements.
 #[derive(Default)]
-pub(super) struct Taken {
+pub(super) struct RecordedRun {
     pub(super) rows: Rows,
-    /// Of the columns that the run logs itself.
+    /// Units of the columns that the run logs itself.
     pub(super) units: Units,
-    /// What was told when the run began.
+    /// Description of the run from its start.
     pub(super) description: Option<RunDescription>,
-    /// When it ended, by the edge's wall clock.
+    /// Time of its end by the edge's wall clock.
     pub(super) ended: Option<WallTime>,
-    /// Who sensed.
+    /// Host that sensed.
     pub(super) edge: Option<HostDescription>,
-    /// Who served.
+    /// Host that served.
     pub(super) cloud: Option<Cloud>,
-    /// What disciplines the edge's clock, in words.
+    /// Description of the edge's clock discipline.
     pub(super) edge_clock: Option<String>,
-    /// The same of the cloud's.
+    /// Description of the cloud's clock discipline.
     pub(super) cloud_clock: Option<String>,
-    /// Rows that are not in the file, and why.
+    /// Error because of which some rows are not in the file.
     pub(super) unwritten: Option<String>,
 }
 
-impl<'a> Taking<'a> {
+impl<'a> RunRecorder<'a> {
     pub(super) fn new(
         pipeline: &PipelineConfig,
         most: Span,
         writer: RowWriter,
         clock: SharedClock,
-        watcher: &'a mut dyn Watcher,
+        progress_display: &'a mut dyn ProgressDisplay,
     ) -> Self {
         let peer = match &pipeline.placement {
             PlacementConfig::Remote(remote) => Some(remote.peer.to_string()),
@@ -124,46 +124,46 @@ impl<'a> Taking<'a> {
         Self {
             peer_wait: PeerWait::new(clock.mono()),
             clock,
-            watcher,
+            progress_display,
             most,
             progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
             pipeline: pipeline.name.clone(),
             peer,
             refused: false,
-            taken: Taken::default(),
+            recorded: RecordedRun::default(),
             writer,
         }
     }
 
-    /// What was seen, all of it in the file where there was room.
-    pub(super) fn finish(self) -> Taken {
-        let mut taken = self.taken;
-        taken.unwritten = self.writer.end().err().map(|error| error.to_string());
-        taken
+    /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
+    pub(super) fn finish(self) -> RecordedRun {
+        let mut recorded = self.recorded;
+        recorded.unwritten = self.writer.end().err().map(|error| error.to_string());
+        recorded
     }
 
     fn began(&mut self, run: RunDescription) {
         let now = self.clock.mono();
         self.peer_wait.record_answer(now);
         self.progress.began.get_or_insert(now);
-        self.watcher.begun(&run.conditions);
+        self.progress_display.begun(&run.conditions);
         if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
             *peer = name.to_string();
         }
-        self.taken.description = Some(run);
+        self.recorded.description = Some(run);
     }
 
-    /// Who serves may be another program after it was away.
-    fn meet(&mut self, running: Option<&Running>) {
-        let cloud = running.and_then(|running| running.served_by(&self.pipeline));
-        self.taken.cloud = cloud.or(self.taken.cloud.take());
+    /// Notes who serves: it may be another program after an absence.
+    fn record_hosts(&mut self, running: Option<&Running>) {
+        let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
+        self.recorded.cloud = cloud.or(self.recorded.cloud.take());
         let Some(live) = running.map(Running::live) else { return };
         let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
-        let peer = self.taken.cloud.as_ref().map(|cloud| cloud.id);
+        let peer = self.recorded.cloud.as_ref().map(|cloud| cloud.id);
         let link = live.links.into_iter().find(|link| Some(link.peer) == peer);
-        self.taken.edge_clock = words(live.clock).or(self.taken.edge_clock.take());
-        self.taken.cloud_clock =
-            link.and_then(|link| link.cloud).and_then(words).or(self.taken.cloud_clock.take());
+        self.recorded.edge_clock = words(live.clock).or(self.recorded.edge_clock.take());
+        self.recorded.cloud_clock =
+            link.and_then(|link| link.cloud).and_then(words).or(self.recorded.cloud_clock.take());
     }
 
     fn row(&mut self, row: &Row) {
@@ -173,11 +173,11 @@ impl<'a> Taking<'a> {
         }
         self.progress.add(row);
         self.writer.write(row);
-        self.taken.rows.push(row);
+        self.recorded.rows.push(row);
     }
 
-    fn seen(&self, trouble: Option<String>) -> Seen {
-        let phase = match (&trouble, self.progress.began, self.taken.rows.last()) {
+    fn report(&self, trouble: Option<String>) -> ProgressReport {
+        let phase = match (&trouble, self.progress.began, self.recorded.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
             (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
@@ -187,34 +187,34 @@ impl<'a> Taking<'a> {
     }
 }
 
-impl RunObserver for Taking<'_> {
-    type Own = Infallible;
+impl RunObserver for RunRecorder<'_> {
+    type OwnReason = Infallible;
 
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
         match event {
             Event::RunStarted(run) => {
                 self.began(run);
-                self.taken.edge = running.map(Running::description).or(self.taken.edge.take());
-                self.meet(running);
+                self.recorded.edge = running.map(Running::description).or(self.recorded.edge.take());
+                self.record_hosts(running);
             }
             Event::Iteration(iteration) => {
-                let row = self.taken.units.row(&iteration);
+                let row = self.recorded.units.row(&iteration);
                 self.row(&row);
             }
             Event::RunEnded(run) => {
-                self.taken.ended = Some(run.ended);
-                // A time daemon may have been heard only since the run began.
-                self.meet(running);
+                self.recorded.ended = Some(run.ended);
+                // The claim of a time daemon may have arrived only since the run began.
+                self.record_hosts(running);
                 return Some(Ended::of_run(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
-                // Later ones are told by the end of the run, or passed over.
-                IncidentKind::PipelineFailed if self.taken.description.is_none() => {
+                // Later ones are part of the run's end, or ignored.
+                IncidentKind::PipelineFailed if self.recorded.description.is_none() => {
                     return Some(Ended::Failed(incident.text));
                 }
-                IncidentKind::Refused if self.taken.description.is_none() => self.refused = true,
+                IncidentKind::Refused if self.recorded.description.is_none() => self.refused = true,
                 IncidentKind::Connected => {
-                    self.meet(running);
+                    self.record_hosts(running);
                     if running.is_some() {
                         self.peer_wait.record_answer(self.clock.mono());
                     }
@@ -226,14 +226,14 @@ impl RunObserver for Taking<'_> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended> {
+    fn poll_state(&mut self, running: &Running) -> Option<Ended> {
         self.writer.flush();
-        // The peer may leave with the last answer: there is nothing to come back for.
+        // The peer may leave with the last answer: there is no need for it to return.
         if self.progress.is_complete() {
             return Some(Ended::Finished);
         }
         let pipelines = running.live().pipelines;
-        // Its last events are on their way by then, if there was room for them.
+        // Its last events were sent before, if there was room for them.
         match pipelines.into_iter().next().map(|one| one.state) {
             Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
             Some(PipelineState::Finished) => return Some(Ended::Finished),
@@ -244,14 +244,14 @@ impl RunObserver for Taking<'_> {
         if let (true, Some(reason)) = (self.refused, reason) {
             return Some(Ended::Failed(reason.to_owned()));
         }
-        // There is no configuration here to change.
+        // The advice concerns a configuration, which does not exist here.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
         let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
         let now = self.clock.mono();
         let slow = activity.slow_sensor(now);
         let Some(peer) = &self.peer else {
-            let seen = self.seen(slow.or(full));
-            self.watcher.look(&seen);
+            let report = self.report(slow.or(full));
+            self.progress_display.show(&report);
             return None;
         };
         self.peer_wait.update(&activity, now);
@@ -260,13 +260,13 @@ impl RunObserver for Taking<'_> {
             _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
         };
         let spent = self.peer_wait.reason_to_give_up(reason, now, self.most);
-        let seen = self.seen(slow.or(trouble).or(full));
-        self.watcher.look(&seen);
+        let report = self.report(slow.or(trouble).or(full));
+        self.progress_display.show(&report);
         spent.map(Ended::Failed)
     }
 
-    fn over(&mut self) {
-        let seen = Seen { phase: Phase::Writing, ..self.seen(None) };
-        self.watcher.look(&seen);
+    fn end_decided(&mut self) {
+        let report = ProgressReport { phase: Phase::Writing, ..self.report(None) };
+        self.progress_display.show(&report);
     }
 }

@@ -1,4 +1,4 @@
-//! What the agent itself takes.
+//! CPU time and memory of the agent itself.
 
 use peernet_clock::{MonoTime, SharedClock, Span};
 use rustix::param::page_size;
@@ -6,18 +6,18 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// CPU time and memory of this process.
 #[derive(Debug)]
-pub(super) struct Own {
+pub(super) struct ProcessUsage {
     clock: SharedClock,
-    /// When the CPU time was last read, and what it was.
+    /// Time of the last reading of the CPU time, and its value.
     last: Option<(MonoTime, Span)>,
 }
 
-impl Own {
+impl ProcessUsage {
     pub(super) const fn new(clock: SharedClock) -> Self {
         Self { clock, last: None }
     }
 
-    /// CPU time since the last call as a share of one core; `None` at the first.
+    /// Returns the CPU time since the last call as a share of one core; `None` at the first call.
     pub(super) fn cpu_share(&mut self) -> Option<f64> {
         let spent = clock_gettime(ClockId::ProcessCPUTime);
         let spent = Span::from_seconds(spent.tv_sec) + Span::from_nanos(spent.tv_nsec);
@@ -27,7 +27,7 @@ impl Own {
         (passed > 0.0).then(|| (spent - before).seconds() / passed)
     }
 
-    /// Bytes of memory resident now.
+    /// Returns the resident memory in bytes.
     pub(super) fn memory_bytes() -> Option<u64> {
         // proc_pid_statm(5): the second field is the resident pages.
         let statm = std::fs::read_to_string("/proc/self/statm").ok()?;

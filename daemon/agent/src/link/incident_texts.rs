@@ -1,13 +1,13 @@
-//! Steps, jumps, lost proofs and doubts about the clocks in words for people.
+//! Texts for people about steps, jumps, lost proofs and violated assumptions.
 
 use peernet_clock::Doubt;
 use peernet_logger::Slug;
 
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
-use crate::incidents::far_in_words;
+use crate::incidents::step_size_text;
 
-/// That a clock was stepped, by how much, and whose.
-pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
+/// Returns the text of a restart: whose clock was stepped, and by how much.
+pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
     let whose = match (restart.edge, restart.cloud) {
         (true, false) => format!("the clock of {edge} was stepped or ran off"),
         (false, true) => format!("the clock of {cloud} was stepped or ran off"),
@@ -15,11 +15,11 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
         (false, false) => format!("the clock of {edge} or {cloud} was stepped or ran off without notice"),
     };
     let moved = restart.moved.map_or_else(String::new, |moved| {
-        // The offset is the cloud's clock less the edge's; it is told of the one that moved.
+        // `moved` is the change of the cloud's clock minus the edge's. The text names the clock that moved.
         let own = restart.edge && !restart.cloud;
         let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
         let way = if moved.is_negative() { "back" } else { "forward" };
-        let far = far_in_words(moved);
+        let far = step_size_text(moved);
         format!("; the clock of {mover} went {far} {way} against that of {other}")
     });
     let outlook = match restart.doubt {
@@ -38,18 +38,18 @@ pub(super) fn restart_in_words(restart: Restart, edge: &Slug, cloud: &Slug) -> S
     format!("{whose}{moved}; {outlook}")
 }
 
-/// That the wall clock of a cloud was set or ran off, on which delays do not depend.
-pub(super) fn wall_set_in_words(cloud: &Slug) -> String {
+/// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
+pub(super) fn wall_set_text(cloud: &Slug) -> String {
     format!(
         "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
     )
 }
 
-/// That a jump is suspected, with both explanations.
-pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
+/// Returns the text of a suspected jump, with both possible causes.
+pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
     let way = if jump.moved.is_negative() { "back" } else { "forward" };
-    let far = far_in_words(jump.moved);
-    let others = untold_in_words(jump.untold);
+    let far = step_size_text(jump.moved);
+    let others = unreported_text(jump.unreported);
     format!(
         "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
          them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
@@ -57,9 +57,9 @@ pub(super) fn jump_in_words(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> S
     )
 }
 
-/// That it is no longer proven that both processes read one clock, and why.
-pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
-    let others = untold_in_words(lost.untold);
+/// Returns the text of a lost proof that both processes read one clock, with the reason.
+pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
+    let others = unreported_text(lost.unreported);
     format!(
         "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
          are measured until they prove it again",
@@ -67,17 +67,17 @@ pub(super) fn lost_proof_in_words(lost: &LostProof, edge: &Slug, cloud: &Slug) -
     )
 }
 
-/// How many events were not reported since the last report.
-fn untold_in_words(untold: u32) -> String {
-    match untold {
+/// Returns the text about events that were not reported since the last report.
+fn unreported_text(unreported: u32) -> String {
+    match unreported {
         0 => String::new(),
         1 => ", and once more since the last report".to_owned(),
         times => format!(", and {times} times more since the last report"),
     }
 }
 
-/// That the exchanges prove a skew beyond the limit.
-pub(super) fn excess_in_words(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
+/// Returns the text of a proven skew beyond the limit.
+pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
     let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
     format!(
@@ -94,20 +94,20 @@ mod tests {
     use crate::same_clock::NotProven;
 
     #[test]
-    fn lost_proof_names_both_hosts_and_the_reason() {
+    fn lost_proof_names_both_hosts_and_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = lost_proof_in_words(&LostProof { why: NotProven::PeerTime, untold: 1 }, &edge, &cloud);
+        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
         for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
             assert!(text.contains(part), "{text}");
         }
     }
 
     #[test]
-    fn a_restart_names_the_host_and_the_size() {
+    fn restart_names_host_and_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let by =
             |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
-        for (restart, begin, told) in [
+        for (restart, begin, expected) in [
             (
                 by(-3_000_007_000, true, false),
                 "the clock of robot was",
@@ -120,28 +120,28 @@ mod tests {
             ),
             (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
         ] {
-            let text = restart_in_words(restart, &edge, &cloud);
-            assert!(text.starts_with(begin) && text.contains(told), "{text}");
+            let text = restart_text(restart, &edge, &cloud);
+            assert!(text.starts_with(begin) && text.contains(expected), "{text}");
         }
         for (doubt, key) in [
             ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),
             ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
             let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
-            let text = restart_in_words(restart, &edge, &cloud);
+            let text = restart_text(restart, &edge, &cloud);
             assert!(text.contains("robot or desk") && text.contains(key), "{text}");
         }
     }
 
     #[test]
-    fn jump_names_both_explanations_and_how_many_were_not_told() {
+    fn jump_names_explanations_and_number_of_unreported_ones() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = jump_in_words(SuspectedJump { moved: Span::from_millis(-39), untold: 11 }, &edge, &cloud);
+        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
         for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
         let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
-        let text = excess_in_words(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
+        let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
         assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
     }
 }

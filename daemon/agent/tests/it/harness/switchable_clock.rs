@@ -1,4 +1,4 @@
-//! A rehearsal that begins when the test says so: nothing depends on how fast the machine is.
+//! A clock fault that begins when the test wants it, so that nothing depends on the speed of the machine.
 
 use std::sync::OnceLock;
 
@@ -6,19 +6,19 @@ use peernet_clock::{
     Clock, ClockFaults, ClockIdentity, FaultyClock, MonoTime, RawTime, Readings, SharedClock, Span, WallTime,
 };
 
-/// A right clock until it is told to go wrong.
+/// A right clock that becomes wrong on request.
 #[derive(Debug)]
-pub(crate) struct Late {
+pub(crate) struct SwitchableClock {
     right: SharedClock,
     rehearsed: OnceLock<FaultyClock>,
 }
 
-impl Late {
+impl SwitchableClock {
     pub(crate) fn new(right: SharedClock) -> Self {
         Self { right, rehearsed: OnceLock::new() }
     }
 
-    /// Goes wrong from now on.
+    /// Makes the clock wrong from now on.
     pub(crate) fn go_wrong(&self, how: ClockFaults) {
         let identity = self.right.identity().clone();
         let wrong = FaultyClock::new(SharedClock::clone(&self.right), identity, how);
@@ -33,7 +33,7 @@ impl Late {
     }
 }
 
-impl Clock for Late {
+impl Clock for SwitchableClock {
     fn wall(&self) -> WallTime {
         self.now().wall()
     }

@@ -1,5 +1,7 @@
-//! Hosts that report on runs of other hosts. Nothing of those runs changes, because runs are looked up by their reporter
-//! ([`Reporter`]); that it was tried is an incident of the host that did.
+//! Reports of hosts on runs of other hosts.
+//!
+//! They change nothing of those runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
+//! incident of the reporting host.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -11,19 +13,19 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 
-/// Runs that are remembered as reported, each by the host that named it; beyond, all are forgotten and reported again.
+/// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
 const MOST_REPORTED: usize = 10_000;
 
-/// What a transaction found, and what earlier ones reported.
+/// Reports that a transaction found, and those that earlier ones recorded as incidents.
 #[derive(Debug, Default)]
-pub(super) struct Trespasses {
-    /// By the row of the host: its id, one of the runs, and how many.
+pub(super) struct ForeignReports {
+    /// By the row of the host: its id, one of the runs, and their number.
     found: HashMap<i64, (HostId, RunId, u64)>,
-    /// Rows of hosts and the runs of others that they named.
+    /// Rows of hosts with the foreign runs that they named.
     reported: HashSet<(i64, RunId)>,
 }
 
-impl Trespasses {
+impl ForeignReports {
     /// Finds runs of other hosts among those that a batch names.
     pub(super) async fn check(
         &mut self,
@@ -45,7 +47,7 @@ impl Trespasses {
         Ok(())
     }
 
-    /// Writes an incident for each host that did.
+    /// Stores an incident for each host that named foreign runs.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,

@@ -1,4 +1,4 @@
-//! The way to the aggregator: dialled, open, and dialled again.
+//! The connection to the aggregator over time: dialling, open, dialling again.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,32 +10,32 @@ use peernet_networks::Address;
 
 use super::connection::{Connection, ConnectionError};
 
-/// The state of the connection.
-pub(super) enum Line {
-    /// Waiting for the next try, or trying.
+/// State of the connection.
+pub(super) enum ConnectionState {
+    /// Waiting for the next attempt, or connecting.
     Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
-    /// There is one.
+    /// A connection is open.
     Open(Connection),
 }
 
-impl fmt::Debug for Line {
+impl fmt::Debug for ConnectionState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if matches!(self, Self::Open(_)) { "Open" } else { "Dialling" })
     }
 }
 
-/// What happened on the line.
-pub(super) enum Happened {
+/// Event of the connection.
+pub(super) enum ConnectionEvent {
     Connected(Connection),
     Failed(ConnectionError),
     Gone(ConnectionError),
     Message(Bytes),
-    /// There is room on it again.
+    /// The socket has room again.
     Room,
 }
 
-impl Line {
-    /// Tries after a pause.
+impl ConnectionState {
+    /// Starts a connection attempt after a pause.
     pub(super) fn dial(address: &Address, pause: Duration) -> Self {
         let address = address.clone();
         let dialling = async move {
@@ -45,18 +45,18 @@ impl Line {
         Self::Dialling(dialling.boxed())
     }
 
-    /// Waits for something to happen; for room as well when it is `blocked`. Dropping the future loses nothing.
-    pub(super) async fn next(&mut self, blocked: bool) -> Happened {
+    /// Waits for the next event; for room as well if it is `blocked`. Dropping the future loses nothing.
+    pub(super) async fn next(&mut self, blocked: bool) -> ConnectionEvent {
         match self {
             Self::Dialling(dialling) => match dialling.await {
-                Ok(connection) => Happened::Connected(connection),
-                Err(reason) => Happened::Failed(reason),
+                Ok(connection) => ConnectionEvent::Connected(connection),
+                Err(reason) => ConnectionEvent::Failed(reason),
             },
             Self::Open(connection) => match connection.receive(blocked).await {
-                // What is not one frame is no message of ours; decoding says so.
-                Ok(Some(message)) => Happened::Message(message.part_bytes(0).unwrap_or_default()),
-                Ok(None) => Happened::Room,
-                Err(reason) => Happened::Gone(reason),
+                // A message that is not a single frame is invalid; decoding reports it.
+                Ok(Some(message)) => ConnectionEvent::Message(message.part_bytes(0).unwrap_or_default()),
+                Ok(None) => ConnectionEvent::Room,
+                Err(reason) => ConnectionEvent::Gone(reason),
             },
         }
     }

@@ -1,4 +1,4 @@
-//! Batches that are put aside: kept as they came, and what is missing because of it.
+//! Quarantine of batches that cannot be stored: they are kept as they arrived, and their events are recorded as missing.
 
 use std::collections::BTreeMap;
 
@@ -13,35 +13,36 @@ use super::prepared::Prepared;
 use super::{Aside, Refusal, records};
 use crate::stored::Stored;
 
-/// A batch to be put aside.
-pub(super) struct Rejected<'a> {
+/// A batch to be quarantined.
+pub(super) struct RejectedBatch<'a> {
     pub(super) head: BatchHead,
     frame: Bytes,
     events: Option<Vec<Event>>,
     reason: &'a str,
 }
 
-impl<'a> Rejected<'a> {
-    /// One that was found bad before it reached the database.
-    pub(super) fn aside(aside: &'a Aside) -> Self {
-        let events = aside.body.as_ref().and_then(|body| codec::events(body, aside.head.events).ok());
-        Self { head: aside.head, frame: aside.frame.clone(), events, reason: &aside.reason }
+impl<'a> RejectedBatch<'a> {
+    /// Makes it of a batch that was found invalid before it reached the database.
+    pub(super) fn unstorable(unstorable: &'a Aside) -> Self {
+        let events =
+            unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
+        Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
-    /// One that the database refused.
+    /// Makes it of a batch that the database refused.
     pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         let frame = Bytes::from(codec::batch_frame(&head, body, false));
         Self { head, frame, events: codec::events(body, head.events).ok(), reason }
     }
 
-    /// Why it cannot be stored.
+    /// Returns the reason why it cannot be stored.
     pub(super) fn reason(&self) -> &str {
         self.reason
     }
 
-    /// Keeps it and records its events as missing: by run where they can be read, else as many as its head claims, if
-    /// it can hold so many. Returns what that adds to the counters of its host.
+    /// Stores the frame and records its events as missing: by run if they can be decoded, otherwise as many as its head claims,
+    /// if it is long enough for them. Returns the additions to the counters of its host.
     pub(super) async fn put(
         self,
         connection: &mut SqliteConnection,
@@ -63,7 +64,7 @@ impl<'a> Rejected<'a> {
             Some(events) => {
                 let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
                 for event in events {
-                    let (run, at) = (event.claim().run, happened(event));
+                    let (run, at) = (event.claim().run, event_time(event));
                     let run = match run {
                         Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
                         None => None,
@@ -77,7 +78,7 @@ impl<'a> Rejected<'a> {
             }
             None => {
                 let claimed = self.head.events as usize;
-                // Each takes a byte at least.
+                // An event takes at least one byte.
                 let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
                 vec![gap(None, now, count)]
             }
@@ -90,8 +91,8 @@ impl<'a> Rejected<'a> {
     }
 }
 
-/// When an event happened, on its host's clock.
-fn happened(event: &Event) -> Option<WallTime> {
+/// Returns the time of an event on its host's clock.
+fn event_time(event: &Event) -> Option<WallTime> {
     match event {
         Event::RunStarted(run) => Some(run.started),
         Event::RunEnded(end) => Some(end.ended),

@@ -1,4 +1,4 @@
-//! Where the agent of a foreground run keeps what it must remember.
+//! Folder for the state of an agent in a foreground run.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,14 @@ use peernet_sensors::SensorKind;
 
 use super::spools;
 
-/// A folder for the agent's state: one that stays where an aggregator is to know the host again, or else one that goes
-/// with the run.
-pub(crate) enum Home {
-    Stays(PathBuf),
-    Goes(Scratch),
+/// A folder for the agent's state: a permanent one if an aggregator is to recognise the host again, otherwise a temporary one.
+pub(crate) enum AgentStateDir {
+    Permanent(PathBuf),
+    Temporary(Scratch),
 }
 
-impl Home {
-    /// The folder of this agent.
+impl AgentStateDir {
+    /// Returns the folder of this agent.
     ///
     /// # Errors
     /// When there is no place for it (69).
@@ -29,7 +28,7 @@ impl Home {
         if agent.aggregator.is_none() {
             let folder = Scratch::new("agent");
             let folder = folder.context("cannot make a temporary folder; TMPDIR names another place");
-            return folder.map(Self::Goes).map_err(unavailable);
+            return folder.map(Self::Temporary).map_err(unavailable);
         }
         let name = agent.name.as_ref().map_or("unnamed", |name| name.as_str());
         let state = state_root().ok_or_else(|| {
@@ -37,21 +36,21 @@ impl Home {
                 "there is no place for the host's id, by which an aggregator knows it again; set HOME or XDG_STATE_HOME"
             ))
         })?;
-        Ok(Self::Stays(state.join(name)))
+        Ok(Self::Permanent(state.join(name)))
     }
 
-    /// Lets an agent keep its state here.
+    /// Configures an agent to keep its state here.
     ///
     /// # Errors
-    /// When the spool of an older version cannot be taken over, or the key for the arguments of programs not be had (69).
-    pub(crate) fn house(&self, config: &mut AgentConfig) -> Result<(), Failure> {
+    /// When the spool of an earlier version cannot be taken over, or the key for the arguments of programs cannot be read or made (69).
+    pub(crate) fn configure(&self, config: &mut AgentConfig) -> Result<(), Failure> {
         self.folder().clone_into(&mut config.agent.state_dir);
-        // One for all runs of this user, so that equal programs of different runs are told alike.
+        // All runs of this user share one key, so that equal programs of different runs get equal fingerprints.
         if let Some(root) = state_root().filter(|_| has_programs(config)) {
             share_argument_key(&root, self.folder())
                 .map_err(|error| Failure::new(Exit::Unavailable, error))?;
         }
-        if let (Self::Stays(folder), Some(aggregator), None) =
+        if let (Self::Permanent(folder), Some(aggregator), None) =
             (self, &config.agent.aggregator, &config.spool.file)
         {
             let spool = spools::of(folder, aggregator)
@@ -64,13 +63,13 @@ impl Home {
 
     pub(crate) fn folder(&self) -> &Path {
         match self {
-            Self::Stays(folder) => folder,
-            Self::Goes(folder) => folder.path(),
+            Self::Permanent(folder) => folder,
+            Self::Temporary(folder) => folder.path(),
         }
     }
 }
 
-/// Whether the agent runs programs of the user's own.
+/// Returns whether the agent runs programs of the user.
 fn has_programs(config: &AgentConfig) -> bool {
     config.models.iter().any(ModelConfig::is_program)
         || config.pipelines.iter().any(|pipeline| {
@@ -78,7 +77,7 @@ fn has_programs(config: &AgentConfig) -> bool {
         })
 }
 
-/// The folder of this user for what outlives a run.
+/// Returns this user's folder for data that outlives a run.
 fn state_root() -> Option<PathBuf> {
     let absolute = |variable: &str| {
         let path = std::env::var_os(variable).map(PathBuf::from);

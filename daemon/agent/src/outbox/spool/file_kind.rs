@@ -1,38 +1,38 @@
-//! What a file is before it is taken for a spool: nobody's notes or database must be written over or moved aside.
+//! Recognises files before they are used as a spool: the files of others must not be overwritten or moved.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// In the header of every spool, so that it is told from other SQLite files: `PNsp`.
+/// Application id in the header of every spool, `PNsp`, which distinguishes spools from other SQLite files.
 pub(super) const APPLICATION_ID: i32 = i32::from_be_bytes(*b"PNsp");
 
-/// How every SQLite file begins (sqlite.org/fileformat2.html, 1.3).
+/// First bytes of every SQLite file (sqlite.org/fileformat2.html, 1.3).
 const MAGIC: &[u8] = b"SQLite format 3\0";
-/// Where the header has the application id, four bytes.
+/// Offset of the application id in the header, four bytes.
 const ID_AT: usize = 68;
-/// Where the first page has the number of its cells, two bytes: 0 where there is no table.
+/// Offset of the number of cells in the first page, two bytes; 0 means that the database has no table.
 const CELLS_AT: usize = 103;
-/// What is read of it.
+/// Number of bytes that are read.
 const HEAD: usize = 105;
 
-/// What a file is, by its first bytes.
+/// Kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Look {
-    /// A spool, or nothing yet: there is no file, an empty one, or a database without tables.
+pub(crate) enum FileKind {
+    /// A spool, or nothing yet: no file, an empty one, or a database without tables.
     Spool,
-    /// The database of another program.
+    /// A database of another program.
     Database,
-    /// No SQLite file at all.
+    /// Not an SQLite file.
     Other,
 }
 
-impl Look {
-    /// Looks at a file without SQLite, which would make files beside it. What a process that was killed left in the log
-    /// alone is not seen: such a file has no tables.
+impl FileKind {
+    /// Reads the kind of a file without SQLite, which would create files beside it. Tables that are only in the log
+    /// of a killed process are not seen: such a file seems to have none.
     ///
     /// # Errors
-    /// When it is there and cannot be read.
+    /// When the file exists and cannot be read.
     pub(crate) fn at(path: &Path) -> io::Result<Self> {
         let mut head = Vec::with_capacity(HEAD);
         match File::open(path) {
@@ -47,7 +47,7 @@ impl Look {
         if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
             return Self::Other;
         }
-        // Cut off within the header: it was one.
+        // A header that is cut off is that of an SQLite file.
         let Some((id, cells)) = head.get(ID_AT..ID_AT + 4).zip(head.get(CELLS_AT..HEAD)) else {
             return Self::Spool;
         };
@@ -58,7 +58,7 @@ impl Look {
         }
     }
 
-    /// What is wrong with it and what to do, for a file that the user named.
+    /// Returns why the file cannot be used and what to do, for a file that the user named.
     pub(crate) fn objection(self) -> Option<&'static str> {
         match self {
             Self::Spool => None,
@@ -78,19 +78,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_bytes_tell_what_a_file_is() {
+    fn first_bytes_identify_file_kind() {
         let mut head = [0; HEAD];
         head[..MAGIC.len()].copy_from_slice(MAGIC);
-        assert_eq!(Look::of(&head), Look::Spool, "without tables");
+        assert_eq!(FileKind::of(&head), FileKind::Spool, "without tables");
         head[CELLS_AT + 1] = 3;
-        assert_eq!(Look::of(&head), Look::Database, "with tables");
+        assert_eq!(FileKind::of(&head), FileKind::Database, "with tables");
         head[ID_AT..ID_AT + 4].copy_from_slice(b"PNsp");
-        assert_eq!(Look::of(&head), Look::Spool);
+        assert_eq!(FileKind::of(&head), FileKind::Spool);
         head[ID_AT] = b'X';
-        assert_eq!(Look::of(&head), Look::Database, "another program's");
-        for (text, expected) in [("", Look::Spool), ("SQLite for", Look::Spool), ("d3adb33f\n", Look::Other)]
+        assert_eq!(FileKind::of(&head), FileKind::Database, "another program's");
+        for (text, expected) in
+            [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
         {
-            assert_eq!(Look::of(text.as_bytes()), expected, "{text:?}");
+            assert_eq!(FileKind::of(text.as_bytes()), expected, "{text:?}");
         }
     }
 }

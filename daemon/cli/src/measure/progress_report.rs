@@ -1,4 +1,4 @@
-//! How far a run is, for whoever shows it.
+//! Progress of a run, for its display.
 
 use std::fmt;
 
@@ -6,31 +6,31 @@ use peernet_statistics::number;
 use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
-use crate::foreground::{duration, told};
+use crate::foreground::{describe_quantiles, duration};
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Seen {
-    /// What it does.
+pub(crate) struct ProgressReport {
+    /// Current activity.
     pub(crate) phase: Phase,
-    /// Iterations that are over.
+    /// Number of finished iterations.
     pub(crate) done: u64,
-    /// Of how many; `None` when time sets the end.
+    /// Total number of iterations; `None` if a time limits the run.
     pub(crate) of: Option<u64>,
     /// Iterations per second since the first.
     pub(crate) rate: f64,
     /// Median of the total so far, seconds.
     pub(crate) p50: Option<f64>,
-    /// Its 99th percentile, once there are values enough for it.
+    /// 99th percentile of the total, once there are enough values.
     pub(crate) p99: Option<f64>,
-    /// How long it will take still, seconds; `None` while nobody can tell.
+    /// Estimated remaining time, seconds; `None` while unknown.
     pub(crate) left_s: Option<f64>,
-    /// What it waits for, where it should not have to.
+    /// Description of an unexpected wait.
     pub(crate) trouble: Option<String>,
 }
 
-impl fmt::Display for Seen {
-    /// In words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+impl fmt::Display for ProgressReport {
+    /// Writes it in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
@@ -40,37 +40,37 @@ impl fmt::Display for Seen {
             write!(f, " of {of}")?;
         }
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
-        // None while it warms up.
+        // There is no median during the warm-up.
         if let Some(p50) = self.p50 {
-            write!(f, ", total {}", told(p50, self.p99))?;
+            write!(f, ", total {}", describe_quantiles(p50, self.p99))?;
         }
         self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
     }
 }
 
-/// What a run does.
+/// Activity of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Phase {
-    /// Sensor and model are set up, the peer is asked.
+    /// It sets up sensor and model, and connects to the peer.
     Starting,
-    /// It measures what is left out of statistics.
+    /// It measures iterations that are left out of statistics.
     WarmUp,
     /// It measures.
     Measuring,
-    /// It waits for a peer that went away.
+    /// It waits for an absent peer.
     Waiting,
     /// It writes its files.
     Writing,
 }
 
-/// Whoever shows how far a run is.
-pub(crate) trait Watcher {
-    /// Is told what was found of the hosts when the run began.
+/// Display of a run's progress.
+pub(crate) trait ProgressDisplay {
+    /// Shows the conditions of the hosts when the run begins.
     fn begun(&mut self, _conditions: &[Condition]) {}
 
-    /// Is shown the state, several times a second.
-    fn look(&mut self, seen: &Seen);
+    /// Shows the progress, several times a second.
+    fn show(&mut self, report: &ProgressReport);
 }
 
 #[cfg(test)]
@@ -78,8 +78,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_look_is_told_in_one_line() {
-        let seen = Seen {
+    fn progress_is_shown_in_one_line() {
+        let report = ProgressReport {
             phase: Phase::Measuring,
             done: 120,
             of: Some(10_005),
@@ -89,8 +89,8 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(seen.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
-        let warming_up = Seen { done: 3, p50: None, ..seen };
+        assert_eq!(report.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
+        let warming_up = ProgressReport { done: 3, p50: None, ..report };
         assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
     }
 }

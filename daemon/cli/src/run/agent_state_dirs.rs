@@ -1,7 +1,7 @@
-//! The folders in which the runs' agents keep who they are: an experiment has them from its beginning to its end.
+//! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its end.
 //!
-//! Two agents cannot be one host to an aggregator, so the second of two experiments with hosts of the same names could
-//! not measure a single run.
+//! Two agents cannot be the same host to an aggregator, so the second of two experiments with hosts of the same names could not
+//! measure a single run. The locks refuse it at its start.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
@@ -12,23 +12,23 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 
 use super::plan::{Plan, Run};
-use crate::measure::{Home, OF_AGENT, Waiting, undelivered, undelivered_in};
+use crate::measure::{AgentStateDir, OF_AGENT, Waiting, undelivered, undelivered_in};
 
-/// Held by an experiment.
+/// File that an experiment locks.
 const LOCK: &str = "experiment.lock";
 
-/// Folders that no other experiment uses; let go when this is dropped.
+/// Locks of folders that no other experiment uses; dropping it releases them.
 #[derive(Debug)]
-pub(super) struct Homes {
+pub(super) struct AgentStateDirs {
     _locks: Vec<File>,
 }
 
-impl Homes {
-    /// Those of the agents of these runs. Without an aggregator each agent has a folder of its own, which needs no care.
+impl AgentStateDirs {
+    /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which needs no lock.
     ///
     /// # Errors
-    /// When another experiment or agent uses one of them, or one cannot be had (69).
-    pub(super) fn take(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
+    /// When another experiment or agent uses one of them, or one cannot be created (69).
+    pub(super) fn acquire(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
         Self::lock(&folders(plan, runs)?)
     }
 
@@ -38,11 +38,11 @@ impl Homes {
             let path = folder.join(LOCK);
             let lock = File::options().create(true).append(true).open(&path);
             let lock = lock.map_err(|error| cannot("write", &path, &error))?;
-            free(&lock, folder, &path)?;
+            ensure_free(&lock, folder, &path)?;
             let path = folder.join(OF_AGENT);
             match File::options().append(true).open(&path) {
-                // Tried and let go: the agents of the runs are to take it.
-                Ok(agents) => free(&agents, folder, &path)?,
+                // Only checked and released: the agents of the runs will lock it.
+                Ok(agents) => ensure_free(&agents, folder, &path)?,
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(cannot("write", &path, &error)),
             }
@@ -62,17 +62,17 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
         for user in 0..configuration.users {
             let mut agent = configuration.agent.agent.clone();
             agent.name = plan.agent_name(run, user);
-            folders.insert(Home::of(&agent)?.folder().to_owned());
+            folders.insert(AgentStateDir::of(&agent)?.folder().to_owned());
         }
     }
     Ok(folders)
 }
 
-/// What the aggregators of a plan have not taken from its hosts. No run is under way.
+/// Returns events that wait on the hosts of a plan for their aggregators. No run may be active.
 ///
 /// # Errors
-/// When there is no place for the hosts (69).
-pub(super) async fn untaken(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
+/// When there is no place for the hosts' folders (69).
+pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
     let mut waiting = Vec::new();
     for folder in folders(plan, &plan.runs)? {
         waiting.extend(undelivered(&folder).await);
@@ -87,7 +87,7 @@ pub(super) async fn untaken(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
     Ok(waiting)
 }
 
-fn free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
+fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
     match lock.try_lock() {
         Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
@@ -111,29 +111,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_host_is_that_of_one_experiment_at_a_time() {
+    fn host_belongs_to_one_experiment_at_a_time() {
         let state = tempfile::tempdir().expect("a folder");
         let named =
             |names: &[&str]| names.iter().map(|name| state.path().join(name)).collect::<BTreeSet<_>>();
-        let first = Homes::lock(&named(&["robot-1", "robot-2"])).expect("they are free");
-        let refused = Homes::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
+        let first = AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free");
+        let refused = AgentStateDirs::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
         assert!(refused.to_string().contains("robot-2, as this experiment"), "{refused}");
         assert!(refused.to_string().contains("[agent] name of its own"), "{refused}");
         assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
-        Homes::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
+        AgentStateDirs::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
         drop(first);
-        Homes::lock(&named(&["robot-1", "robot-2"])).expect("they are free again");
+        AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free again");
     }
 
     #[test]
-    fn an_agent_at_work_is_seen_and_can_begin_while_the_experiment_has_its_folder() {
+    fn running_agent_is_detected_and_lock_admits_own_agents() {
         let state = tempfile::tempdir().expect("a folder");
         let folders = BTreeSet::from([state.path().to_owned()]);
         let agent = File::create(state.path().join(OF_AGENT)).expect("writable");
         agent.try_lock().expect("it is free");
-        Homes::lock(&folders).expect_err("an agent has it");
+        AgentStateDirs::lock(&folders).expect_err("an agent has it");
         agent.unlock().expect("let go");
-        let _homes = Homes::lock(&folders).expect("it is free");
+        let _agent_state_dirs = AgentStateDirs::lock(&folders).expect("it is free");
         agent.try_lock().expect("the experiment's own agent takes it");
     }
 }
