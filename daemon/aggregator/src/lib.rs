@@ -4,7 +4,7 @@
 //! Four tasks, each the only owner of its state, so that none waits for another one's lock:
 //!
 //! ```text
-//! agents ── ingest: socket and session, who may speak ── preparing: batches to rows ── writer: one transaction a group
+//! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group
 //!              │  ▲                                                                    │
 //!              │  └───────────────────────────────── acknowledgements ─────────────────┤
 //!              └─ live lane ── live picture ◄──────── what is stored now ──────────────┘

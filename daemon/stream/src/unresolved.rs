@@ -65,8 +65,8 @@ impl UnresolvedBatches {
         }
     }
 
-    /// Updates the losses that no gap reports yet: those in `owed`, `earlier_drops` events that earlier processes dropped, and those of the process
-    /// itself. Losses that its stored gaps reported are removed, the oldest first.
+    /// Updates the losses that no gap reports yet: those in `owed`, `earlier_drops` events that earlier processes dropped,
+    /// and those of the process itself. Losses that its stored gaps reported are removed, the oldest first.
     pub(super) fn unreported(
         &self,
         resolved: &ResolvedBatches,
