@@ -23,6 +23,7 @@ pub mod order;
 mod passage;
 pub mod record;
 pub mod rows;
+pub mod run_selection;
 mod run_trust_input;
 pub mod sensor_study;
 pub mod slowness;

@@ -59,7 +59,7 @@ pub(crate) struct Comparison {
     pub differences: Vec<Difference>,
     /// What keeps the figures from being taken as they stand, in sentences: starts that were skipped.
     pub doubts: Vec<String>,
-    /// Runs of the experiment that are not compared: those that were not finished, and those that were done again.
+    /// Runs of the experiment that do not count: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
     pub cut: bool,
@@ -70,7 +70,7 @@ pub(crate) struct Comparison {
 pub(crate) struct LeftOut {
     /// Its number.
     pub run: i64,
-    /// How it ended, or as which one it was done again.
+    /// The reason: how it ended, or as which one it was measured again.
     pub why: String,
 }
 

@@ -5,7 +5,6 @@ mod choice;
 mod differences;
 mod differing;
 mod distributions;
-mod done;
 pub(crate) mod gather;
 pub(crate) mod lengths;
 mod median;
@@ -68,12 +67,12 @@ pub(crate) struct Comparison {
     pub cut: bool,
 }
 
-/// A run that is not compared.
+/// A run that does not count.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LeftOut {
     /// Its number.
     pub run: i64,
-    /// How it ended, or as which one it was done again.
+    /// The reason.
     pub why: String,
 }
 
