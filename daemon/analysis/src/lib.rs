@@ -15,6 +15,7 @@ mod batches;
 pub mod calibration;
 pub mod compare;
 pub mod deadline;
+pub mod delays;
 mod error;
 pub mod figure_files;
 pub mod fit;

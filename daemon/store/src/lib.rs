@@ -35,6 +35,7 @@ mod types;
 mod wall_clock;
 mod write;
 
+use peernet_analysis::trust::TrustInput;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
 use peernet_stream::Iteration;
@@ -182,6 +183,11 @@ impl Store {
     /// A standard name is the sum of its nodes below the root, one of the users' own its first node, as in `data.csv`.
     pub async fn pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
         read::pairs::pairs(&self.readers, run, names, most).await
+    }
+
+    /// Everything by which a run is judged, its time series in at most 120 buckets.
+    pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
+        read::trust::trust_input(&self.readers, run).await
     }
 
     /// One iteration with its tree.

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
+use peernet_analysis::delays::prevailing;
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
 use peernet_store::{Transfer, Transfers};
@@ -56,7 +57,7 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: Way) -> Option<&'stat
         (*verdict, of_way.map(|(.., count)| count).sum())
     };
     let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(given).collect();
-    told(clocks::prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
+    told(prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
 }
 
 fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {

@@ -12,6 +12,7 @@ pub(super) mod runs;
 pub(crate) mod sql;
 pub(super) mod statistics;
 pub(super) mod tree;
+pub(super) mod trust;
 pub(super) mod whole;
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};

@@ -44,7 +44,6 @@ use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
-use crate::view::trust;
 
 /// What is compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,7 +119,7 @@ impl Configuration {
 
     /// What became of the starts that an open loop ordered.
     pub(crate) fn starts(&self) -> Starts {
-        let of_runs = self.runs.iter().map(trust::starts);
+        let of_runs = self.runs.iter().map(RunSummary::starts);
         of_runs.fold(Starts::default(), |all, run| Starts {
             kept: all.kept + run.kept,
             skipped: all.skipped + run.skipped,

@@ -164,7 +164,7 @@ fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
 pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
     let point = |one: &Configuration| {
         let scores = one.figures(TOP_1)?;
-        let known = accuracy::of(scores, scores.count);
+        let known = accuracy::of(scores);
         Some(ScatterPoint {
             x: one.total()?.p50 * 1e3,
             y: scores.mean * 100.0,
