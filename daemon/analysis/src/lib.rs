@@ -32,6 +32,7 @@ pub mod summary;
 pub mod table;
 #[cfg(test)]
 mod testing;
+pub mod transfer;
 pub mod trust;
 pub mod users;
 

@@ -30,7 +30,6 @@ mod storage_clock;
 mod stored;
 #[cfg(test)]
 mod tests;
-mod transfer;
 mod types;
 mod wall_clock;
 mod write;
@@ -48,7 +47,6 @@ pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
-pub use transfer::{Transfer, Transfers};
 pub use types::{
     AggregatorIncidentKind, BOTH_WAYS, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary,
     GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,

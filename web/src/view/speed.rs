@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_analysis::delays::prevailing;
+use peernet_analysis::transfer::{Transfer, Transfers};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
-use peernet_store::{Transfer, Transfers};
 use peernet_stream::PlacementKind;
 
 use super::clocks;

@@ -1,6 +1,7 @@
 //! One second of one pipeline, and how seconds add up to windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
+use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
@@ -8,7 +9,7 @@ use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
 use crate::picture::{LiveSecond, Window};
-use peernet_store::{Bound, Figures, Transfers, rank};
+use peernet_store::{Bound, Figures, rank};
 
 /// What happened within some seconds. Names are few: a list is faster than a map.
 #[derive(Clone, Debug, Default)]
