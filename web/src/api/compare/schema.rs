@@ -1,5 +1,6 @@
 //! Runs side by side, and experiments.
 
+use peernet_analysis::deadline::Misses;
 use peernet_store::{self as store, Figures};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -89,6 +90,11 @@ pub(crate) struct Configuration {
     pub starts: u64,
     /// Of them those that were skipped because the pipeline was too far behind.
     pub skipped_starts: u64,
+    /// How long an iteration may take, seconds; null without a deadline, and where its runs have different ones.
+    pub deadline_s: Option<f64>,
+    /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
+    /// without a deadline.
+    pub miss_rate: Option<f64>,
     pub stages: Vec<ComparedStage>,
 }
 
@@ -138,6 +144,8 @@ impl Comparison {
             runs: one.runs.iter().map(|run| run.number).collect(),
             starts: one.starts().all(),
             skipped_starts: one.starts().skipped,
+            deadline_s: one.deadline_s(),
+            miss_rate: one.misses().and_then(Misses::rate),
             stages: one.stages.iter().map(stage).collect(),
         };
         let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };

@@ -10,6 +10,7 @@ pub(crate) mod lengths;
 mod median;
 mod names;
 mod order;
+mod pairwise;
 mod payload;
 mod pictures;
 mod series;
@@ -26,6 +27,7 @@ pub(crate) use differences::{Differences, RunMeans, StageDifference, run_means};
 pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};
+pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use series::{OverTime, over_time, run_courses};
@@ -38,6 +40,7 @@ pub(crate) use users::{UsersRow, users};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::deadline::Misses;
 use peernet_analysis::trust::Starts;
 use peernet_statistics::Summary;
 use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
@@ -125,6 +128,18 @@ impl Configuration {
             skipped: all.skipped + run.skipped,
             ..all
         })
+    }
+
+    /// How many iterations of its runs missed their deadline; `None` where no run has one.
+    pub(crate) fn misses(&self) -> Option<Misses> {
+        Misses::together(self.runs.iter().filter_map(|run| run.misses))
+    }
+
+    /// The deadline, seconds; `None` where no run has one, or several have different ones.
+    pub(crate) fn deadline_s(&self) -> Option<f64> {
+        let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
+        let first = deadlines.next()??;
+        deadlines.all(|deadline| deadline == Some(first)).then_some(first)
     }
 
     fn placement(&self) -> Option<&peernet_stream::Placement> {
