@@ -49,9 +49,9 @@ pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
 pub use types::{
     AggregatorIncidentKind, BOTH_WAYS, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary,
-    GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
-    LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics,
-    RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
+    GapRow, Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
+    Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter,
+    RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.
@@ -213,9 +213,9 @@ impl Store {
         read::whole::shapes(&self.readers, run, after).await
     }
 
-    /// Incidents, newest first; `before` is the id of the last of the page before.
-    pub async fn incidents(&self, limit: u32, before: Option<i64>) -> Result<Vec<IncidentRow>, StoreError> {
-        read::incidents::incidents(&self.readers, limit, before).await
+    /// Incidents, newest first.
+    pub async fn incidents(&self, filter: &IncidentFilter) -> Result<Vec<IncidentRow>, StoreError> {
+        read::incidents::incidents(&self.readers, filter).await
     }
 
     /// All hosts by name.

@@ -317,6 +317,26 @@ pub struct IterationDetail {
     pub run_figures: Vec<(Name, Figures)>,
 }
 
+/// Which incidents to list, newest first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IncidentFilter {
+    /// At most so many, 1 to 1,000.
+    pub limit: u32,
+    /// Only incidents before this one: the id of the last of the page before.
+    pub before: Option<i64>,
+    /// Only incidents of this kind.
+    pub kind: Option<String>,
+    /// Only incidents that the host of this name reported.
+    pub host: Option<String>,
+}
+
+impl IncidentFilter {
+    /// Returns the newest ones of all kinds and hosts.
+    pub const fn newest(limit: u32) -> Self {
+        Self { limit, before: None, kind: None, host: None }
+    }
+}
+
 /// Something that happened beside the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IncidentRow {

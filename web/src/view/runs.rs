@@ -13,7 +13,7 @@ use crate::error::WebError;
 use crate::zone::{Moment, Zone};
 
 /// The chip of a run of which retention deletes nothing.
-pub(crate) const KEPT: Chip = Chip::new(Tone::Quiet, "pin", "kept");
+pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 
 /// What is known of a run's end.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +73,7 @@ pub(crate) struct RunLine {
     pub p95: String,
     pub p99: String,
     pub rehearsal: Option<Chip>,
-    pub kept: Option<Chip>,
+    pub pinned: Option<Chip>,
     pub experiment: Option<Labels>,
 }
 
@@ -174,7 +174,7 @@ impl RunLine {
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
             rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
-            kept: run.pinned.then_some(KEPT),
+            pinned: run.pinned.then_some(PINNED),
             experiment: run.experiment.as_ref().map(Labels::of),
         }
     }

@@ -203,12 +203,13 @@ statements! {
     PREVIOUS = "SELECT max(number) FROM iteration WHERE run = ?1 AND number < ?2";
     /// ?1 run, ?2 number.
     NEXT = "SELECT min(number) FROM iteration WHERE run = ?1 AND number > ?2";
-    /// ?1 limit, ?2 id of the last of the page before or NULL.
+    /// ?1 limit, ?2 id of the last of the page before or NULL, ?3 kind or NULL, ?4 name of a host or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
                  incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
                  FROM incident LEFT JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
                  WHERE (incident.at_ns, incident.id) < \
                    (coalesce((SELECT at_ns FROM incident WHERE id = ?2), 9223372036854775807), coalesce(?2, 9223372036854775807)) \
+                 AND (?3 IS NULL OR incident.kind = ?3) AND (?4 IS NULL OR host.name = ?4) \
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";
     /// No parameters.
     HOSTS = "SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined \
