@@ -21,6 +21,7 @@ pub mod figure_files;
 pub mod fit;
 pub mod loaded;
 pub mod order;
+pub mod outcomes;
 mod passage;
 pub mod record;
 pub mod rows;

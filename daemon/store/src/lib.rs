@@ -48,8 +48,8 @@ pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
 pub use types::{
-    AggregatorIncidentKind, BOTH_WAYS, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary,
-    GapRow, Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
+    AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
+    Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
     Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter,
     RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };

@@ -228,7 +228,7 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`]. Empty where it took
+    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`](peernet_analysis::slowness::BOTH_WAYS). Empty where it took
     /// no longer than the run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
@@ -241,9 +241,6 @@ pub struct IterationRow {
     /// The one-way delays that were judged, in the order of the tree.
     pub delays: Vec<DelayRow>,
 }
-
-/// What `upload` and `download` are called together, where the clocks do not tell them apart.
-pub const BOTH_WAYS: &str = "upload + download";
 
 /// A one-way delay, seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,6 +1,7 @@
 //! Runs in a list.
 
 use peernet_aggregator::Picture;
+use peernet_analysis::outcomes::unanswered_share;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
@@ -147,8 +148,7 @@ pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
 
 /// Share of iterations without an answer.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
-    let counts = &run.counts;
-    (counts.total() > 0).then(|| (counts.total() - counts.ok) as f64 / counts.total() as f64)
+    unanswered_share(&run.counts)
 }
 
 /// When the run ended, or how far it is known to have come.

@@ -1,6 +1,7 @@
 //! One second of one pipeline, and how seconds add up to windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
+use peernet_analysis::outcomes::unanswered_share;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -79,7 +80,7 @@ impl Cell {
             covered_s,
             counts: self.counts,
             rate_hz: total as f64 / covered_s,
-            lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
+            lost_fraction: unanswered_share(&self.counts),
             miss_rate: misses.and_then(Misses::rate),
             values,
             transfers: self.transfers(),

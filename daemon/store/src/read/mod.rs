@@ -2,7 +2,6 @@
 //! all of their plans.
 
 pub(super) mod clocks;
-mod comparison;
 pub(super) mod episodes;
 pub(super) mod incidents;
 pub(super) mod iterations;

@@ -6,6 +6,7 @@ mod series;
 
 use std::collections::HashMap;
 
+use peernet_analysis::slowness::Medians;
 use peernet_logger::Name;
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
@@ -104,6 +105,11 @@ pub(crate) async fn histogram(
     let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
     Ok(Some(Histogram { stage: stage.into(), unit: known.unit, edges, counts, beyond, figures }))
+}
+
+/// Medians of the figures of a run.
+pub(super) fn medians(figures: &[(Name, Figures)]) -> Medians {
+    Medians(figures.iter().map(|(name, figures)| (name.clone(), figures.p50)).collect())
 }
 
 /// Figures of all names of a run, in the order of tables.
