@@ -78,30 +78,30 @@ describe("events on their way to the database", () => {
     await close();
   });
 
-  test("a run is kept and let go, and a reload does not change that", async () => {
+  test("a run is pinned and unpinned, and a reload does not change that", async () => {
     const { page, errors, close } = await open(browser, base, pages.run);
-    const keep = page.locator("#keep"), chip = page.locator("#kept");
-    const pressed = () => keep.getAttribute("aria-pressed");
+    const pin = page.locator("#pin"), chip = page.locator("#pinned");
+    const pressed = () => pin.getAttribute("aria-pressed");
     assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
-    await keep.focus();
+    await pin.focus();
     await page.keyboard.press("Enter");
     await chip.waitFor({ state: "visible" });
-    assert.deepEqual([await pressed(), await page.evaluate(() => document.activeElement.id)], ["true", "keep"]);
-    assert.equal((await keep.innerText()).trim(), "Kept");
+    assert.deepEqual([await pressed(), await page.evaluate(() => document.activeElement.id)], ["true", "pin"]);
+    assert.equal((await pin.innerText()).trim(), "Pinned");
     await page.reload();
     assert.deepEqual([await pressed(), await chip.isVisible()], ["true", true]);
     await page.goto("/runs");
-    assert.equal(await page.locator(`tr:has(a[href="${pages.run}"]) .chip`, { hasText: "kept" }).count(), 1);
+    assert.equal(await page.locator(`tr:has(a[href="${pages.run}"]) .chip`, { hasText: "pinned" }).count(), 1);
     await page.goto(pages.run);
-    await keep.click();
+    await pin.click();
     await chip.waitFor({ state: "hidden" });
     await page.reload();
     assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
     assert.deepEqual(errors, []);
 
     await page.route("**/pin", (route) => route.fulfill({ status: 503, contentType: "application/problem+json", body: JSON.stringify({ detail: "the disk is full" }) }));
-    await keep.click();
-    await page.locator("#keep-said", { hasText: "Not changed: the disk is full" }).waitFor();
+    await pin.click();
+    await page.locator("#pin-said", { hasText: "Not changed: the disk is full" }).waitFor();
     assert.deepEqual([await pressed(), await chip.isVisible()], ["false", false]);
     await close();
   });

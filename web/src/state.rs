@@ -4,7 +4,7 @@ use std::sync::{Arc, PoisonError};
 
 use peernet_aggregator::{Aggregator, LiveState};
 use peernet_clock::{LogThrottle, MonoTime, SharedClock, Span, WallTime};
-use peernet_store::{IncidentRow, Store, StoreError};
+use peernet_store::{IncidentFilter, IncidentRow, Store, StoreError};
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
@@ -100,7 +100,8 @@ impl AppState {
         {
             return Ok(Arc::clone(rows));
         }
-        let rows = Arc::new(Self::beside_live(self.store().incidents(Self::RECENT, None).await)?);
+        let rows =
+            Arc::new(Self::beside_live(self.store().incidents(&IncidentFilter::newest(Self::RECENT)).await)?);
         *cached = Some((now, Arc::clone(&rows)));
         Ok(rows)
     }

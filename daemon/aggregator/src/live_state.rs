@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::transfer::Transfers;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug};
 use peernet_stream::{
@@ -12,7 +13,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use peernet_store::{Bound, ClockPoint, Figures, Stored, Transfers};
+use peernet_store::{Bound, ClockPoint, Figures, Stored};
 
 /// Snapshot of all agents.
 #[derive(Clone, Debug, Serialize)]

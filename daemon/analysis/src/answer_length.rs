@@ -1,4 +1,6 @@
-//! How long answers are: which quantity is their length, and whether it varies.
+//! How long answers are: which quantity is their length, whether it varies, and how latency grows with it.
+
+use crate::fit::{Fit, Point, theil_sen};
 
 /// How long answers take.
 pub const LATENCY: &str = "inference";
@@ -28,9 +30,60 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= VARIED * shortest
 }
 
+/// Fewest iterations that a line is drawn through.
+const FEWEST: usize = 60;
+/// An interval that is wider than this share of a slope does not tell the slope.
+const TELLING: f64 = 0.5;
+
+/// Growth of latency with the length of answers: a line through single iterations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Growth {
+    /// The line, seconds over the unit of the length.
+    pub fit: Fit,
+    /// The 95 % interval of its slope.
+    pub interval: (f64, f64),
+}
+
+impl Growth {
+    /// Returns the line whose slope is the median of those of all pairs of iterations, given as length and latency: whatever the tail
+    /// of the latencies and the distribution of the lengths, late answers hardly move it. `None` where there are too few.
+    pub fn of(iterations: &[(f64, f64)]) -> Option<Self> {
+        (iterations.len() >= FEWEST).then_some(())?;
+        let points: Vec<Point> = iterations.iter().map(|(x, y)| Point { x: *x, y: *y }).collect();
+        let fit = theil_sen(&points)?;
+        Some(Self { interval: fit.slope.interval?, fit })
+    }
+
+    /// Returns whether zero lies outside the interval of the slope.
+    pub fn is_certain(&self) -> bool {
+        self.interval.0 > 0.0 || self.interval.1 < 0.0
+    }
+
+    /// Returns whether the interval is too wide for the slope to be told as one figure.
+    pub fn is_vague(&self) -> bool {
+        self.interval.1 - self.interval.0 > TELLING * self.fit.slope.value.abs()
+    }
+
+    /// Returns intercept and slope where the slope is certain.
+    pub fn line(&self) -> Option<(f64, f64)> {
+        self.is_certain().then_some((self.fit.intercept.value, self.fit.slope.value))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn growth_is_certain_only_where_latency_follows_length() {
+        let iterations = |slope: f64| -> Vec<(f64, f64)> {
+            (0..200).map(|n| (f64::from(n), 5.0 + slope * f64::from(n) + f64::from(n * 37 % 11))).collect()
+        };
+        let growing = Growth::of(&iterations(0.5)).expect("enough");
+        assert!(growing.is_certain() && !growing.is_vague() && (growing.fit.slope.value - 0.5).abs() < 0.02);
+        assert_eq!(Growth::of(&iterations(0.0)).expect("enough").line(), None);
+        assert_eq!(Growth::of(&iterations(0.5)[..59]), None, "too few");
+    }
 
     #[test]
     fn length_is_counted_in_tokens_of_answer_where_there_are_some() {

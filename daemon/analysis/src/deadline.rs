@@ -23,6 +23,11 @@ impl Misses {
         Self { missed: late.min(answered) + unanswered, of: answered + unanswered }
     }
 
+    /// Returns those of several runs together; `None` of none.
+    pub fn together(runs: impl IntoIterator<Item = Self>) -> Option<Self> {
+        runs.into_iter().reduce(|a, b| Self { missed: a.missed + b.missed, of: a.of + b.of })
+    }
+
     /// Counts rows; `None` where no row says whether a deadline was missed.
     pub fn of_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
         let mut has_deadline = false;
@@ -80,5 +85,12 @@ mod tests {
         let rows: Rows = (1..5).map(|at| row(at, Outcome::Timeout, None)).collect();
         assert_eq!(Misses::of_rows(&rows), None);
         assert_eq!(Misses::new(0, 0, 0).rate(), None);
+        assert_eq!(Misses::together([]), None);
+    }
+
+    #[test]
+    fn misses_of_several_runs_add_up() {
+        let runs = [Misses { missed: 1, of: 10 }, Misses { missed: 3, of: 30 }];
+        assert_eq!(Misses::together(runs), Some(Misses { missed: 4, of: 40 }));
     }
 }

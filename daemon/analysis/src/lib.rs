@@ -15,14 +15,17 @@ mod batches;
 pub mod calibration;
 pub mod compare;
 pub mod deadline;
+pub mod delays;
 mod error;
 pub mod figure_files;
 pub mod fit;
 pub mod loaded;
 pub mod order;
+pub mod outcomes;
 mod passage;
 pub mod record;
 pub mod rows;
+pub mod run_selection;
 mod run_trust_input;
 pub mod sensor_study;
 pub mod slowness;
@@ -30,6 +33,7 @@ pub mod summary;
 pub mod table;
 #[cfg(test)]
 mod testing;
+pub mod transfer;
 pub mod trust;
 pub mod users;
 

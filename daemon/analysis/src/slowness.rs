@@ -1,7 +1,12 @@
 //! What made an iteration slow, by comparison with the medians of its run.
 
-use peernet_logger::Name;
+use peernet_logger::{Name, stage};
 use serde::Serialize;
+
+use crate::rows::LATENESS;
+
+/// Stands for both directions of the network where they are only known together.
+pub const BOTH_WAYS: &str = "upload + download";
 
 /// Share of an iteration's excess that the causes explain together.
 const EXPLAINED: f64 = 0.8;
@@ -40,6 +45,82 @@ pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -
             is_needed
         })
         .collect()
+}
+
+/// Returns what both directions of the network take together: what a total has beyond the other stages and what is unattributed.
+pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f64) -> f64 {
+    (total - others.sum::<f64>() - unattributed).max(0.0)
+}
+
+/// Durations of an iteration and its parts, seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Times<'a> {
+    /// From the intended start to the end.
+    pub total: Option<f64>,
+    /// In the order of the stages.
+    pub stages: &'a [(Name, f64)],
+    /// From the intended start to the real one: a part of `unattributed`.
+    pub lateness: Option<f64>,
+    /// The part of the total that no stage accounts for.
+    pub unattributed: Option<f64>,
+    /// Both directions of the network, where they are only known together.
+    pub both_ways: Option<f64>,
+}
+
+/// Medians of a run's nodes by their names, seconds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Medians(pub Vec<(Name, f64)>);
+
+impl Medians {
+    fn median(&self, name: &str) -> Option<f64> {
+        self.0.iter().find(|(known, _)| known == name).map(|(_, median)| *median)
+    }
+
+    /// What `upload` and `download` take together: where neither is ever known, what the total's median holds beyond
+    /// the others'.
+    fn both_ways(&self) -> Option<f64> {
+        let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
+        let known: Vec<f64> = known.collect();
+        if !known.is_empty() {
+            return Some(known.iter().sum());
+        }
+        let others = stage::ORDER.into_iter().filter_map(|name| self.median(&name));
+        Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
+    }
+
+    /// Returns how many times the run's median a total is.
+    pub fn factor(&self, total: Option<f64>) -> Option<f64> {
+        let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
+        Some(total? / median)
+    }
+
+    /// Returns what made an iteration slow. What no stage accounts for is a candidate like any stage, split where a late start is
+    /// known of it; both directions of the network take the place of each where they are only known together.
+    pub fn causes(&self, times: &Times<'_>) -> Vec<Cause> {
+        let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
+        let late = Name::from_static(LATENESS);
+        let usually_late = self.median(&late).unwrap_or(0.0);
+        let cause = |name: &Name, value, median: Option<f64>| {
+            median.map(|median| Cause { name: name.clone(), value, median })
+        };
+        let is_part =
+            |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
+        let stages = times.stages.iter().filter(|(name, _)| is_part(name));
+        let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
+        let start = times.lateness.and_then(|value| cause(&late, value, Some(usually_late)));
+        let rest = times.unattributed.and_then(|value| {
+            let median = self.median(&stage::UNATTRIBUTED);
+            let on_time = |value: f64, late: f64| (value - late).max(0.0);
+            cause(
+                &stage::UNATTRIBUTED,
+                on_time(value, times.lateness.unwrap_or(0.0)),
+                median.map(|median| on_time(median, usually_late)),
+            )
+        });
+        let network =
+            times.both_ways.and_then(|value| cause(&Name::from_static(BOTH_WAYS), value, self.both_ways()));
+        causes(total, median, stages.chain(start).chain(rest).chain(network))
+    }
 }
 
 #[cfg(test)]
@@ -83,5 +164,43 @@ mod tests {
     fn faster_parts_are_no_causes() {
         let parts = [part("upload", 0.010, 0.011), part("inference", 0.012, 0.010)];
         assert_eq!(names(&causes(0.1, 0.02, parts)), ["inference"]);
+    }
+
+    fn medians(medians: &[(&'static str, f64)]) -> Medians {
+        Medians(medians.iter().map(|(name, median)| (Name::from_static(name), *median)).collect())
+    }
+
+    fn named(causes: &[Cause]) -> Vec<(&str, f64)> {
+        let milliseconds = |seconds: f64| (seconds * 1e3).round();
+        causes.iter().map(|cause| (cause.name.as_str(), milliseconds(cause.excess()))).collect()
+    }
+
+    #[test]
+    fn late_start_is_told_apart_from_rest_of_unattributed() {
+        let run =
+            medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
+        let stages = [(stage::INFERENCE, 0.231)];
+        let times = Times {
+            total: Some(0.4),
+            stages: &stages,
+            lateness: Some(0.124),
+            unattributed: Some(0.127),
+            both_ways: None,
+        };
+        assert_eq!(named(&run.causes(&times)), [("inference", 219.0), ("lateness", 122.0)]);
+    }
+
+    #[test]
+    fn both_directions_together_take_place_of_each() {
+        let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
+        let stages = [(stage::UPLOAD, 0.3)];
+        let times = Times {
+            total: Some(0.45),
+            stages: &stages,
+            lateness: None,
+            unattributed: Some(0.001),
+            both_ways: Some(0.38),
+        };
+        assert_eq!(named(&run.causes(&times)), [(BOTH_WAYS, 350.0)]);
     }
 }

@@ -30,11 +30,11 @@ mod storage_clock;
 mod stored;
 #[cfg(test)]
 mod tests;
-mod transfer;
 mod types;
 mod wall_clock;
 mod write;
 
+use peernet_analysis::trust::TrustInput;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
 use peernet_stream::Iteration;
@@ -47,12 +47,11 @@ pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
-pub use transfer::{Transfer, Transfers};
 pub use types::{
-    AggregatorIncidentKind, BOTH_WAYS, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary,
-    GapRow, Histogram, HostRow, IncidentRow, IterationDetail, IterationFilter, IterationRow, Judgement, Kept,
-    LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter, RunStatistics,
-    RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
+    AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
+    Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
+    Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter,
+    RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.
@@ -186,6 +185,11 @@ impl Store {
         read::pairs::pairs(&self.readers, run, names, most).await
     }
 
+    /// Everything by which a run is judged, its time series in at most 120 buckets.
+    pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
+        read::trust::trust_input(&self.readers, run).await
+    }
+
     /// One iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
         read::iterations::iteration(&self.readers, run, number).await
@@ -211,9 +215,9 @@ impl Store {
         read::whole::shapes(&self.readers, run, after).await
     }
 
-    /// Returns incidents, newest first; `before` is the id of the last incident of the previous page.
-    pub async fn incidents(&self, limit: u32, before: Option<i64>) -> Result<Vec<IncidentRow>, StoreError> {
-        read::incidents::incidents(&self.readers, limit, before).await
+    /// Incidents, newest first.
+    pub async fn incidents(&self, filter: &IncidentFilter) -> Result<Vec<IncidentRow>, StoreError> {
+        read::incidents::incidents(&self.readers, filter).await
     }
 
     /// Returns all hosts by name.

@@ -227,7 +227,7 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
-    /// Causes of its slowness, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`]. Empty if it took
+    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`](peernet_analysis::slowness::BOTH_WAYS). Empty where it took
     /// no longer than the run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
@@ -240,9 +240,6 @@ pub struct IterationRow {
     /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
 }
-
-/// Name for `upload` and `download` together, where the clocks cannot separate them.
-pub const BOTH_WAYS: &str = "upload + download";
 
 /// A one-way delay, seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -316,7 +313,27 @@ pub struct IterationDetail {
     pub run_figures: Vec<(Name, Figures)>,
 }
 
-/// An incident: something that happened besides the measurements.
+/// Which incidents to list, newest first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct IncidentFilter {
+    /// At most so many, 1 to 1,000.
+    pub limit: u32,
+    /// Only incidents before this one: the id of the last of the page before.
+    pub before: Option<i64>,
+    /// Only incidents of this kind.
+    pub kind: Option<String>,
+    /// Only incidents that the host of this name reported.
+    pub host: Option<String>,
+}
+
+impl IncidentFilter {
+    /// Returns the newest ones of all kinds and hosts.
+    pub const fn newest(limit: u32) -> Self {
+        Self { limit, before: None, kind: None, host: None }
+    }
+}
+
+/// Something that happened beside the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IncidentRow {
     /// Number in the order of arrival, for paging.

@@ -99,19 +99,19 @@
     }
   }
 
-  // --- a run that is kept: pressed, and said beside its name
-  async function keep(button) {
+  // --- a run that is pinned: pressed, and said beside its name
+  async function pin(button) {
     if (button.ariaBusy === "true") return;
-    const on = button.getAttribute("aria-pressed") !== "true", said = find("#keep-said");
+    const on = button.getAttribute("aria-pressed") !== "true", said = find("#pin-said");
     button.ariaBusy = "true";
     said.textContent = "";
     try {
       const answer = await fetch(button.dataset.pin, { method: on ? "PUT" : "DELETE" });
       if (!answer.ok) throw new Error((await answer.json()).detail);
       button.setAttribute("aria-pressed", String(on));
-      button.querySelector("span").textContent = on ? "Kept" : "Keep";
-      button.title = on ? "Let go" : "Keep (pin): nothing of this run is deleted by age";
-      find("#kept").hidden = !on;
+      button.querySelector("span").textContent = on ? "Pinned" : "Pin";
+      button.title = on ? "Unpin" : "Pin: nothing of this run is deleted by age";
+      find("#pinned").hidden = !on;
     } catch (error) {
       said.textContent = `Not changed: ${error.message}`;
     } finally {
@@ -138,7 +138,7 @@
     else if (at("#menu")) toggleMenu();
     else if (at("#keys")) find("#keyhelp").showModal();
     else if (at("#pause")) tell("peer-toggle-pause");
-    else if ((hit = at("#keep"))) keep(hit);
+    else if ((hit = at("#pin"))) pin(hit);
     else if ((hit = at("[data-copy]"))) copy(hit);
     else if ((hit = at("[data-shows]"))) choose(hit);
     else if ((hit = at("[data-flips]"))) flip(hit);

@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use peernet_store::IncidentRow;
+use peernet_store::{IncidentFilter, IncidentRow};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
@@ -28,6 +28,10 @@ struct Query {
     limit: Option<String>,
     /// Only incidents before this id: `next` of the page before.
     before: Option<i64>,
+    /// Only incidents of this kind.
+    kind: Option<String>,
+    /// Only incidents that the host of this name reported.
+    host: Option<String>,
 }
 
 /// Incidents, newest first.
@@ -40,7 +44,8 @@ async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<IncidentList>, WebError> {
     let limit = bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
-    let rows = app.store().incidents(limit, query.before).await?;
+    let Query { before, kind, host, .. } = query;
+    let rows = app.store().incidents(&IncidentFilter { limit, before, kind, host }).await?;
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.id);
     Ok(Json(IncidentList { incidents: rows.iter().map(Incident::from).collect(), next }))
 }

@@ -13,7 +13,6 @@ use super::schema::word;
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::App;
-use crate::view::trust;
 
 /// The operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -32,8 +31,7 @@ async fn get(
     let number = path(number)?;
     let store = app.store();
     let run = store.run(number).await?.ok_or_else(|| WebError::no_run(number))?;
-    let (known, courses) = tokio::try_join!(store.statistics_of(number), trust::courses(store, number))?;
-    Ok(Json(Trust::from(&trust::report(&run, &known, &courses))))
+    Ok(Json(Trust::from(&Report::of(&store.trust_input(&run).await?))))
 }
 
 /// The answer to "can I publish this run?".

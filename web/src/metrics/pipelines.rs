@@ -1,8 +1,8 @@
 //! Of pipelines.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
+use peernet_analysis::transfer::Transfer;
 use peernet_logger::stage;
-use peernet_store::Transfer;
 use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;

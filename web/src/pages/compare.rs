@@ -19,9 +19,9 @@ use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
     Address, Axes, BoxRow, Changed, Comparison, Configuration, Differences, Distributions, LeftOut, Lengths,
-    MOST_RUNS, OverTime, Pair, RunMeans, Setting, StackRow, StageDifference, Table, Throughput, UsersRow,
-    Which, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths, over_time, pairs,
-    payload, run_courses, run_means, stacks, throughput, title, unknown_labels, users,
+    MOST_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting, StackRow, StageDifference, Table, Throughput,
+    UsersRow, Which, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths, over_time,
+    pairs, pairwise, payload, run_courses, run_means, stacks, throughput, title, unknown_labels, users,
 };
 use crate::view::counted;
 
@@ -100,6 +100,8 @@ struct Baseline {
 struct OtherRow {
     name: String,
     total: Option<Changed>,
+    /// Iterations against those of the baseline.
+    pairs: Option<PairwiseRow>,
     stages: Vec<Changed>,
 }
 
@@ -197,20 +199,24 @@ impl Baseline {
         let choice = |(place, one): (usize, &Configuration)| {
             Some((one.name.clone(), one.runs.first()?.number, place == differences.baseline))
         };
-        let other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
+        let mut pairs = pairwise(comparison, differences).into_iter();
+        let mut other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
             name: all[*place].name.clone(),
             total: differences.total(*place).map(Changed::of),
+            pairs: pairs.next().flatten(),
             stages: Changed::of_stages(stages),
         };
         let is_known = |stages: &[StageDifference]| stages.iter().any(|stage| stage.found.is_some());
-        let others = differences.others.iter().filter(|(_, stages)| is_known(stages));
+        let others = differences.others.iter();
         let found = others.clone().flat_map(|(_, stages)| stages.iter().filter_map(|stage| stage.found));
+        let rows = others.clone().map(|one| (is_known(&one.1), other(one))).filter(|(is_known, _)| *is_known);
+        let rows: Vec<OtherRow> = rows.map(|(_, row)| row).collect();
         Self {
             name: all.get(differences.baseline).map_or_else(String::new, |one| one.name.clone()),
             choices: all.iter().enumerate().filter_map(choice).collect(),
             address: Address::of(comparison),
             is_too_short: found.into_iter().any(|found| found.interval.is_none()),
-            others: others.map(other).collect(),
+            others: rows,
         }
     }
 }

@@ -4,6 +4,8 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
+use peernet_store::{AggregatorIncidentKind, IncidentFilter};
+use peernet_stream::IncidentKind;
 use serde::Deserialize;
 
 use super::kind::{NavigationEntry, PageKind};
@@ -20,15 +22,33 @@ pub(super) const PAGE: PageKind = PageKind {
     topic: None,
 };
 
+/// Kinds of incidents of hosts and of the aggregator.
+const KINDS: [&str; 10] = [
+    IncidentKind::Disconnected.name(),
+    IncidentKind::Connected.name(),
+    IncidentKind::Refused.name(),
+    IncidentKind::ModelLoaded.name(),
+    IncidentKind::ClockStep.name(),
+    IncidentKind::Gap.name(),
+    IncidentKind::PipelineFailed.name(),
+    IncidentKind::Control.name(),
+    AggregatorIncidentKind::Retention.name(),
+    AggregatorIncidentKind::Storage.name(),
+];
+
 /// Incidents per page.
 const ROWS: u32 = 100;
 
 /// What the address may ask for.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
     /// Only incidents before this id.
     before: Option<i64>,
+    /// Only incidents of this kind; empty for all.
+    kind: Option<String>,
+    /// Only incidents that the host of this name reported; empty for all.
+    host: Option<String>,
 }
 
 #[derive(Template)]
@@ -40,22 +60,36 @@ struct Incidents {
     /// Whether any of them belongs to a run.
     runs: bool,
     older: Option<i64>,
+    /// What may be chosen, and whether it is.
+    kinds: Vec<(&'static str, bool)>,
+    hosts: Vec<(String, bool)>,
+    filter: IncidentFilter,
 }
 
 /// `GET /incidents`.
 async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
-    let mut rows = app.store().incidents(ROWS + 1, query.before).await?;
+    let chosen = |value: Option<String>| value.filter(|value| !value.is_empty());
+    let Query { before, kind, host } = query;
+    let filter = IncidentFilter { limit: ROWS + 1, before, kind: chosen(kind), host: chosen(host) };
+    let (mut rows, hosts) = tokio::try_join!(app.store().incidents(&filter), app.store().hosts())?;
+    let is_filtered = filter.kind.is_some() || filter.host.is_some();
     let more = rows.len() > ROWS as usize;
     rows.truncate(ROWS as usize);
     page(&Incidents {
         shell: Shell::new(&app, &app.picture(), "/incidents", "Incidents"),
-        title: if rows.is_empty() {
-            "Nothing out of the ordinary has happened"
-        } else {
-            "What happened beside the measurements"
+        title: match (rows.is_empty(), is_filtered) {
+            (true, true) => "No such incident is stored",
+            (true, false) => "Nothing out of the ordinary has happened",
+            (false, _) => "What happened beside the measurements",
         },
+        kinds: KINDS.map(|kind| (kind, filter.kind.as_deref() == Some(kind))).to_vec(),
+        hosts: hosts
+            .iter()
+            .map(|host| (host.name.to_string(), filter.host.as_deref() == Some(host.name.as_str())))
+            .collect(),
         older: rows.last().filter(|_| more).map(|last| last.id),
         runs: rows.iter().any(|row| row.run.is_some()),
         lines: IncidentLine::all(&rows, app.zone),
+        filter,
     })
 }

@@ -7,7 +7,7 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::LiveState;
 use peernet_clock::Span;
-use peernet_store::IncidentRow;
+use peernet_store::{IncidentFilter, IncidentRow};
 use serde::Deserialize;
 
 use super::kind::{LiveTopic, PageKind};
@@ -153,7 +153,7 @@ async fn show(
 ) -> Page {
     let wanted = canonical(path(link)?);
     let picture = app.picture();
-    let incidents = AppState::beside_live(app.store().incidents(INCIDENTS, None).await)?;
+    let incidents = AppState::beside_live(app.store().incidents(&IncidentFilter::newest(INCIDENTS)).await)?;
     if let Some(link) = find(&picture, &wanted) {
         let subject = Subject::live(link);
         let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());

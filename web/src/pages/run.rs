@@ -29,7 +29,7 @@ use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
 use crate::view::trust::Trust;
-use crate::view::{accuracy, link, place, rehearsal, runs, trust};
+use crate::view::{accuracy, link, place, rehearsal, runs};
 use crate::zone::Zone;
 
 /// This page.
@@ -145,14 +145,14 @@ async fn show(
     let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
     let without_answer = IterationFilter { after: 0, limit: UNANSWERED, unsuccessful: true };
-    let (known, histogram, series, slowest, unanswered, episodes, courses) = tokio::try_join!(
+    let (known, histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &wanted, BINS),
         store.series(number, &names, POINTS),
         store.slowest(number, OUTLIERS),
         store.iterations(number, &without_answer),
         store.episodes(number),
-        trust::courses(store, number),
+        store.trust_input(&run),
     )?;
     let plot = histogram.map(|histogram| {
         HistogramPlot::new(&histogram, look::class(&wanted), query.view, query.scale == CountScale::Log)
@@ -166,7 +166,7 @@ async fn show(
         unanswered: &unanswered,
         episodes: &episodes,
     };
-    let report = trust::report(&run, &known, &courses);
+    let report = Report::of(&trust);
     page(&assemble(&app, &stored, distribution, &report)?)
 }
 
@@ -279,7 +279,7 @@ fn assemble(
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
         missed: missed(summary),
-        skipped: skipped(&trust::starts(summary)),
+        skipped: skipped(&summary.starts()),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.whole("big"),

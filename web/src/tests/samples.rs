@@ -6,13 +6,12 @@ use peernet_aggregator::{
     Aggregator, AggregatorConfig, Arrivals, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint,
     PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, Totals, Window,
 };
+use peernet_analysis::transfer::Transfers;
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
 };
 use peernet_logger::{Anchor, HostId, Name, Slug, Tree, stage};
-use peernet_store::{
-    Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored, Transfers,
-};
+use peernet_store::{Bound, ClockPoint, Figures, IncidentRow, IterationDetail, IterationRow, Stored};
 use peernet_stream::{
     Accounting, ClockSample, Connection, ConnectionStatistics, DelayPoint, DelaySecond, DirectionStatistics,
     Hardware, HostClock, HostDescription, HostMetrics, LinkLive, NetworkInterface, NetworkName,

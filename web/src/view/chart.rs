@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
+use peernet_analysis::transfer::Transfer;
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, stage_ms};
-use peernet_store::{IncidentRow, Transfer};
+use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
 use serde::Serialize;
 

@@ -75,15 +75,3 @@ impl From<Chip> for Sign {
         Self { chip }
     }
 }
-
-/// How bad a verdict is: of several, the worst one is shown.
-pub(crate) const fn severity(verdict: Verdict) -> u8 {
-    match verdict {
-        Verdict::Ok => 0,
-        Verdict::Limited => 1,
-        Verdict::Stale => 2,
-        Verdict::Stepped => 3,
-        Verdict::Inconsistent => 4,
-        Verdict::Unsynchronised => 5,
-    }
-}

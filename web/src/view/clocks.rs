@@ -1,11 +1,12 @@
 //! How well one-way delays are known, in a cell of a table.
 
+use peernet_analysis::delays::{prevailing, severity};
 use peernet_clock::Verdict;
 use peernet_statistics::number::bound_ms;
 use peernet_store::Bound;
 use peernet_stream::PlacementKind;
 
-use super::chip::{Chip, severity};
+use super::chip::Chip;
 
 /// The clock bound of a pipeline or run.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,16 +21,9 @@ pub(crate) struct ClockCell {
     pub title: &'static str,
 }
 
-/// The verdict that most of one direction's delays deserve: any that is worse than `ok` in a twentieth of them.
+/// The verdict on the delays of one direction.
 pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
     prevailing(&bound.verdicts)
-}
-
-/// The same of verdicts with how many delays deserve them.
-pub(crate) fn prevailing(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
-    let total: u64 = verdicts.iter().map(|(_, count)| count).sum();
-    let frequent = verdicts.iter().filter(|(_, count)| *count > 0 && count * 20 >= total);
-    frequent.map(|(verdict, _)| *verdict).max_by_key(|verdict| severity(*verdict))
 }
 
 /// What a verdict means and what to make of it, in a sentence for people who meet it for the first time.

@@ -29,6 +29,8 @@ pub(crate) struct NowTable {
     pub rows: Vec<NowRow>,
     /// The stages that any of the rows has: columns of the table view.
     pub columns: Vec<&'static str>,
+    /// Whether a pipeline has a deadline.
+    pub has_deadlines: bool,
 }
 
 /// One pipeline.
@@ -45,6 +47,8 @@ pub(crate) struct NowRow {
     pub p99: Cell,
     pub rate: String,
     pub lost: Cell,
+    /// The miss rate, percent.
+    pub missed: Cell,
     pub up: Cell,
     pub down: Cell,
     pub traffic: Cell,
@@ -139,6 +143,7 @@ impl NowTable {
             small_axis: Axis::milliseconds(&scale, "small"),
             rows: rows.collect(),
             columns,
+            has_deadlines: windows.iter().any(|(_, window)| window.miss_rate.is_some()),
         }
     }
 }
@@ -178,6 +183,9 @@ impl NowRow {
             lost: window
                 .lost_fraction
                 .map_or_else(|| Cell::none("no iteration in this time"), |lost| Cell::new(percent(lost))),
+            missed: window
+                .miss_rate
+                .map_or_else(|| Cell::none("no deadline"), |missed| Cell::new(percent(missed))),
             up: speed::cell(pipeline.placement.kind, window, Way::Up),
             down: speed::cell(pipeline.placement.kind, window, Way::Down),
             traffic: speed::traffic(pipeline.placement.kind, window),

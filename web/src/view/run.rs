@@ -3,12 +3,13 @@
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
+use peernet_analysis::transfer::Transfer;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::stage;
 use peernet_statistics::number::{
     NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
 };
-use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics, Transfer};
+use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
 use super::clocks;

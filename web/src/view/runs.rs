@@ -1,6 +1,7 @@
 //! Runs in a list.
 
 use peernet_aggregator::LiveState;
+use peernet_analysis::outcomes::unanswered_share;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
@@ -13,7 +14,7 @@ use crate::error::WebError;
 use crate::zone::{Moment, Zone};
 
 /// The chip of a run of which retention deletes nothing.
-pub(crate) const KEPT: Chip = Chip::new(Tone::Quiet, "pin", "kept");
+pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 
 /// What is known of a run's end.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,7 +74,7 @@ pub(crate) struct RunLine {
     pub p95: String,
     pub p99: String,
     pub rehearsal: Option<Chip>,
-    pub kept: Option<Chip>,
+    pub pinned: Option<Chip>,
     pub experiment: Option<Labels>,
 }
 
@@ -147,8 +148,7 @@ pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
 
 /// Share of iterations without an answer.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
-    let counts = &run.counts;
-    (counts.total() > 0).then(|| (counts.total() - counts.ok) as f64 / counts.total() as f64)
+    unanswered_share(&run.counts)
 }
 
 /// When the run ended, or how far it is known to have come.
@@ -174,7 +174,7 @@ impl RunLine {
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
             rehearsal: run.rehearsed.then_some(rehearsal::CHIP),
-            kept: run.pinned.then_some(KEPT),
+            pinned: run.pinned.then_some(PINNED),
             experiment: run.experiment.as_ref().map(Labels::of),
         }
     }

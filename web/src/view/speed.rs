@@ -5,9 +5,10 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
+use peernet_analysis::delays::prevailing;
+use peernet_analysis::transfer::{Transfer, Transfers, speed_between};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
-use peernet_store::{Transfer, Transfers};
 use peernet_stream::PlacementKind;
 
 use super::clocks;
@@ -56,7 +57,7 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: Way) -> Option<&'stat
         (*verdict, of_way.map(|(.., count)| count).sum())
     };
     let verdicts: Vec<(Verdict, u64)> = Verdict::ALL.iter().map(given).collect();
-    told(clocks::prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
+    told(prevailing(&verdicts), minute().map(|second| second.counts.ok).sum())
 }
 
 fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
@@ -109,15 +110,10 @@ pub(crate) fn carried(window: &Window, way: Way) -> Option<f64> {
     way.of(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// The throughputs that follow from the ends of a delay's interval: without an upper one where the delay may be nothing.
-pub(crate) fn ends(rate: f64, delay: f64, half: f64) -> (f64, Option<f64>) {
-    (rate * delay / (delay + half), (half < delay).then(|| rate * delay / (delay - half)))
-}
-
 /// The throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
-    Some(throughput_between(ends(rate, delay, half)))
+    Some(throughput_between(speed_between(rate, delay, half)))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Means of stages that add up to the mean of the total.
 
 use peernet_aggregator::Window;
+use peernet_analysis::slowness;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, figure};
 use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
@@ -136,7 +137,7 @@ pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<
 }
 
 /// A stage that not every iteration had counts with its share, so that the sum of all stays exact.
-fn shared((count, mean): (u64, f64), of: u64) -> f64 {
+pub(super) fn shared((count, mean): (u64, f64), of: u64) -> f64 {
     mean * count as f64 / of.max(1) as f64
 }
 
@@ -147,9 +148,9 @@ fn both_ways(of: impl Fn(&str) -> Option<(u64, f64)>, sent: bool) -> Option<f64>
     if !sent || of(&stage::UPLOAD).is_some() || of(&stage::DOWNLOAD).is_some() {
         return None;
     }
-    let known: f64 =
-        stage::ORDER.into_iter().filter_map(|name| of(&name)).map(|known| shared(known, count)).sum();
-    Some(total - known - of(&stage::UNATTRIBUTED)?.1).filter(|network| *network > 0.0)
+    let known = stage::ORDER.into_iter().filter_map(|name| of(&name)).map(|known| shared(known, count));
+    let network = slowness::both_ways(total, known, of(&stage::UNATTRIBUTED)?.1);
+    Some(network).filter(|network| *network > 0.0)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, count, duration, percent, times};
 
 use super::chip::{Chip, Tone};
+use super::stack::shared;
 use crate::config::WarnConfig;
 use crate::look::LATENESS;
 
@@ -68,7 +69,7 @@ fn share(minute: &Window, seconds: f64) -> Option<f64> {
 /// Mean per successful iteration; of a name that not all of them have, its share.
 fn mean(minute: &Window, name: &str) -> f64 {
     let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
-    minute.value(name).map_or(0.0, |known| known.mean * known.count as f64 / total.count.max(1) as f64)
+    minute.value(name).map_or(0.0, |known| shared((known.count, known.mean), total.count))
 }
 
 fn unattributed(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {

@@ -267,9 +267,9 @@ async fn a_run_that_was_interrupted_and_done_again_counts_once() {
     let configurations = compared["configurations"].as_array().expect("configurations");
     assert_eq!(configurations.len(), 1, "{compared}");
     assert_eq!(configurations[0]["runs"], serde_json::json!([first + 1]), "{compared}");
-    assert_eq!(compared["left_out"], serde_json::json!([{ "run": first, "why": "stopped" }]));
+    assert_eq!(compared["left_out"], serde_json::json!([{ "run": first, "why": "interrupted" }]));
     let page = bed.get(&format!("/compare?experiment={id}")).await;
-    let expected = format!("<a href=\"/runs/{first}\">#{first}</a> (stopped)</span>");
+    let expected = format!("<a href=\"/runs/{first}\">#{first}</a> (interrupted)</span>");
     assert!(page.text().contains(&expected), "{}", page.text());
     assert!(page.text().contains("<span>1 run</span>"), "{}", page.text());
 
@@ -277,6 +277,8 @@ async fn a_run_that_was_interrupted_and_done_again_counts_once() {
     let named = bed.get(&format!("/api/v1/compare?runs={first},{}", first + 1)).await.json();
     assert_eq!(named["configurations"].as_array().map(Vec::len), Some(2), "{named}");
     assert_eq!(named["left_out"], serde_json::json!([]));
+    let remark = format!("Named, and so compared, though not measured to the end: #{first} (interrupted).");
+    assert_eq!(named["doubts"], serde_json::json!([remark]));
 
     factory.store_attempts(50, &["stopped"]).await;
     let listed = bed.get("/api/v1/experiments").await.json();

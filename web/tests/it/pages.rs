@@ -32,6 +32,8 @@ async fn every_page_is_there_and_complete_without_a_script() {
         ("/hosts/cam-1", "In the database"),
         ("/hosts/cam-2", "within ±2.1\u{202f}ms of true time"),
         ("/incidents", "stepped by +18.2 ms"),
+        ("/incidents?kind=clock-step&host=", "stepped by +18.2 ms"),
+        ("/incidents?kind=control&host=nobody", "No incident of this kind and host is stored"),
     ];
     for (path, text) in pages {
         let answer = bed.get(path).await;

@@ -124,13 +124,13 @@ async fn pin(bed: &Bed, method: Method, run: &str, site: Option<&str>) -> Answer
 }
 
 #[tokio::test]
-async fn a_run_is_kept_and_let_go() {
+async fn pinned_run_is_marked_until_it_is_unpinned() {
     let (bed, _factory) = Bed::with(vec![Line::local()]).await;
-    let kept = async || bed.get("/api/v1/runs/1").await.json()["pinned"].clone();
-    assert_eq!(kept().await, json!(false));
+    let pinned = async || bed.get("/api/v1/runs/1").await.json()["pinned"].clone();
+    assert_eq!(pinned().await, json!(false));
     let page = bed.get("/runs/1").await;
     assert!(
-        page.text().contains("id=\"kept\" hidden")
+        page.text().contains("id=\"pinned\" hidden")
             && page.text().contains("aria-pressed=\"false\" data-pin=\"/api/v1/runs/1/pin\""),
         "{}",
         page.text()
@@ -139,19 +139,20 @@ async fn a_run_is_kept_and_let_go() {
     for _ in 0..2 {
         let answer = pin(&bed, Method::PUT, "1", Some("same-origin")).await;
         assert_eq!((answer.status, answer.text()), (StatusCode::NO_CONTENT, ""));
-        assert_eq!(kept().await, json!(true));
+        assert_eq!(pinned().await, json!(true));
     }
     let page = bed.get("/runs/1").await;
     assert!(
-        page.text().contains("<span id=\"kept\">") && page.text().contains("aria-pressed=\"true\" data-pin"),
+        page.text().contains("<span id=\"pinned\">")
+            && page.text().contains("aria-pressed=\"true\" data-pin"),
         "{}",
         page.text()
     );
-    assert!(bed.get("/runs").await.text().contains("#i-pin\"/></svg>kept"));
+    assert!(bed.get("/runs").await.text().contains("#i-pin\"/></svg>pinned"));
 
     assert_eq!(pin(&bed, Method::DELETE, "1", None).await.status, StatusCode::NO_CONTENT);
-    assert_eq!(kept().await, json!(false));
-    assert!(!bed.get("/runs").await.text().contains("#i-pin\"/></svg>kept"));
+    assert_eq!(pinned().await, json!(false));
+    assert!(!bed.get("/runs").await.text().contains("#i-pin\"/></svg>pinned"));
 }
 
 #[tokio::test]

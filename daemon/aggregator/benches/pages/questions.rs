@@ -4,7 +4,7 @@ use std::future::Future;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{Name, stage};
-use peernet_store::{IterationFilter, RunFilter, Store, StoreError};
+use peernet_store::{IncidentFilter, IterationFilter, RunFilter, Store, StoreError};
 
 /// Number of measurements per query.
 const TIMES: usize = 20;
@@ -61,6 +61,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
     let later_lost = page(last / 2, true);
     let unanswered = IterationFilter { limit: UNANSWERED, ..page(0, true) };
     let all = RunFilter::default();
+    let incidents = IncidentFilter::newest(100);
     let of_host = RunFilter {
         host: Some(host),
         pipeline: Some("line".parse().expect("a name")),
@@ -141,7 +142,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         time("hosts", clock, || store.hosts()).await,
         time("runs", clock, || store.runs(&all)).await,
         time("runs of a pipeline", clock, || store.runs(&of_host)).await,
-        time("incidents", clock, || store.incidents(100, None)).await,
+        time("incidents", clock, || store.incidents(&incidents)).await,
         time("links", clock, || store.links()).await,
         time("a link's hour", clock, || {
             store.clock_series(key, end - Span::from_seconds(3_600), end, CLOCK_POINTS)

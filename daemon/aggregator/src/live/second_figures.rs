@@ -1,6 +1,8 @@
 //! The figures of one second of one pipeline, and their merge into windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
+use peernet_analysis::outcomes::unanswered_share;
+use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
@@ -8,7 +10,7 @@ use peernet_stream::{OutcomeCounts, Second};
 
 use super::MOST_NAMES;
 use crate::live_state::{LiveSecond, Window};
-use peernet_store::{Bound, Figures, Transfers, rank};
+use peernet_store::{Bound, Figures, rank};
 
 /// Figures of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
@@ -82,7 +84,7 @@ impl SecondFigures {
             covered_s,
             counts: self.counts,
             rate_hz: total as f64 / covered_s,
-            lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
+            lost_fraction: unanswered_share(&self.counts),
             miss_rate: misses.and_then(Misses::rate),
             values,
             transfers: self.transfers(),

@@ -47,6 +47,13 @@ impl Accuracy {
         ACCURACIES.into_iter().filter_map(of).collect()
     }
 
+    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of so many answered iterations; `None` without a score,
+    /// and where the mean is none of such scores.
+    pub fn of_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
+        (0.0..=1.0).contains(&mean).then_some(())?;
+        Self::of_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
+    }
+
     /// So many right answers of so many; `None` of none.
     pub fn of_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
         (count > 0).then(|| {
@@ -117,6 +124,13 @@ mod tests {
         }
         assert_eq!(wilson(1.0, 20).1, 1.0);
         assert_eq!(Accuracy::of_counts(0, 0, 3), None);
+    }
+
+    #[test]
+    fn mean_of_scores_tells_what_scores_tell() {
+        let found = Accuracy::of_mean(81.0 / 263.0, 263, 300).expect("a share");
+        assert_eq!(Some(found), Accuracy::of_counts(81, 263, 37));
+        assert_eq!(Accuracy::of_mean(7.0, 263, 263), None, "no score is 7");
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod difference;
 mod differences;
 mod doubts;
 mod median_bootstrap;
+mod pairwise;
 mod ranking;
 mod render;
 #[cfg(test)]
@@ -26,6 +27,7 @@ pub use configuration::Configurations;
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use doubts::skipped_starts;
+pub use pairwise::PairwiseDifference;
 pub use ranking::{Ranking, computes};
 
 use peernet_statistics::{Moments, Summary};

@@ -12,9 +12,11 @@
 //!   its intervals ask nothing of the distribution but that deviations from the line are alike.
 
 mod least_squares;
+mod means;
 mod theil_sen;
 
 pub use least_squares::{Weighted, least_squares};
+pub use means::{FEWEST_SIZES, MeanAtSize, distinct_sizes, line_through_means};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 

@@ -8,7 +8,7 @@ use anyhow::anyhow;
 use peernet_analysis::loaded::Loaded;
 use peernet_results::{FolderError, ResultFolder};
 
-use super::copies::Copies;
+use super::excluded::Excluded;
 use super::experiment::Experiments;
 use super::order::as_declared;
 use super::undone::Chosen;
@@ -24,7 +24,7 @@ pub(crate) struct Collected {
 }
 
 /// Reads the columns that are wanted of all results in the places, in their order; the runs of an experiment in that of its
-/// file. Those that are not done are left out, unless they are named themselves, and so are copies. A baseline comes first
+/// file. Those that do not count are left out. A baseline comes first
 /// unless all its runs are among them.
 ///
 /// # Errors
@@ -55,13 +55,14 @@ pub(crate) fn collect(
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    let copies = Copies::among(&runs, &of_baseline, &experiments);
+    let named: Vec<&Path> = places.iter().map(PathBuf::as_path).chain(baseline).collect();
+    let excluded = Excluded::among(&runs, &of_baseline, &named, &experiments);
     let unknown = experiments.unknown(paths.iter().map(PathBuf::as_path));
-    for told in unknown.into_iter().chain(copies.told(&runs)) {
+    for told in unknown.into_iter().chain(excluded.told(&runs)) {
         complain(&told);
         left_out.push(sentence(&told));
     }
-    let is_kept = |at: usize| !copies.has(at);
+    let is_kept = |at: usize| !excluded.has(at);
     let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
     kept.filter_map(|(_, run)| doubt(run, &experiments)).for_each(complain);
     let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
@@ -94,10 +95,10 @@ fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
             kept.display()
         ));
     }
-    match experiments.run(&run.folder).filter(|run| !run.is_done()) {
+    match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {
         Some(of) => Some(format!(
             "{folder} is of a run that is not done, {}: no table or figure of its experiment has it; {} does it",
-            of.fate(),
+            of.state(),
             of.experiment.remedy()
         )),
         None => Some(format!("{folder} is not whole: {}", run.lacking()?)),

@@ -5,6 +5,7 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use crate::small_file;
+use peernet_analysis::run_selection::RunState;
 use peernet_sample::printable_line;
 use peernet_statistics::number::counted;
 use serde::Deserialize;
@@ -142,19 +143,10 @@ impl RunOf<'_> {
         self.home.join(RUNS).join(&self.run.folder)
     }
 
-    pub(super) fn is_done(&self) -> bool {
-        self.state.stage.is_done()
-    }
-
-    /// What became of it, and why it failed.
-    pub(super) fn fate(&self) -> String {
+    /// How far it came.
+    pub(super) fn state(&self) -> RunState {
         let State { stage, reason } = self.state;
-        let why = reason.as_deref().filter(|_| *stage == Stage::Failed);
-        format!(
-            "{}{}",
-            stage.left_as(),
-            why.map_or_else(String::new, |why| format!(" ({})", printable_line(why)))
-        )
+        stage.state(reason.as_deref().map(printable_line).as_deref())
     }
 }
 

@@ -1,7 +1,7 @@
 //! `peernet compare`: runs side by side, as the paper's table.
 
 mod collect;
-mod copies;
+mod excluded;
 mod experiment;
 mod order;
 mod undone;

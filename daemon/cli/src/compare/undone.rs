@@ -32,9 +32,9 @@ impl Chosen {
         for (place, path) in
             found.iter().flat_map(|(place, paths)| paths.iter().map(move |path| (place, path)))
         {
-            if let Some(run) = experiments.run(path).filter(|run| !is_within(place, &run.folder())) {
+            if let Some(run) = experiments.run(path).filter(|_| !is_named(place, path, experiments)) {
                 searched.entry(run.home).or_insert((place, run.experiment));
-                if !run.is_done() {
+                if !run.state().is_finished() {
                     continue;
                 }
             }
@@ -56,9 +56,13 @@ impl Chosen {
     }
 }
 
-/// Whether a place is a folder or lies in it, which is given in full.
-fn is_within(place: &Path, folder: &Path) -> bool {
-    place.canonicalize().is_ok_and(|place| place.starts_with(folder))
+/// Whether a place that a user typed is that of a run: the folder of its results, or one in the run's own folder.
+pub(super) fn is_named(place: &Path, results: &Path, experiments: &Experiments) -> bool {
+    let is_within = |folder: &Path| place.canonicalize().is_ok_and(|place| place.starts_with(folder));
+    match experiments.run(results) {
+        Some(run) => is_within(&run.folder()),
+        None => results.canonicalize().is_ok_and(|results| is_within(&results)),
+    }
 }
 
 /// An experiment's folder, which is given in full, as far as possible by the place in which it was found.
@@ -191,8 +195,8 @@ mod tests {
         assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
         assert!(told.remark.contains("; `peernet run e.toml` again"), "{told:?}");
         let failed = experiments.run(&home.join("runs/002-a/user-1"));
-        assert_eq!(failed.map(|run| run.fate()), None, "there is no such folder");
+        assert!(failed.is_none(), "there is no such folder");
         let failed = experiments.run(&home.join("runs/002-a")).expect("it is one of its runs");
-        assert_eq!(failed.fate(), "failed (the agent ended)");
+        assert_eq!(failed.state().to_string(), "failed (the agent ended)");
     }
 }

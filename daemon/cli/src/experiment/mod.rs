@@ -4,6 +4,7 @@ mod undone;
 
 pub(crate) use undone::left_out;
 
+use peernet_analysis::run_selection::RunState;
 use serde::{Deserialize, Serialize};
 
 /// The form that this program writes.
@@ -34,17 +35,19 @@ pub(crate) enum Stage {
 }
 
 impl Stage {
-    /// Whether its results count, in tables and figures, and nobody does it again.
-    pub(crate) const fn is_done(self) -> bool {
-        matches!(self, Self::Finished)
+    /// What decides whether its results count, in tables and figures, and nobody does it again.
+    pub(crate) fn state(self, reason: Option<&str>) -> RunState {
+        match self {
+            Self::Pending => RunState::Pending,
+            Self::Running => RunState::Open,
+            Self::Finished => RunState::Finished,
+            Self::Failed => RunState::Failed(reason.map(str::to_owned)),
+            Self::Interrupted => RunState::Interrupted,
+        }
     }
 
-    /// As people read it who do not know whether the experiment is under way.
-    pub(crate) const fn left_as(self) -> &'static str {
-        match self {
-            Self::Running => "under way or killed",
-            other => other.name(),
-        }
+    pub(crate) fn is_done(self) -> bool {
+        self.state(None).is_finished()
     }
 
     /// As people read it.

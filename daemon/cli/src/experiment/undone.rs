@@ -13,7 +13,7 @@ pub(crate) fn left_out<'a>(
     let mut undone: Vec<String> = runs
         .into_iter()
         .filter(|(_, stage)| !stage.is_done())
-        .map(|(folder, stage)| format!("{folder} ({})", stage.left_as()))
+        .map(|(folder, stage)| format!("{folder} ({})", stage.state(None).name()))
         .collect();
     let more = undone.len().saturating_sub(MOST);
     undone.truncate(MOST);

@@ -6,7 +6,7 @@ use super::{corrupt, count, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::stored::Stored;
-use crate::types::{HostRow, IncidentRow};
+use crate::types::{HostRow, IncidentFilter, IncidentRow};
 use crate::write::UNKNOWN;
 
 #[derive(FromRow)]
@@ -38,13 +38,14 @@ struct Host {
 
 pub(crate) async fn incidents(
     readers: &Readers,
-    limit: u32,
-    before: Option<i64>,
+    filter: &IncidentFilter,
 ) -> Result<Vec<IncidentRow>, StoreError> {
     const WHAT: &str = "incidents";
     let rows: Vec<Incident> = sqlx::query_as(sql::INCIDENTS)
-        .bind(limit.clamp(1, 1_000))
-        .bind(before)
+        .bind(filter.limit.clamp(1, 1_000))
+        .bind(filter.before)
+        .bind(filter.kind.as_deref())
+        .bind(filter.host.as_deref())
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;

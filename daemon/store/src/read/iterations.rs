@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 
 use peernet_analysis::rows::LATENESS;
+use peernet_analysis::slowness::{self, Medians, Times};
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
 use super::clocks::AssumedWindows;
-use super::comparison::{Comparison, Times};
 use super::{corrupt, count, known, sql, statistics, tree, wall};
 use crate::column::column;
 use crate::error::StoreError;
@@ -104,7 +104,8 @@ pub(crate) async fn iteration(
     let Some(row) = row else { return Ok(None) };
     let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
-    let comparison = Comparison(statistics::figures(readers, run).await?);
+    let run_figures = statistics::figures(readers, run).await?;
+    let medians = statistics::medians(&run_figures);
     let place = match row.total {
         Some(total) if row.outcome == 0 && !row.warm_up => place(readers, run, (total, number)).await?,
         _ => Place::default(),
@@ -119,9 +120,8 @@ pub(crate) async fn iteration(
         Ok(number.map(count))
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
-    let Some(row) = complete(readers, run, vec![row], &comparison).await?.pop() else { return Ok(None) };
+    let Some(row) = complete(readers, run, vec![row], &medians).await?.pop() else { return Ok(None) };
     let Place { rank, slower, faster } = place;
-    let run_figures = comparison.0;
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
@@ -151,7 +151,8 @@ async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resu
 }
 
 async fn compared(readers: &Readers, run: i64, rows: Vec<Row>) -> Result<Vec<IterationRow>, StoreError> {
-    complete(readers, run, rows, &Comparison(statistics::figures(readers, run).await?)).await
+    let medians = statistics::medians(&statistics::figures(readers, run).await?);
+    complete(readers, run, rows, &medians).await
 }
 
 /// Adds the values of the trees, with two queries for all rows together.
@@ -159,7 +160,7 @@ async fn complete(
     readers: &Readers,
     run: i64,
     rows: Vec<Row>,
-    comparison: &Comparison,
+    medians: &Medians,
 ) -> Result<Vec<IterationRow>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
@@ -193,7 +194,7 @@ async fn complete(
     rows.into_iter()
         .map(|row| {
             let (durations, delays) = parts.remove(&row.number).unwrap_or_default();
-            complete_row(row, &durations, delays, comparison)
+            complete_row(row, &durations, delays, medians)
         })
         .collect()
 }
@@ -202,7 +203,7 @@ fn complete_row(
     row: Row,
     durations: &[Duration],
     delays: Vec<DelayRow>,
-    comparison: &Comparison,
+    medians: &Medians,
 ) -> Result<IterationRow, StoreError> {
     let seconds_of = |stage: &Name| {
         let of_stage = durations.iter().filter(|duration| stage == duration.text.as_str());
@@ -215,8 +216,7 @@ fn complete_row(
     let both_ways = delays.iter().any(|delay| delay.value.is_none()).then(|| {
         let ways = [stage::UPLOAD, stage::DOWNLOAD];
         let others = stages.iter().filter(|(stage, _)| !ways.contains(stage));
-        let others: f64 = others.map(|(_, seconds)| seconds).sum();
-        Some((row.total? - others - unattributed?).max(0.0))
+        Some(slowness::both_ways(row.total?, others.map(|(_, seconds)| *seconds), unattributed?))
     });
     let both_ways = both_ways.flatten();
     let outcome = OUTCOMES
@@ -231,8 +231,8 @@ fn complete_row(
         reason: row.reason,
         started: wall(row.started_ns),
         total: row.total,
-        factor: comparison.factor(row.total),
-        causes: comparison.causes(&Times {
+        factor: medians.factor(row.total),
+        causes: medians.causes(&Times {
             total: row.total,
             stages: &stages,
             lateness: seconds_of(&Name::from_static(LATENESS)),

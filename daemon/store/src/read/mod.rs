@@ -2,7 +2,6 @@
 //! all of their plans.
 
 pub(super) mod clocks;
-mod comparison;
 pub(super) mod episodes;
 pub(super) mod incidents;
 pub(super) mod iterations;
@@ -12,6 +11,7 @@ pub(super) mod runs;
 pub(crate) mod sql;
 pub(super) mod statistics;
 pub(super) mod tree;
+pub(super) mod trust;
 pub(super) mod whole;
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};

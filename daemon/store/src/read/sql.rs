@@ -144,14 +144,14 @@ statements! {
     DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's'";
-    /// The nodes of two names in those of some iterations that statistics are made of: ?1 run, ?2 their numbers, a JSON
-    /// array, ?3 and ?4 the names.
+    /// The nodes of two names in those of some iterations that statistics are made of, by their numbers: the index that holds
+    /// `warm_up` and `outcome` has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
              node.name IN (SELECT id FROM name WHERE text = ?3) AS is_x, \
              node.name IN (SELECT id FROM name WHERE text = ?4) AS is_y \
              FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
              WHERE iteration.run = ?1 AND iteration.number IN (SELECT value FROM json_each(?2)) \
-             AND iteration.warm_up = 0 AND iteration.outcome = 0 \
+             AND +iteration.warm_up = 0 AND +iteration.outcome = 0 \
              AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4))";
     /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
@@ -203,12 +203,13 @@ statements! {
     PREVIOUS = "SELECT max(number) FROM iteration WHERE run = ?1 AND number < ?2";
     /// ?1 run, ?2 number.
     NEXT = "SELECT min(number) FROM iteration WHERE run = ?1 AND number > ?2";
-    /// ?1 limit, ?2 id of the last of the page before or NULL.
+    /// ?1 limit, ?2 id of the last of the page before or NULL, ?3 kind or NULL, ?4 name of a host or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
                  incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
                  FROM incident LEFT JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
                  WHERE (incident.at_ns, incident.id) < \
                    (coalesce((SELECT at_ns FROM incident WHERE id = ?2), 9223372036854775807), coalesce(?2, 9223372036854775807)) \
+                 AND (?3 IS NULL OR incident.kind = ?3) AND (?4 IS NULL OR host.name = ?4) \
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";
     /// No parameters.
     HOSTS = "SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined \

@@ -6,6 +6,7 @@ mod series;
 
 use std::collections::HashMap;
 
+use peernet_analysis::slowness::Medians;
 use peernet_logger::Name;
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
@@ -106,7 +107,12 @@ pub(crate) async fn histogram(
     Ok(Some(Histogram { stage: stage.into(), unit: known.unit, edges, counts, beyond, figures }))
 }
 
-/// Returns the figures of all names of a run, in the order of tables.
+/// Medians of the figures of a run.
+pub(super) fn medians(figures: &[(Name, Figures)]) -> Medians {
+    Medians(figures.iter().map(|(name, figures)| (name.clone(), figures.p50)).collect())
+}
+
+/// Figures of all names of a run, in the order of tables.
 pub(super) async fn figures(readers: &Readers, run: i64) -> Result<Vec<(Name, Figures)>, StoreError> {
     let found = statistics(readers, &[run]).await?;
     Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())

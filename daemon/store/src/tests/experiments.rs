@@ -1,11 +1,16 @@
 //! Runs that were declared together, and what was found of their hosts.
 
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::{HostRecord, RunRecord, instant};
+use peernet_analysis::rows::Rows;
+use peernet_analysis::run_selection::{Candidate, exclusions};
+use peernet_clock::Span;
 use peernet_logger::stage;
 use peernet_logger::{Name, RunId};
-use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription};
+use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription, RunEnded};
 
 use super::{Bed, generate};
-use crate::types::{MeanBucket, RunFilter};
+use crate::types::{MeanBucket, RunFilter, RunSummary};
 
 fn place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
     ExperimentPlace {
@@ -68,6 +73,58 @@ async fn experiments_are_listed_with_their_runs() {
     assert_eq!(runs.iter().map(|run| run.number).collect::<Vec<_>>(), [1, 4]);
     assert_eq!(bed.store.runs_of_experiment("a", 1).await.expect("answers").len(), 1);
     assert!(bed.store.runs_of_experiment("' OR 1", 10).await.expect("answers").is_empty());
+}
+
+#[tokio::test]
+async fn same_runs_count_in_store_and_in_files() {
+    let mut bed = Bed::new().await;
+    // The same repeat twice, one that was stopped and begun again, one that failed, one that goes on.
+    let plan = [
+        ("1 kB", Some("finished")),
+        ("2 kB", Some("stopped")),
+        ("2 kB", Some("finished")),
+        ("1 kB", Some("finished")),
+        ("3 kB", Some("the server went")),
+        ("4 kB", None),
+    ];
+    for (at, (size, reason)) in plan.iter().enumerate() {
+        let began = began(Some(place("a", size, 0)), Vec::new());
+        let Event::RunStarted(RunDescription { run, .. }) = &began else { panic!("a run begins") };
+        let at = generate::at(at as f64 + 1.0);
+        let end =
+            reason.map(|reason| Event::RunEnded(RunEnded { run: *run, ended: at, reason: reason.into() }));
+        let work = bed.batch([began].into_iter().chain(end).collect());
+        bed.commit(&[work]).await;
+    }
+    let stored = bed.store.runs_of_experiment("a", 10).await.expect("answers");
+    let results = |run: &RunSummary| Loaded {
+        folder: format!("runs/{}", run.number).into(),
+        record: RunRecord {
+            run: Some(run.id),
+            name: run.pipeline.to_string(),
+            started: Some(instant(run.started + Span::from_nanos(run.number))),
+            reason: run.reason.clone().unwrap_or_default(),
+            edge: HostRecord { id: Some(run.host), ..HostRecord::default() },
+            experiment: run.experiment.clone(),
+            ..RunRecord::default()
+        },
+        rows: Rows::default(),
+    };
+    let of_store = exclusions(&stored.iter().map(Candidate::from).collect::<Vec<_>>());
+    let files: Vec<Loaded> = stored.iter().map(results).collect();
+    let of_files = exclusions(&files.iter().map(Candidate::of_results).collect::<Vec<_>>());
+    assert_eq!(of_store, of_files);
+    let name = |at: usize| format!("#{}", stored[at].number);
+    let said: Vec<Option<String>> = of_store.iter().map(|why| Some(why.as_ref()?.said(name))).collect();
+    let expected = [
+        Some("measured again as #4"),
+        Some("interrupted"),
+        None,
+        None,
+        Some("failed (the server went)"),
+        Some("under way or killed"),
+    ];
+    assert_eq!(said.iter().map(Option::as_deref).collect::<Vec<_>>(), expected);
 }
 
 #[tokio::test]

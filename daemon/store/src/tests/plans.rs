@@ -15,7 +15,7 @@ const LARGE: [(&str, &[&str]); 7] = [
     ("node", &["run=? AND iteration=?"]),
     ("transit", &["run=? AND iteration=?", "(run,iteration)"]),
     ("anchor", &["run=? AND iteration=?"]),
-    ("iteration", &["run=? AND number", "run=? AND warm_up=? AND outcome=?"]),
+    ("iteration", &["run=? AND number", "run=? AND warm_up=? AND outcome=? AND "]),
     ("rollup", &["run=? AND resolution_s=?"]),
     ("verdict_count", &["run=?"]),
     ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
@@ -107,6 +107,7 @@ async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
         "SELECT max(value) FROM node WHERE run = ?1",
         "SELECT min(started_ns) FROM iteration WHERE run = ?1",
         "SELECT number FROM iteration WHERE run = ?1 AND total > 1",
+        "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0",
         "SELECT number FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY started_ns LIMIT 10",
         "SELECT * FROM clock_sample WHERE link = ?1",
     ] {

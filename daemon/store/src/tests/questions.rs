@@ -8,7 +8,7 @@ use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcom
 
 use super::{Bed, generate};
 use crate::figures::Figures;
-use crate::types::{IterationFilter, RunFilter, RunStatistics};
+use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
 /// Returns the values of one name in the iterations of [`Bed::run_of`].
 fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
@@ -345,15 +345,26 @@ async fn incidents_are_in_order_of_time() {
         incident(1.0, "first, spooled", Some(stranger)),
     ]);
     bed.commit(&[work]).await;
-    let all = bed.store.incidents(10, None).await.expect("answers");
+    let all = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     assert_eq!(
         all.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(),
         ["third", "second", "first, spooled"]
     );
     let peers = all.iter().map(|row| row.peer.clone()).collect::<Vec<_>>();
     assert_eq!(peers, [None, Some("cloud".to_owned()), Some(stranger.to_string())]);
-    let page = bed.store.incidents(1, Some(all[0].id)).await.expect("answers");
+    let page = IncidentFilter { before: Some(all[0].id), ..IncidentFilter::newest(1) };
+    let page = bed.store.incidents(&page).await.expect("answers");
     assert_eq!(page[0].text, "second");
+    let count = async |kind: Option<&str>, host: Option<&str>| {
+        let (kind, host) = (kind.map(str::to_owned), host.map(str::to_owned));
+        let filter = IncidentFilter { kind, host, ..IncidentFilter::newest(10) };
+        bed.store.incidents(&filter).await.expect("answers").len()
+    };
+    let reporter = all[0].host_name.as_ref().map(ToString::to_string);
+    let of_kind = (count(Some("disconnected"), None).await, count(Some("gap"), None).await);
+    assert_eq!(of_kind, (3, 0));
+    let of_host = (count(None, reporter.as_deref()).await, count(None, Some("nobody")).await);
+    assert_eq!(of_host, (3, 0));
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ use crate::rebuild::rebuild;
 use crate::retention::{Retention, Step, pin};
 use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
-use crate::types::IterationFilter;
+use crate::types::{IncidentFilter, IterationFilter};
 
 const DAY: f64 = 86_400.0;
 /// Seconds between two iterations: each of them has almost its own bucket of each width.
@@ -208,7 +208,7 @@ async fn deletions_are_one_incident_with_counts() {
     let gone = before - bed.count(seconds).await;
     let iterations = 288 - bed.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
-    let told = bed.store.incidents(10, None).await.expect("answers");
+    let told = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let [incident] = &told[..] else { panic!("one for all of it: {told:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
@@ -222,7 +222,7 @@ async fn deletions_are_one_incident_with_counts() {
     assert!(report.findings.iter().any(|it| it.what.contains(&incident.text)), "{:?}", report.findings);
     // A day later another incident begins.
     work_off(&mut retention, &mut connection, day(5.0)).await;
-    assert_eq!(bed.store.incidents(10, None).await.expect("answers").len(), 2);
+    assert_eq!(bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers").len(), 2);
 }
 
 #[tokio::test]

@@ -10,6 +10,7 @@ use super::generate::{self, Numbers, at};
 use super::retention::{arrive, day, for_ever, iterations, step, two_runs, work_off};
 use crate::retention::{Retention, Step};
 use crate::retention_config::RetentionConfig;
+use crate::types::IncidentFilter;
 
 const USED: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
@@ -35,7 +36,7 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
         1
     );
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    let told = bed.store.incidents(10, None).await.expect("answers");
+    let told = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let iterations_gone = first - 1;
     let expected = format!(
         "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"

@@ -5,7 +5,7 @@ use sqlx::Connection;
 
 use super::{Bed, NOW, STAMP, database, generate, hello, open};
 use crate::retention::Step;
-use crate::types::AggregatorIncidentKind;
+use crate::types::{AggregatorIncidentKind, IncidentFilter};
 use crate::write::{PendingIncidents, Writer};
 use crate::{IncidentRow, RetentionConfig};
 
@@ -17,7 +17,7 @@ fn after(seconds: i64) -> Stamp {
 }
 
 async fn incidents(bed: &Bed) -> Vec<IncidentRow> {
-    bed.store.incidents(100, None).await.expect("answers")
+    bed.store.incidents(&IncidentFilter::newest(100)).await.expect("answers")
 }
 
 #[tokio::test]
@@ -142,7 +142,7 @@ async fn data_is_deleted_after_its_period_of_running_time() {
     look(&mut bed, 24 * 60..24 * 60 + 26).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
-    let stored = bed.store.incidents(1_000, None).await.expect("answers");
+    let stored = bed.store.incidents(&IncidentFilter::newest(1_000)).await.expect("answers");
     let deleted: Vec<&str> =
         stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(

@@ -1,9 +1,12 @@
 //! Runs that were declared together, and what comparing and judging runs needs of their course.
 
+use peernet_analysis::run_selection::{Candidate, Repeat, RunState};
 use peernet_clock::WallTime;
 use peernet_logger::Name;
 use peernet_statistics::Summary;
 use serde::Serialize;
+
+use super::RunSummary;
 
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -22,6 +25,20 @@ pub struct ExperimentSummary {
     pub newest: i64,
     /// When the first began, on its edge's wall clock.
     pub started: WallTime,
+}
+
+impl From<&RunSummary> for Candidate {
+    fn from(run: &RunSummary) -> Self {
+        let place = run.experiment.as_ref();
+        Self {
+            id: Some(run.id),
+            state: Some(RunState::of_end(run.reason.as_ref())),
+            repeat: place.map(|place| Repeat::new(place, run.host, run.pipeline.as_str())),
+            sequence: run.number,
+            is_named: false,
+            rank: 0,
+        }
+    }
 }
 
 /// One node name over the time of a run, summed up in buckets.

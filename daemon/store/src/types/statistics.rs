@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
 
 use crate::figures::{Bound, Figures, rank};
-use crate::transfer::Transfers;
 
 /// Statistics of one node name over whole runs; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, PartialEq, Serialize)]

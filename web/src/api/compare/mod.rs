@@ -28,8 +28,8 @@ struct CompareQuery {
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
-    /// Id of an experiment: all its runs that were finished or go on, each once, at most 200; repeats of a configuration
-    /// are taken together.
+    /// Id of an experiment: all its runs that were measured to their end, each repeat once, at most 200; repeats of a
+    /// configuration are taken together.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
     /// Number of a compared run: the others are compared with its configuration. Unless it is given, with the first one.

@@ -1,5 +1,6 @@
 //! Runs side by side, and experiments.
 
+use peernet_analysis::deadline::Misses;
 use peernet_store::{self as store, Figures};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -59,7 +60,7 @@ pub(crate) struct Comparison {
     pub differences: Vec<Difference>,
     /// What keeps the figures from being taken as they stand, in sentences: starts that were skipped.
     pub doubts: Vec<String>,
-    /// Runs of the experiment that are not compared: those that were not finished, and those that were done again.
+    /// Runs of the experiment that do not count: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
     pub cut: bool,
@@ -70,7 +71,7 @@ pub(crate) struct Comparison {
 pub(crate) struct LeftOut {
     /// Its number.
     pub run: i64,
-    /// How it ended, or as which one it was done again.
+    /// The reason: how it ended, or as which one it was measured again.
     pub why: String,
 }
 
@@ -89,6 +90,11 @@ pub(crate) struct Configuration {
     pub starts: u64,
     /// Of them those that were skipped because the pipeline was too far behind.
     pub skipped_starts: u64,
+    /// How long an iteration may take, seconds; null without a deadline, and where its runs have different ones.
+    pub deadline_s: Option<f64>,
+    /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
+    /// without a deadline.
+    pub miss_rate: Option<f64>,
     pub stages: Vec<ComparedStage>,
 }
 
@@ -138,6 +144,8 @@ impl Comparison {
             runs: one.runs.iter().map(|run| run.number).collect(),
             starts: one.starts().all(),
             skipped_starts: one.starts().skipped,
+            deadline_s: one.deadline_s(),
+            miss_rate: one.misses().and_then(Misses::rate),
             stages: one.stages.iter().map(stage).collect(),
         };
         let left_out = |one: &compare::LeftOut| LeftOut { run: one.run, why: one.why.clone() };

@@ -3,6 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use peernet_analysis::transfer;
 use peernet_logger::stage;
 use peernet_store::{self as store, Figures};
 use serde::{Deserialize, Serialize};
@@ -127,9 +128,9 @@ pub(crate) struct SpeedWhileSending {
     pub download_bits_per_second: Option<f64>,
 }
 
-impl From<&store::Transfers> for SpeedWhileSending {
-    fn from(transfers: &store::Transfers) -> Self {
-        let speed = |transfer: Option<store::Transfer>| transfer.and_then(|transfer| transfer.speed());
+impl From<&transfer::Transfers> for SpeedWhileSending {
+    fn from(transfers: &transfer::Transfers) -> Self {
+        let speed = |transfer: Option<transfer::Transfer>| transfer.and_then(|transfer| transfer.speed());
         Self { upload_bits_per_second: speed(transfers.up), download_bits_per_second: speed(transfers.down) }
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
-use peernet_store as store;
+use peernet_analysis::transfer;
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -116,8 +116,8 @@ pub(crate) struct TransferRate {
 }
 
 impl TransferRates {
-    fn new(transfers: &store::Transfers, wall_s: f64) -> Self {
-        let rate = |transfer: store::Transfer| TransferRate {
+    fn new(transfers: &transfer::Transfers, wall_s: f64) -> Self {
+        let rate = |transfer: transfer::Transfer| TransferRate {
             speed_bits_per_second: transfer.speed(),
             traffic_bits_per_second: transfer.traffic(wall_s),
         };
@@ -146,10 +146,10 @@ pub(crate) struct Transfer {
     pub seconds: f64,
 }
 
-impl From<&store::Transfers> for Transfers {
-    fn from(transfers: &store::Transfers) -> Self {
-        let sums = |transfer: store::Transfer| {
-            let store::Transfer { bytes, timed_bytes, seconds } = transfer;
+impl From<&transfer::Transfers> for Transfers {
+    fn from(transfers: &transfer::Transfers) -> Self {
+        let sums = |transfer: transfer::Transfer| {
+            let transfer::Transfer { bytes, timed_bytes, seconds } = transfer;
             Transfer { bytes, timed_bytes, seconds }
         };
         Self { upload: transfers.up.map(sums), download: transfers.down.map(sums) }

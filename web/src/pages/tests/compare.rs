@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::deadline::Misses;
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
@@ -157,6 +158,32 @@ async fn baseline_can_be_chosen_among_configurations() {
     assert_eq!(differences.matches("<details class=\"other\"").count(), 2, "{differences}");
     assert!(differences.contains("<b>A</b>") && differences.contains("<b>C</b>"), "{differences}");
     assert!(matches!(page("9"), Err(WebError::BadRequest(_))));
+}
+
+#[tokio::test]
+async fn iterations_stand_against_those_of_baseline() {
+    let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    let html = page_of(two, true).await;
+    let pairs = html.split("class=\"bars pairs\"").nth(1).and_then(|rest| rest.split("</table>").next());
+    let pairs = pairs.expect("a table");
+    assert!(pairs.contains("B less A, total of one iteration each: median \u{2212}"), "{pairs}");
+    assert!(pairs.contains("data-h=\"faster in %\">") && pairs.contains("more than chance"), "{pairs}");
+}
+
+#[tokio::test]
+async fn missed_deadlines_are_column_where_there_is_a_deadline() {
+    let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    assert!(!page_of(two.clone(), false).await.contains("missed"));
+    let run = &mut two[1].runs[0];
+    (run.deadline_s, run.misses) = (Some(0.1), Some(Misses { missed: 3, of: 300 }));
+    let html = page_of(two, false).await;
+    assert!(
+        html.contains(
+            "title=\"3 of 300 iterations, longer than 100\u{202f}ms or without an answer\">1.0</span>"
+        ),
+        "{html}"
+    );
+    assert!(html.contains("title=\"no deadline\""), "{html}");
 }
 
 #[tokio::test]

@@ -3,6 +3,7 @@
 
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::compare::skipped_starts;
+use peernet_analysis::run_selection::RunState;
 use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
 
@@ -11,9 +12,18 @@ use super::Comparison;
 /// Where a dashboard is when a request does not say it in plain letters.
 const USUAL: &str = "127.0.0.1:8040";
 
-/// What speaks against the means: starts that were skipped, and iterations without an answer.
+/// What speaks against the means: runs without their end, starts that were skipped, and iterations without an answer.
 pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
+    let unfinished: Vec<String> = comparison
+        .runs()
+        .map(|run| (run.number, RunState::of_end(run.reason.as_ref())))
+        .filter(|(_, state)| !state.is_finished())
+        .map(|(number, state)| format!("#{number} ({state})"))
+        .collect();
+    let unfinished = (!unfinished.is_empty()).then(|| {
+        format!("Named, and so compared, though not measured to the end: {}.", unfinished.join(", "))
+    });
     let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
     let unanswered = configurations.iter().filter_map(|one| {
         let counts = one.runs.iter().map(|run| run.counts);
@@ -31,7 +41,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
             )
         })
     });
-    skipped.into_iter().chain(unanswered).collect()
+    unfinished.into_iter().chain(skipped).chain(unanswered).collect()
 }
 
 /// A sentence for each configuration with samples whose label is no class of its model.
@@ -96,6 +106,15 @@ mod tests {
                     that was ordered: B: 73 of 200 starts (36.5 %).";
         let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
         assert_eq!(doubts(&comparison(vec![one, other])), [text, unanswered]);
+    }
+
+    #[test]
+    fn named_run_without_end_is_remarked() {
+        let mut one = configuration(0, Local, 1.0, 1e3);
+        one.runs[0].reason = None;
+        let said = doubts(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
+        let text = "Named, and so compared, though not measured to the end: #1 (under way or killed).";
+        assert_eq!(said, [text]);
     }
 
     #[test]

@@ -4,12 +4,13 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_analysis::compare::{Column, computes};
+use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
 
 use super::differing::Differing;
 use super::names::names;
-use super::{Comparison, Configuration, Setting, done, order};
+use super::{Comparison, Configuration, LeftOut, Setting, order};
 use crate::error::WebError;
 
 /// Most runs that an address may name.
@@ -90,7 +91,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
                     "no run of an experiment with the id {id} is stored; GET /api/v1/runs shows the id of each run's experiment"
                 )));
             };
-            let (runs, left_out) = done::parted(runs);
+            let (runs, left_out) = counted(runs);
             // Of an experiment the summary says all.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((first.name, first.id)), details, left_out, cut)
@@ -138,6 +139,19 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
     });
     let configurations = configurations.collect();
     Ok(Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut })
+}
+
+/// The runs of an experiment that count, in their order, and those that do not.
+fn counted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
+    let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
+    let name = |at: usize| format!("#{}", runs[at].number);
+    let left_out = |(run, why): (&RunSummary, &Option<_>)| {
+        let why: &Exclusion = why.as_ref()?;
+        Some(LeftOut { run: run.number, why: why.said(name) })
+    };
+    let left_out = runs.iter().zip(&excluded).filter_map(left_out).collect();
+    let counted = runs.into_iter().zip(excluded).filter(|(_, why)| why.is_none()).map(|(run, _)| run);
+    (counted.collect(), left_out)
 }
 
 /// Which models only answer what they are sent.

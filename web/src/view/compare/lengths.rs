@@ -4,12 +4,12 @@ mod growth;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use peernet_analysis::answer_length::{LATENCY, answer_length, is_tokens, varies};
+use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, varies};
 use peernet_statistics::Summary;
 use peernet_statistics::number::{bytes, count, duration, fixed};
 use peernet_store::{RunSummary, StageStatistics, Store};
 
-use growth::Growth;
+use growth::sentence;
 
 use super::{Comparison, Configuration};
 use crate::error::WebError;
@@ -137,7 +137,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         let known = answers.iter().find(|known| known.name == it.one.name);
         let known = known.cloned().unwrap_or_default();
         let growth = Growth::of(&known.points);
-        let slope = growth.as_ref().map(|growth| growth.sentence(what, each));
+        let slope = growth.as_ref().map(|growth| sentence(growth, what, each));
         let summed = sums(it);
         let values = LengthValues {
             points: &known.points,

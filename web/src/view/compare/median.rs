@@ -1,5 +1,6 @@
 //! The median of a quantity in one run, and how well the hosts' clocks let it be known.
 
+use peernet_analysis::transfer::speed_between;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
@@ -9,7 +10,7 @@ use peernet_store::Kept;
 
 use crate::svg::shown_in;
 use crate::view::chip::Chip;
-use crate::view::{clocks, speed};
+use crate::view::clocks;
 
 /// What crosses between clocks, and the delay that it is made of.
 pub(super) static CROSSING: [(Name, Name); 4] = [
@@ -42,7 +43,7 @@ impl Median {
             if delay == name {
                 return Some(((value - half).max(0.0), Some(value + half)));
             }
-            Some(speed::ends(value, kept.known(delay)?.quantile(0.5)?, half))
+            Some(speed_between(value, kept.known(delay)?.quantile(0.5)?, half))
         });
         let shown = shown_in(unit);
         let said = match (ends, verdict) {

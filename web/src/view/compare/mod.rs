@@ -5,12 +5,12 @@ mod choice;
 mod differences;
 mod differing;
 mod distributions;
-mod done;
 pub(crate) mod gather;
 pub(crate) mod lengths;
 mod median;
 mod names;
 mod order;
+mod pairwise;
 mod payload;
 mod pictures;
 mod series;
@@ -27,6 +27,7 @@ pub(crate) use differences::{Differences, RunMeans, StageDifference, run_means};
 pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{MOST_RUNS, Which, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};
+pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use series::{OverTime, over_time, run_courses};
@@ -39,13 +40,13 @@ pub(crate) use users::{UsersRow, users};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::deadline::Misses;
 use peernet_analysis::trust::Starts;
 use peernet_statistics::Summary;
 use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
-use crate::view::trust;
 
 /// What is compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,12 +69,12 @@ pub(crate) struct Comparison {
     pub cut: bool,
 }
 
-/// A run that is not compared.
+/// A run that does not count.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LeftOut {
     /// Its number.
     pub run: i64,
-    /// How it ended, or as which one it was done again.
+    /// The reason.
     pub why: String,
 }
 
@@ -121,12 +122,24 @@ impl Configuration {
 
     /// What became of the starts that an open loop ordered.
     pub(crate) fn starts(&self) -> Starts {
-        let of_runs = self.runs.iter().map(trust::starts);
+        let of_runs = self.runs.iter().map(RunSummary::starts);
         of_runs.fold(Starts::default(), |all, run| Starts {
             kept: all.kept + run.kept,
             skipped: all.skipped + run.skipped,
             ..all
         })
+    }
+
+    /// How many iterations of its runs missed their deadline; `None` where no run has one.
+    pub(crate) fn misses(&self) -> Option<Misses> {
+        Misses::together(self.runs.iter().filter_map(|run| run.misses))
+    }
+
+    /// The deadline, seconds; `None` where no run has one, or several have different ones.
+    pub(crate) fn deadline_s(&self) -> Option<f64> {
+        let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
+        let first = deadlines.next()??;
+        deadlines.all(|deadline| deadline == Some(first)).then_some(first)
     }
 
     fn placement(&self) -> Option<&peernet_stream::Placement> {

@@ -1,8 +1,9 @@
 //! Latency against what was sent, and accuracy against latency.
 
-use peernet_analysis::fit::{Fit, Point, Weighted, least_squares};
+use peernet_analysis::fit::{FEWEST_SIZES, Fit, MeanAtSize, distinct_sizes, line_through_means};
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
+use peernet_store::Figures;
 
 use super::names::in_words;
 use super::{Comparison, Configuration};
@@ -12,8 +13,6 @@ use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
 const ALIKE: f64 = 1.1;
-/// Fewest sizes over which something is drawn.
-pub(super) const FEWEST_SIZES: usize = 3;
 /// Most groups that have lines of their own; with more nobody can tell them apart.
 const MOST_GROUPS: usize = 3;
 /// Name of the values that tell how often the first answer was right.
@@ -110,37 +109,17 @@ pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Confi
     of.and_then(|group| group_name(comparison, group)).unwrap_or_default()
 }
 
-/// Returns how many sizes there are that differ by a tenth or more.
-pub(super) fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
-    let mut distinct: Vec<f64> = Vec::new();
-    for size in sizes {
-        if distinct.iter().all(|known| *known > size * ALIKE || size > known * ALIKE) {
-            distinct.push(size);
-        }
-    }
-    distinct.len()
-}
-
 /// Seconds over bytes where there are three sizes, and the least and the largest of them. Each mean is weighted by how
 /// well it is known.
 pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
-    (distinct_sizes(group.iter().map(|(_, size)| *size)) >= FEWEST_SIZES).then_some(())?;
-    let known: Vec<_> = group.iter().filter_map(|(one, size)| Some((*size, one.figures(name)?))).collect();
-    let weights: Option<Vec<f64>> = known
-        .iter()
-        .map(|(_, figures)| {
-            let std = figures.std.filter(|std| *std > 0.0)?;
-            Some(figures.count as f64 / (std * std))
-        })
-        .collect();
-    let weights = weights.unwrap_or_else(|| vec![1.0; known.len()]);
-    let points = known
-        .iter()
-        .zip(weights)
-        .map(|((size, figures), weight)| Weighted { point: Point { x: *size, y: figures.mean }, weight });
-    let fit = least_squares(&points.collect::<Vec<_>>())?;
+    let known = group.iter().filter_map(|(one, size)| {
+        let Figures { count, mean, std, .. } = *one.figures(name)?;
+        Some(MeanAtSize { size: *size, count, mean, std })
+    });
+    let known: Vec<MeanAtSize> = known.collect();
+    let fit = line_through_means(&known)?;
     let ends =
-        known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), (size, _)| (lo.min(*size), hi.max(*size)));
+        known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), mean| (lo.min(mean.size), hi.max(mean.size)));
     Some((fit, ends))
 }
 
@@ -164,7 +143,7 @@ fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
 pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
     let point = |one: &Configuration| {
         let scores = one.figures(TOP_1)?;
-        let known = accuracy::of(scores, scores.count);
+        let known = accuracy::of(scores);
         Some(ScatterPoint {
             x: one.total()?.p50 * 1e3,
             y: scores.mean * 100.0,

@@ -1,12 +1,13 @@
 //! Figures per configuration, and the difference of two.
 
 use peernet_logger::stage;
-use peernet_statistics::number::{Estimate, NONE, bytes, count, mean_std_ms, share};
+use peernet_statistics::number::{Estimate, NONE, bytes, count, duration, mean_std_ms, percent, share};
 use peernet_store::Figures;
 
 use super::{Comparison, Configuration, Differences, StageDifference};
 use crate::look;
 use crate::view::accuracy;
+use crate::view::now::Cell;
 
 /// The columns of the paper's table, and both totals.
 const COLUMNS: [(&str, &str); 6] = [
@@ -33,6 +34,8 @@ pub(crate) struct Header {
     pub accuracies: Vec<&'static str>,
     /// Whether something was sent.
     pub sent: bool,
+    /// Whether a run has a deadline.
+    pub missed: bool,
 }
 
 /// One configuration. Times in ms.
@@ -49,6 +52,8 @@ pub(crate) struct Row {
     pub accuracies: Vec<(String, Option<String>)>,
     /// Payload sent up on average, with unit.
     pub sent: String,
+    /// The miss rate, percent, and what it is a share of.
+    pub missed: Cell,
     pub best: bool,
 }
 
@@ -80,6 +85,7 @@ impl Table {
             sent: one
                 .figures(&stage::UPLOAD_BYTES)
                 .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
+            missed: missed(one),
             best: best == Some(at),
         };
         Self {
@@ -89,9 +95,26 @@ impl Table {
                 columns: columns.into_iter().map(|(_, shown)| shown).collect(),
                 accuracies: accuracies.into_iter().map(|(_, shown)| shown).collect(),
                 sent: known(&stage::UPLOAD_BYTES),
+                missed: comparison.configurations.iter().any(|one| one.misses().is_some()),
             },
         }
     }
+}
+
+/// The miss rate of a configuration.
+fn missed(one: &Configuration) -> Cell {
+    let Some(misses) = one.misses() else { return Cell::none("no deadline") };
+    let Some(rate) = misses.rate() else { return Cell::none("no iteration") };
+    let deadline = match one.deadline_s() {
+        Some(deadline) => format!("longer than {}", duration(deadline)),
+        None => "longer than the deadline of their run".to_owned(),
+    };
+    let what = format!(
+        "{} of {} iterations, {deadline} or without an answer",
+        count(misses.missed),
+        count(misses.of)
+    );
+    Cell { text: percent(rate), title: Some(what) }
 }
 
 /// A row of the difference of two configurations. Times in ms.

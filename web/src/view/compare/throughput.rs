@@ -1,12 +1,13 @@
 //! Throughput against payload: what was sent over how long it took, and what the slope of the delays says.
 
-use peernet_analysis::fit::rate;
+use peernet_analysis::fit::{FEWEST_SIZES, distinct_sizes, rate};
+use peernet_analysis::transfer::speed_between;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
     SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
 };
 
-use super::payload::{FEWEST_SIZES, Group, distinct_sizes, group_name, groups, line, name_in};
+use super::payload::{Group, group_name, groups, line, name_in};
 use super::{Comparison, Configuration};
 use crate::look;
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
@@ -55,9 +56,9 @@ impl<'a> Known<'a> {
         let bytes = size + one.figures(&sizes[1]).map_or(0.0, |figures| figures.mean);
         let delay = one.figures(way).map(|figures| figures.mean).filter(|delay| *delay > 0.0)?;
         let half = one.bounds.iter().find(|bound| bound.stage == *way).and_then(|bound| bound.half_width);
-        let over = |seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
-        let ends = half.and_then(|half| Some((over(delay + half.mean)?, over(delay - half.mean))));
-        (bytes > 0.0).then_some(Self { one, bytes, delay, value: over(delay)?, ends })
+        let value = 8.0 * bytes / delay;
+        let ends = half.map(|half| speed_between(value, delay, half.mean));
+        (bytes > 0.0).then_some(Self { one, bytes, delay, value, ends })
     }
 
     fn row(&self, way: &Name) -> ThroughputRow {

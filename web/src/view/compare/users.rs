@@ -49,11 +49,7 @@ fn line(one: &Configuration) -> UsersLine {
     for run in &one.runs {
         let repeat = run.experiment.as_ref().map_or(0, |place| place.repeat);
         match repeats.iter_mut().find(|(known, _)| *known == repeat) {
-            // A run that was begun again stands for the first attempt.
-            Some((_, users)) => match users.iter_mut().find(|known| known.host_name == run.host_name) {
-                Some(known) => *known = run,
-                None => users.push(run),
-            },
+            Some((_, users)) => users.push(run),
             None => repeats.push((repeat, vec![run])),
         }
     }

@@ -1,11 +1,12 @@
 //! The picture of a link over time.
 
+use peernet_analysis::delays::severity;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_statistics::number::{SPACE, bound, bound_ms, count, figure, length};
 use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
-use super::super::chip::{Chip, severity};
+use super::super::chip::Chip;
 use super::super::incidents::IncidentLine;
 use super::super::speed::Way;
 use super::course::Course;

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::delays::{round_trip, severity};
 use peernet_clock::{Interval, Offset, RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
-use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
+use peernet_stream::{DelaySecond, ProbeCounts};
 
-use super::super::chip::severity;
 use super::super::speed::Way;
 use super::delays::Delays;
 
@@ -83,8 +83,7 @@ impl Course {
 
     /// The smallest and the middle round trip of probes, seconds.
     pub(crate) fn round_trips(&self) -> Option<(f64, f64)> {
-        let known: Vec<RoundTrip> = self.points.iter().filter_map(|point| point.round_trip).collect();
-        let trip = together(&known)?;
+        let trip = round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
         Some((trip.min.seconds(), trip.median.seconds()))
     }
 }
@@ -96,15 +95,6 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
         answered: sum.answered.saturating_add(one.answered),
         lost: sum.lost.saturating_add(one.lost),
         refused: sum.refused.saturating_add(one.refused),
-    })
-}
-
-fn together(known: &[RoundTrip]) -> Option<RoundTrip> {
-    let mut medians: Vec<Span> = known.iter().map(|trip| trip.median).collect();
-    medians.sort_unstable();
-    Some(RoundTrip {
-        min: known.iter().map(|trip| trip.min).min()?,
-        median: *medians.get(medians.len() / 2)?,
     })
 }
 
@@ -139,13 +129,12 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
     }
     // What lies on the other side of a step says nothing about the offset after it.
     let begin = points.iter().rposition(|point| point.window != last.window).map_or(0, |at| at + 1);
-    let trips: Vec<RoundTrip> = points.iter().filter_map(|point| point.round_trip).collect();
     Some(ClockPoint {
         at: last.at,
         window: last.window,
         offset: widest(&points[begin..]),
         probes: sum(points.iter().map(|point| point.probes)),
-        round_trip: together(&trips),
+        round_trip: round_trip(points.iter().filter_map(|point| point.round_trip)),
         up: delays(points, Way::Up),
         down: delays(points, Way::Down),
         clocks: last.clocks,

@@ -1,11 +1,12 @@
 //! The one-way delays of one direction over a few seconds.
 
+use peernet_analysis::delays::DelaySum;
 use peernet_clock::Verdict;
 use peernet_statistics::number::{EXACT, NONE, interval_ms, within_ms};
 use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
-use super::super::chip::{Chip, severity};
+use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::Way;
 
@@ -49,33 +50,8 @@ impl Delays {
 
     /// Several seconds as one.
     pub(crate) fn merge(way: Way, seconds: &[DelaySecond]) -> Self {
-        let count = seconds.iter().map(|second| u64::from(second.count)).sum();
-        let mut medians: Vec<(DelayPoint, u64)> = seconds
-            .iter()
-            .filter_map(|second| Some((second.median?, u64::from(second.count))))
-            .filter(|(point, _)| !point.value.is_negative())
-            .collect();
-        medians.sort_by_key(|(point, _)| point.value);
-        let half = medians.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
-        let mut passed = 0;
-        let median = medians.iter().find(|(_, weight)| {
-            passed += weight;
-            passed >= half
-        });
-        let given = |verdict: Verdict| {
-            let same = seconds.iter().filter(|second| second.verdict == verdict);
-            same.map(|second| u64::from(second.count)).sum::<u64>()
-        };
-        let frequent = Verdict::ALL.iter().copied().filter(|verdict| {
-            let given = given(*verdict);
-            given > 0 && given * 20 >= count
-        });
-        Self {
-            way,
-            count,
-            median: median.map(|(point, _)| *point),
-            verdict: frequent.max_by_key(|verdict| severity(*verdict)),
-        }
+        let sum: DelaySum = seconds.iter().collect();
+        Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
 
     /// Name of the stage, as a sentence begins with it.

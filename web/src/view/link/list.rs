@@ -1,11 +1,12 @@
 //! Links in a list.
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
+use peernet_analysis::delays::severity;
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
 
-use super::super::chip::{Chip, severity};
+use super::super::chip::Chip;
 use super::super::now::Cell;
 use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;

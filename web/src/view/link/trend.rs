@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use peernet_analysis::fit::{Point, theil_sen};
+use peernet_analysis::order::Ordered;
 use peernet_clock::WallTime;
 use peernet_store::ClockPoint;
 
@@ -40,21 +42,14 @@ impl Trend {
 }
 
 impl Line {
-    /// Slopes and levels in the middle of many (after Theil 1950 and Sen 1968): a few points that belong elsewhere do not
-    /// tilt it.
+    /// The line of Theil and Sen: a few points that belong elsewhere do not tilt it. Too few points have a level alone.
     fn through(known: &[(WallTime, f64)]) -> Option<Self> {
         let middle = known.get(known.len() / 2)?.0;
-        let at = |time: WallTime| (time - middle).seconds();
-        let half = known.len() / 2;
-        let apart = known.iter().zip(&known[half..]).filter(|((from, _), (to, _))| to > from);
-        let slope = median(apart.map(|(from, to)| (to.1 - from.1) / (at(to.0) - at(from.0)))).unwrap_or(0.0);
-        let level = median(known.iter().map(|(time, value)| value - slope * at(*time)))?;
+        let points: Vec<Point> =
+            known.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
+        let level = || Some((points.iter().map(|point| point.y).collect::<Ordered>().median()?, 0.0));
+        let fit = theil_sen(&points).map(|fit| (fit.intercept.value, fit.slope.value));
+        let (level, slope) = fit.or_else(level)?;
         Some(Self { middle, level, slope })
     }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied()
 }

@@ -121,7 +121,7 @@ fn outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
     let seen = &total.outliers;
     if seen.count == 0 {
-        return say(about, Grade::Good, format!("None; the slowest iteration took {}.", ms(seen.max)));
+        return say(about, Grade::Good, format!("No outliers: the slowest iteration took {}.", ms(seen.max)));
     }
     let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
     let text = format!(

@@ -115,7 +115,7 @@ fn a_sample_says_of_how_many_it_is_and_what_was_deleted() {
 
 #[test]
 fn what_cannot_be_told_is_not_told() {
-    let sentence = |points: &[(f64, f64)]| Growth::of(points).map(|growth| growth.sentence("kB", 1e3));
+    let sentence = |points: &[(f64, f64)]| Growth::of(points).map(|growth| sentence(&growth, "kB", 1e3));
     assert_eq!(sentence(&answered(59)), None, "too few");
     let alike: Vec<(f64, f64)> =
         answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
@@ -177,7 +177,7 @@ fn a_slope_of_nanoseconds_has_digits() {
     let points: Vec<(f64, f64)> = answered(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
-    let text = Growth::of(&noisy).expect("enough").sentence("token", 1.0);
+    let text = sentence(&Growth::of(&noisy).expect("enough"), "token", 1.0);
     let start = "Each further token takes 0.0000020";
     assert!(
         text.starts_with(start) && !text.contains("0.000 ") && text.contains("(95\u{202f}%: 0.00000"),

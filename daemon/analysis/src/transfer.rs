@@ -47,7 +47,14 @@ impl Transfer {
     }
 }
 
-/// Sums of both directions.
+/// Returns the speeds that follow from the ends of a delay's interval, which is `half_width` to each side of it: without an upper one
+/// where the delay may be nothing.
+pub fn speed_between(speed: f64, delay: f64, half_width: f64) -> (f64, Option<f64>) {
+    let bytes = speed * delay;
+    (bytes / (delay + half_width), (half_width < delay).then(|| bytes / (delay - half_width)))
+}
+
+/// Both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfers {
     /// From the edge to the cloud; `None` when nothing was sent.
@@ -87,6 +94,12 @@ mod tests {
         assert!((speed - 34.63).abs() < 0.01, "{speed} MB/s; the mean of the ratios is 1,017");
         assert!((up.traffic(10.0).expect("ten seconds") / 8e6 - 0.0124).abs() < 1e-9);
         assert_eq!((down, up.traffic(0.0)), (None, None));
+    }
+
+    #[test]
+    fn speed_has_no_upper_end_where_delay_may_be_nothing() {
+        assert_eq!(speed_between(8e6, 0.004, 0.001), (6.4e6, Some(8e6 * 0.004 / 0.003)));
+        assert_eq!(speed_between(8e6, 0.004, 0.004), (4e6, None));
     }
 
     #[test]

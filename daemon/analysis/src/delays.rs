@@ -1,0 +1,158 @@
+//! One-way delays and round trips of several seconds as one: verdict, median, smallest.
+
+use peernet_clock::{Span, Verdict};
+use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
+
+/// A verdict counts for many delays where at least one in so many was given it or a worse one.
+const WORST_OF: u64 = 20;
+
+/// Returns how much a verdict takes from a delay; the largest is the worst.
+pub const fn severity(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::Ok => 0,
+        Verdict::Limited => 1,
+        Verdict::Stale => 2,
+        Verdict::Stepped => 3,
+        Verdict::Inconsistent => 4,
+        Verdict::Unsynchronised => 5,
+    }
+}
+
+/// Returns the verdict on many delays, given how many of them were given each: the worst one that, with those that are worse, a
+/// twentieth of them were given. `None` of none.
+pub fn prevailing(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
+    let all: u64 = verdicts.iter().map(|(_, count)| count).sum();
+    let mut by_severity: Vec<(Verdict, u64)> =
+        verdicts.iter().copied().filter(|(_, count)| *count > 0).collect();
+    by_severity.sort_by_key(|(verdict, _)| std::cmp::Reverse(severity(*verdict)));
+    let mut worse = 0;
+    let found = by_severity.into_iter().find(|(_, count)| {
+        worse += count;
+        worse * WORST_OF >= all
+    });
+    found.map(|(verdict, _)| verdict)
+}
+
+/// Sum of the one-way delays of one direction over several seconds.
+#[derive(Clone, Debug, Default)]
+pub struct DelaySum {
+    count: u64,
+    medians: Vec<(DelayPoint, u64)>,
+    verdicts: Vec<(Verdict, u64)>,
+}
+
+impl DelaySum {
+    /// Adds the delays of a second.
+    pub fn add(&mut self, second: &DelaySecond) {
+        // A second that was judged at all has a say.
+        let weight = u64::from(second.count.max(1));
+        self.count += u64::from(second.count);
+        // Nothing arrives before it was sent: a negative value is no delay.
+        self.medians
+            .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
+        match self.verdicts.iter_mut().find(|(known, _)| *known == second.verdict) {
+            Some((_, times)) => *times += weight,
+            None => self.verdicts.push((second.verdict, weight)),
+        }
+    }
+
+    /// Returns how many delays were judged.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Returns the median of the seconds' medians, each weighted by its number of delays, with the bounds of that very one. `None`
+    /// where no second has one.
+    pub fn median(&self) -> Option<DelayPoint> {
+        let mut medians = self.medians.clone();
+        medians.sort_unstable_by_key(|(point, _)| point.value);
+        let half = medians.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
+        let mut passed = 0;
+        let found = medians.into_iter().find(|(_, weight)| {
+            passed += weight;
+            passed >= half
+        });
+        found.map(|(point, _)| point)
+    }
+
+    /// Returns the verdict on all delays; `None` where none was judged.
+    pub fn verdict(&self) -> Option<Verdict> {
+        prevailing(&self.verdicts)
+    }
+
+    /// Returns all as if it were one second; `None` where no delay was judged.
+    pub fn second(&self) -> Option<DelaySecond> {
+        let count = u32::try_from(self.count).unwrap_or(u32::MAX);
+        Some(DelaySecond { count, median: self.median(), verdict: self.verdict()? })
+    }
+}
+
+impl<'a> FromIterator<&'a DelaySecond> for DelaySum {
+    fn from_iter<I: IntoIterator<Item = &'a DelaySecond>>(seconds: I) -> Self {
+        seconds.into_iter().fold(Self::default(), |mut sum, second| {
+            sum.add(second);
+            sum
+        })
+    }
+}
+
+/// Returns the round trips of several seconds as one: the smallest, and the median of their medians, of two in the middle the
+/// smaller. `None` of none.
+pub fn round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
+    let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
+    for RoundTrip { min, median } in seconds {
+        smallest = Some(smallest.map_or(min, |known| known.min(min)));
+        medians.push(median);
+    }
+    medians.sort_unstable();
+    Some(RoundTrip { min: smallest?, median: *medians.get(medians.len().saturating_sub(1) / 2)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Interval;
+
+    use super::*;
+
+    fn second(count: u32, ms: Option<i64>, verdict: Verdict) -> DelaySecond {
+        let point = |ms| {
+            let value = Span::from_millis(ms);
+            DelayPoint { value, bounds: Interval::exactly(value), bits_per_second: None }
+        };
+        DelaySecond { count, median: ms.map(point), verdict }
+    }
+
+    #[test]
+    fn median_weighs_seconds_by_their_delays() {
+        let seconds = [
+            second(1, Some(9), Verdict::Ok),
+            second(10, Some(3), Verdict::Ok),
+            second(5, Some(1), Verdict::Ok),
+        ];
+        let sum: DelaySum = seconds.iter().collect();
+        assert_eq!((sum.count(), sum.median().map(|point| point.value)), (16, Some(Span::from_millis(3))));
+        let negative: DelaySum =
+            [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
+        assert_eq!(negative.second().expect("judged").median, None);
+        assert_eq!(DelaySum::default().second(), None);
+    }
+
+    #[test]
+    fn verdict_of_many_ignores_few_bad_ones() {
+        let of = |bad: u64| prevailing(&[(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+        assert_eq!((of(4), of(5), prevailing(&[])), (Some(Verdict::Ok), Some(Verdict::Stepped), None));
+        let together = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
+        assert_eq!(prevailing(&together), Some(Verdict::Stale), "stale or worse");
+    }
+
+    #[test]
+    fn round_trip_of_seconds_has_smallest_and_lower_middle() {
+        let trips = [(3, 5), (1, 9), (2, 4), (4, 6)].map(|(min, median)| RoundTrip {
+            min: Span::from_millis(min),
+            median: Span::from_millis(median),
+        });
+        let found = round_trip(trips).expect("known");
+        assert_eq!((found.min, found.median), (Span::from_millis(1), Span::from_millis(5)));
+        assert_eq!(round_trip([]), None);
+    }
+}

@@ -1,0 +1,72 @@
+//! A line through means over sizes.
+
+use super::{Fit, Point, Weighted, least_squares};
+
+/// Sizes within this factor are one size.
+pub(crate) const ALIKE: f64 = 1.1;
+/// Fewest sizes that a line is drawn through.
+pub const FEWEST_SIZES: usize = 3;
+
+/// The mean of a quantity where something has a size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeanAtSize {
+    /// The size.
+    pub size: f64,
+    /// Number of values.
+    pub count: u64,
+    /// Their mean.
+    pub mean: f64,
+    /// Their sample standard deviation; `None` below two.
+    pub std: Option<f64>,
+}
+
+/// Returns how many sizes there are that differ by a tenth or more.
+pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
+    let mut distinct: Vec<f64> = Vec::new();
+    for size in sizes {
+        if distinct.iter().all(|known| *known > size * ALIKE || size > known * ALIKE) {
+            distinct.push(size);
+        }
+    }
+    distinct.len()
+}
+
+/// Returns the line through means, each weighted by how well it is known: by the variance of the mean, or all alike where that is not
+/// known of one. `None` through fewer than three sizes.
+pub fn line_through_means(means: &[MeanAtSize]) -> Option<Fit> {
+    (distinct_sizes(means.iter().map(|mean| mean.size)) >= FEWEST_SIZES).then_some(())?;
+    let weight = |mean: &MeanAtSize| {
+        let std = mean.std.filter(|std| *std > 0.0)?;
+        Some(mean.count as f64 / (std * std))
+    };
+    let weights: Option<Vec<f64>> = means.iter().map(weight).collect();
+    let weights = weights.unwrap_or_else(|| vec![1.0; means.len()]);
+    let points = means.iter().zip(weights);
+    let points =
+        points.map(|(mean, weight)| Weighted { point: Point { x: mean.size, y: mean.mean }, weight });
+    least_squares(&points.collect::<Vec<_>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(size: f64, mean: f64) -> MeanAtSize {
+        MeanAtSize { size, count: 100, mean, std: Some(0.1) }
+    }
+
+    #[test]
+    fn line_needs_three_sizes() {
+        assert_eq!(distinct_sizes([1.0, 1.05, 2.0, 2.1].into_iter()), 2);
+        assert_eq!(line_through_means(&[at(1.0, 1.0), at(1.05, 1.0), at(2.0, 2.0)]), None);
+        let fit = line_through_means(&[at(1.0, 3.0), at(2.0, 5.0), at(3.0, 7.0)]).expect("three sizes");
+        assert!((fit.slope.value - 2.0).abs() < 1e-9 && (fit.intercept.value - 1.0).abs() < 1e-9, "{fit:?}");
+    }
+
+    #[test]
+    fn mean_that_is_not_known_well_hardly_moves_line() {
+        let uncertain = MeanAtSize { count: 2, std: Some(5.0), ..at(4.0, 30.0) };
+        let fit = line_through_means(&[at(1.0, 3.0), at(2.0, 5.0), at(3.0, 7.0), uncertain]).expect("sizes");
+        assert!((fit.slope.value - 2.0).abs() < 0.1, "{fit:?}");
+    }
+}

@@ -1,0 +1,126 @@
+//! Results that were read and do not count.
+
+use std::path::Path;
+
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
+
+use super::experiment::Experiments;
+use super::undone::is_named;
+
+/// Most results that a remark names.
+const MOST: usize = 8;
+
+/// Why results do not count, in their order; `None` of those that do.
+pub(super) struct Excluded(Vec<Option<Exclusion>>);
+
+impl Excluded {
+    /// Finds what does not count; `named` is what the user typed. Of several results of one run the baseline stands for it, else
+    /// what the user named, else what is in the folder that its experiment gave it, else what comes first.
+    pub(super) fn among(
+        runs: &[Loaded],
+        baseline: &[usize],
+        named: &[&Path],
+        experiments: &Experiments,
+    ) -> Self {
+        let candidate = |(at, run): (usize, &Loaded)| {
+            let (known, in_experiment) = (Candidate::of_results(run), experiments.run(&run.folder));
+            Candidate {
+                state: in_experiment.map(|run| run.state()).or(known.state),
+                is_named: named.iter().any(|place| is_named(place, &run.folder, experiments)),
+                rank: if baseline.contains(&at) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
+                ..known
+            }
+        };
+        Self(exclusions(&runs.iter().enumerate().map(candidate).collect::<Vec<_>>()))
+    }
+
+    /// Whether these do not count.
+    pub(super) fn has(&self, run: usize) -> bool {
+        self.0.get(run).is_some_and(Option::is_some)
+    }
+
+    /// Remarks on what does not count, one for each kind of reason.
+    pub(super) fn told(&self, runs: &[Loaded]) -> Vec<String> {
+        let folder = |at: usize| runs[at].folder.display().to_string();
+        let told = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
+            let all: Vec<String> = (0..self.0.len())
+                .filter_map(|at| Some(format!("{} ({})", folder(at), why(self.0[at].as_ref()?)?)))
+                .collect();
+            let more = all.len().saturating_sub(MOST);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let named = all.iter().take(MOST).map(String::as_str).collect::<Vec<_>>().join(", ");
+            (!all.is_empty()).then(|| format!("left out, {what}: {named}{more}"))
+        };
+        let unfinished = told("not measured to their end", &|why| match why {
+            Exclusion::Unfinished(_) => Some(why.said(folder)),
+            _ => None,
+        });
+        let copies = told("copies of other results by the id of their run", &|why| match why {
+            Exclusion::CopyOf(of) => Some(format!("of {}", folder(*of))),
+            _ => None,
+        });
+        let again = told("measured again", &|why| match why {
+            Exclusion::MeasuredAgain(by) => Some(format!("as {}", folder(*by))),
+            _ => None,
+        });
+        [unfinished, copies, again].into_iter().flatten().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::Path;
+
+    use serde_json::json;
+
+    use crate::compare::{Collected, collect};
+    use crate::experiment::RECORD;
+
+    const ID: &str = "285ef326-f4f1-4f29-bdd3-c62b42cfe2f4";
+
+    fn run(folder: &Path, id: Option<&str>) {
+        fs::create_dir_all(folder).expect("made");
+        fs::write(folder.join("data.csv"), "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n")
+            .expect("written");
+        let record = json!({ "format": 1, "run": id, "reason": "finished", "counts": { "ok": 1 } });
+        fs::write(folder.join("run.json"), record.to_string()).expect("written");
+    }
+
+    fn names(found: &Collected) -> Vec<&str> {
+        found.runs.iter().filter_map(|run| run.folder.file_name()?.to_str()).collect()
+    }
+
+    #[test]
+    fn what_was_measured_once_counts_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = folder.path().join("rates");
+        let place = |name: &str| home.join("runs").join(name);
+        run(&place("007-a"), Some(ID));
+        // In front of what it is a copy of.
+        run(&place("000-copy"), Some(ID));
+        run(&place("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
+        for name in ["unknown-1", "unknown-2"] {
+            run(&place(name), None);
+        }
+        let runs = json!([{ "folder": "007-a" }, { "folder": "008-b" }]);
+        let states = json!([{ "stage": "finished" }, { "stage": "finished" }]);
+        let plan = json!({ "configurations": [], "runs": runs });
+        let record = json!({ "format": 1, "id": "x1", "name": "rates", "states": states, "plan": plan });
+        fs::write(home.join(RECORD), record.to_string()).expect("written");
+
+        let all = std::slice::from_ref(&home);
+        let found = collect(all, None, &|_| true).expect("they are there");
+        assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
+        let [told] = found.left_out.as_slice() else { panic!("{:?}", found.left_out) };
+        let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
+        assert!(told.starts_with("Left out, copies of ") && told.ends_with(&copy), "{told}");
+
+        let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
+        assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");
+        assert_eq!(found.baseline, [0]);
+        let found = collect(&[place("008-b")], None, &|_| true).expect("it is there");
+        assert!(found.left_out.is_empty(), "{:?}", found.left_out);
+    }
+}

@@ -1,0 +1,155 @@
+//! What a run is judged by, from its roll-ups.
+
+use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use peernet_analysis::rows::LATENESS;
+use peernet_analysis::trust::{
+    Clocks, Counts, EndedEarly, Limits, Load, Missing, Progress, Restarts, Starts, TimeSeries, TrustInput,
+};
+use peernet_logger::stage;
+use peernet_stream::EndReason;
+use serde::Deserialize;
+
+use super::statistics::{course, statistics};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::types::{RunDetail, RunStatistics, RunSummary, StageCourse};
+
+/// Largest number of buckets in which a run's time series is read.
+const BUCKETS: usize = 120;
+
+pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
+    let number = run.summary.number;
+    let numbers = [number];
+    let (known, courses) = tokio::try_join!(statistics(readers, &numbers), courses(readers, number))?;
+    Ok(collect(run, &known.into_iter().next().unwrap_or_default(), &courses))
+}
+
+/// Reads the time series of the total, or of sensing for a run of a sensor alone.
+///
+/// The stages are read only if the total has moved: over a day they are tens of thousands of rows.
+async fn courses(readers: &Readers, run: i64) -> Result<Vec<StageCourse>, StoreError> {
+    let mut found = course(readers, run, &[stage::TOTAL], BUCKETS).await?;
+    let has_moved = |course: &StageCourse| {
+        TimeSeries::of_summaries(&course.buckets).is_some_and(|course| course.has_moved())
+    };
+    if found.is_empty() {
+        found = course(readers, run, &[stage::SENSING], BUCKETS).await?;
+    } else if found.iter().any(has_moved) {
+        found.extend(course(readers, run, &stage::ORDER, BUCKETS).await?);
+    }
+    Ok(found)
+}
+
+/// Collects what a run is judged by; `courses` as [`courses`] reads them.
+fn collect(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> TrustInput {
+    let RunStatistics { stages: statistics, bounds, .. } = known;
+    let counts = Counts {
+        ok: run.summary.counts.ok,
+        failed: run.summary.counts.failed,
+        lost: run.summary.counts.lost,
+        timeout: run.summary.counts.timeout,
+        warm_up: run.summary.warm_up,
+    };
+    let figures =
+        |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
+    let mut stages: Vec<(String, TimeSeries)> = courses
+        .iter()
+        .filter_map(|course| Some((course.stage.to_string(), TimeSeries::of_summaries(&course.buckets)?)))
+        .collect();
+    let total =
+        stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|at| stages.remove(at).1);
+    let sensing =
+        || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
+    // An agent of another version may write the configuration in another form: the report then knows no limit and no rate.
+    let configured: Option<Configured> = toml::from_str(&run.configuration).ok();
+    let input = TrustInput {
+        conditions: run.conditions.clone(),
+        counts,
+        open: run.summary.ended.is_none(),
+        ended_early: configured.and_then(|configured| ended_early(run, &counts, configured.limit)),
+        starts: Starts {
+            hz: configured.and_then(|configured| configured.load.hz),
+            made_hz: made_hz(run, &counts),
+            ..run.summary.starts()
+        },
+        missing: run
+            .gaps
+            .iter()
+            .map(|gap| Missing { count: gap.count, reason: gap.reason.clone() })
+            .collect(),
+        total: total.or_else(sensing),
+        unattributed: figures(&stage::UNATTRIBUTED).map(|figures| figures.mean),
+        lateness: figures(LATENESS).map(|figures| figures.mean),
+        restarts: Restarts::NODES
+            .into_iter()
+            .filter_map(|(whose, name, _)| {
+                let figures = figures(&name)?;
+                let seconds = figures.mean * figures.count as f64;
+                Some(Restarts { whose, count: figures.count, seconds, iterations: Vec::new() })
+            })
+            .collect(),
+        clocks: bounds
+            .iter()
+            .map(|bound| Clocks {
+                stage: bound.stage.to_string(),
+                verdicts: bound.verdicts.clone(),
+                delay: figures(&bound.stage).map(|figures| figures.p50),
+                half_width: bound.half_width.map(|width| width.p50),
+            })
+            .collect(),
+        stages,
+        accuracy: ACCURACIES
+            .into_iter()
+            .filter_map(|name| {
+                let scores = figures(name)?;
+                Some((name.to_owned(), Accuracy::of_mean(scores.mean, scores.count, counts.ok)?))
+            })
+            .collect(),
+        unknown_labels: figures(UNKNOWN_LABEL)
+            .and_then(|figures| UnknownLabels::new(figures.count, &run.facts)),
+        ..TrustInput::default()
+    };
+    input.ended(run.summary.reason.as_ref()).with_facts(&run.facts)
+}
+
+/// Part of a run's configuration that a report needs.
+#[derive(Clone, Copy, Deserialize)]
+struct Configured {
+    #[serde(default)]
+    limit: Limits,
+    #[serde(default)]
+    load: Load,
+}
+
+impl RunSummary {
+    /// Returns what became of the starts that were ordered; the rates are not known.
+    pub fn starts(&self) -> Starts {
+        Starts { kept: self.counts.total(), skipped: self.skipped_starts, ..Starts::default() }
+    }
+}
+
+/// Starts per second over the whole run: the store does not keep when the warm-up ended.
+fn made_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
+    let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
+    // Missing iterations were started, too.
+    let known = run.gaps.is_empty() && seconds > 0.0;
+    known.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
+}
+
+/// Compares a run that has ended with the limits in its configuration.
+fn ended_early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<EndedEarly> {
+    let summary = &run.summary;
+    summary.ended?;
+    // If the number of missing events is unknown, so is how far the run came.
+    let unseen = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
+    let progress = Progress {
+        measured: counts.measured() + unseen,
+        warm_up: counts.warm_up,
+        // Of its whole length: the store does not keep when the warm-up ended.
+        seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
+    };
+    EndedEarly::of(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,54 @@
+//! How much longer an iteration takes than one of the baseline, as distributions on one axis.
+
+use peernet_analysis::compare::PairwiseDifference;
+use peernet_logger::stage;
+use peernet_statistics::Summary;
+use peernet_statistics::number::{duration, percent};
+
+use super::{Comparison, Differences};
+use crate::svg::{SmallAxis, SmallHistogram};
+
+/// Most distributions that are drawn.
+const MOST: usize = 24;
+
+/// A configuration against the baseline.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PairwiseRow {
+    /// Share of the pairs in which it is faster, percent.
+    pub faster: String,
+    pub picture: SmallHistogram,
+}
+
+/// Returns what is known of the totals of each other configuration against those of the baseline, in the order of the differences;
+/// `None` where one of both has no total, and beyond the room for pictures.
+pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
+    let all = &comparison.configurations;
+    let total = |place: usize| all.get(place)?.known(&stage::TOTAL);
+    let found: Vec<Option<PairwiseDifference>> = differences
+        .others
+        .iter()
+        .take(MOST)
+        .map(|(place, _)| PairwiseDifference::of(total(differences.baseline)?, total(*place)?))
+        .collect();
+    // Zero is on the axis: left of it is faster.
+    let mut zero = Summary::default();
+    zero.record(0.0);
+    let known = found.iter().flatten().map(|found| &found.differences);
+    let Some(axis) = SmallAxis::of("s", known.chain([&zero])) else { return Vec::new() };
+    let row = |(found, (place, _)): (Option<PairwiseDifference>, &(usize, _))| {
+        let PairwiseDifference { differences: pairs, smaller } = found?;
+        let interval = differences.total(*place).and_then(|stage| stage.found?.interval);
+        let faster = percent(smaller);
+        let beyond = match axis.beyond(&pairs) as f64 / pairs.count().max(1) as f64 {
+            0.0 => String::new(),
+            beyond => format!(", {} % beyond the axis", percent(beyond)),
+        };
+        let median = pairs.quantile(0.5).map_or_else(String::new, |median| duration(median).to_string());
+        let label = format!(
+            "{} less {}, total of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
+            all[*place].name, all[differences.baseline].name
+        );
+        Some(PairwiseRow { faster, picture: SmallHistogram::new("total", label, &pairs, &axis, interval) })
+    };
+    found.into_iter().zip(&differences.others).map(row).collect()
+}
