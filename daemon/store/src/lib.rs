@@ -50,8 +50,9 @@ pub use stored::{ClockPoint, Stored};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    Judgement, Kept, LinkKey, LinkRow, MeanBucket, Pairs, Recomputed, RecomputedStage, RunDetail, RunFilter,
-    RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans, StageSeries, StageStatistics,
+    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Pairs, Recomputed, RecomputedStage,
+    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
+    StageSeries, StageStatistics,
 };
 
 /// Types for the one process that writes to the database.
@@ -61,8 +62,8 @@ pub mod writing {
     pub use crate::readers::Readers;
     pub use crate::retention::Step;
     pub use crate::write::{
-        Aside, CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents,
-        RunName, Streams, Work, Writer,
+        CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
+        Streams, UnstorableBatch, Work, Writer,
     };
 }
 

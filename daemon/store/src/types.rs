@@ -9,7 +9,7 @@ pub use episodes::Episodes;
 pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
 pub use pairs::Pairs;
 pub(crate) use statistics::NameSummary;
-pub use statistics::{Kept, RunStatistics, StageStatistics};
+pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::slowness::Cause;

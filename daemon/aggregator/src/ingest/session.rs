@@ -18,7 +18,7 @@ use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::LiveEvent;
-use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
+use peernet_store::writing::{Committed, RunName, StoredState, Streams, UnstorableBatch, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
@@ -192,8 +192,9 @@ impl IngestSession {
         match (arrival, body) {
             (Arrival::Accept, Ok(body)) => slot.put(Incoming::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
-                let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                slot.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
+                let aside =
+                    UnstorableBatch { head, frame: frame.clone(), body: None, reason: error.to_string() };
+                slot.put(Incoming::Work(Work::UnstorableBatch(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
                 // The reply acknowledges the batch, which needs an open database.

@@ -5,7 +5,7 @@ use peernet_logger::{HostId, RunId};
 use peernet_stream::{ClockSample, EstimateBasis, Event, HostDescription, Iteration, NetworkName};
 
 use super::clocks::{link, micros, sample};
-use super::{Bed, NOW, generate};
+use super::{NOW, TestStore, generate};
 use crate::stored::ClockPoint;
 use crate::types::{ClockSeries, LinkKey};
 
@@ -28,42 +28,46 @@ fn point(sample: ClockSample) -> ClockPoint {
     ClockPoint { at, window, offset, probes, round_trip, up, down, clocks, proven_skew_ppm, grown_window }
 }
 
-async fn store(bed: &mut Bed, samples: impl IntoIterator<Item = ClockSample>) {
-    let work = bed.batch(samples.into_iter().map(event).collect());
-    let committed = bed.commit(&[work]).await;
+async fn store(test_store: &mut TestStore, samples: impl IntoIterator<Item = ClockSample>) {
+    let work = test_store.batch(samples.into_iter().map(event).collect());
+    let committed = test_store.commit(&[work]).await;
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
 }
 
-async fn series(bed: &Bed, most_points: u32) -> ClockSeries {
+async fn series(test_store: &TestStore, most_points: u32) -> ClockSeries {
     let (from, to) = ALWAYS;
-    bed.store.clock_series(&key(bed.edge, bed.cloud), from, to, most_points).await.expect("answers")
+    test_store
+        .store
+        .clock_series(&key(test_store.edge, test_store.cloud), from, to, most_points)
+        .await
+        .expect("answers")
 }
 
 #[tokio::test]
 async fn clock_sample_is_read_as_sent() {
-    let mut bed = Bed::new().await;
-    let full = sample(bed.cloud, 1, 40);
-    let mut in_band = sample(bed.cloud, 2, 50);
+    let mut test_store = TestStore::new().await;
+    let full = sample(test_store.cloud, 1, 40);
+    let mut in_band = sample(test_store.cloud, 2, 50);
     let offset = in_band.offset.as_mut().expect("known");
     (offset.source, offset.sources) = (DelaySource::InBand, vec![(DelaySource::InBand, offset.bounds)]);
     in_band.up.as_mut().expect("judged").median = None;
-    let mut empty = sample(bed.cloud, 3, 40);
+    let mut empty = sample(test_store.cloud, 3, 40);
     (empty.upper, empty.lower, empty.offset, empty.round_trip) = (None, None, None, None);
     (empty.up, empty.down) = (None, None);
     let samples = [full, in_band, empty];
-    store(&mut bed, samples.clone()).await;
+    store(&mut test_store, samples.clone()).await;
 
-    let series = series(&bed, 1_000).await;
+    let series = series(&test_store, 1_000).await;
     assert_eq!(series.bucket_s, 1);
     assert_eq!(series.points, samples.map(point));
-    let links = bed.store.links().await.expect("answers");
+    let links = test_store.store.links().await.expect("answers");
     let [link] = &links[..] else { panic!("one link: {links:?}") };
-    assert_eq!((link.edge, link.cloud), (bed.edge, bed.cloud));
+    assert_eq!((link.edge, link.cloud), (test_store.edge, test_store.cloud));
     assert_eq!((link.edge_name.as_str(), link.cloud_name.as_str()), ("edge", "cloud"));
     assert_eq!((link.first, link.last), (generate::at(1.0), generate::at(3.0)));
     // The values that a later judgement needs are stored, too.
     assert_eq!(
-        bed.count(
+        test_store.count(
             "SELECT count(*) FROM clock_sample WHERE max_drift_ppm = 50 AND upper_received_ns - upper_sent_ns = 250040000 \
              AND lower_returned_ns - lower_sent_ns = 82000 AND upper_uncertainty_ns = 2 AND (taken, restarts) = (9, 4)"
         )
@@ -71,7 +75,7 @@ async fn clock_sample_is_read_as_sent() {
         1
     );
     assert_eq!(
-        bed.count(
+        test_store.count(
             "SELECT count(*) FROM clock_ms WHERE edge = 'edge' AND cloud = 'cloud' AND refused = 6 AND offset_ms = 250 \
              AND at_utc = '2025-01-01 00:00:01.000' AND source = 'intersection' AND lo_ms = 249.96 AND up_ms = 4"
         )
@@ -82,60 +86,69 @@ async fn clock_sample_is_read_as_sent() {
 
 #[tokio::test]
 async fn two_networks_of_pair_are_two_links() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let other: NetworkName = "zmq-udp".parse().expect("a name");
-    let over_other = |second| ClockSample { network: other.clone(), ..sample(bed.cloud, second, 60) };
+    let over_other = |second| ClockSample { network: other.clone(), ..sample(test_store.cloud, second, 60) };
     let samples = [over_other(1), over_other(2)];
-    store(&mut bed, samples.clone()).await;
-    let [first, last] = [1, 2].map(|second| sample(bed.cloud, second, 40));
-    store(&mut bed, [first.clone(), last.clone()]).await;
-    let links = bed.store.links().await.expect("answers");
+    store(&mut test_store, samples.clone()).await;
+    let [first, last] = [1, 2].map(|second| sample(test_store.cloud, second, 40));
+    store(&mut test_store, [first.clone(), last.clone()]).await;
+    let links = test_store.store.links().await.expect("answers");
     let keys: Vec<LinkKey> = links.iter().map(crate::types::LinkRow::key).collect();
-    assert_eq!(keys, [key(bed.edge, bed.cloud), LinkKey { network: other, ..key(bed.edge, bed.cloud) }]);
+    assert_eq!(
+        keys,
+        [
+            key(test_store.edge, test_store.cloud),
+            LinkKey { network: other, ..key(test_store.edge, test_store.cloud) }
+        ]
+    );
     for (key, expected) in keys.iter().zip([[first, last], samples]) {
-        let series = bed.store.clock_series(key, ALWAYS.0, ALWAYS.1, 10).await.expect("answers");
+        let series = test_store.store.clock_series(key, ALWAYS.0, ALWAYS.1, 10).await.expect("answers");
         assert_eq!(series.points, expected.map(point), "{key:?}");
     }
-    assert_eq!(bed.count("SELECT count(*) FROM clock_ms WHERE network = 'zmq-udp'").await, 2);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_ms WHERE network = 'zmq-udp'").await, 2);
 }
 
 #[tokio::test]
 async fn series_holds_only_requested_link_and_time() {
-    let mut bed = Bed::new().await;
-    let cloud = bed.cloud;
-    store(&mut bed, (1..=100).map(|second| sample(cloud, second, 40))).await;
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
+    store(&mut test_store, (1..=100).map(|second| sample(cloud, second, 40))).await;
     let (from, to) = (generate::at(10.0), generate::at(19.0));
-    let some = bed.store.clock_series(&key(bed.edge, cloud), from, to, 10).await.expect("answers");
+    let some =
+        test_store.store.clock_series(&key(test_store.edge, cloud), from, to, 10).await.expect("answers");
     assert_eq!((some.bucket_s, some.points.len()), (1, 10));
     assert_eq!((some.points[0].at, some.points[9].at), (from, to));
-    let strange = bed.store.clock_series(&key(cloud, bed.edge), from, to, 10).await.expect("answers");
+    let strange =
+        test_store.store.clock_series(&key(cloud, test_store.edge), from, to, 10).await.expect("answers");
     assert_eq!(strange, ClockSeries { bucket_s: 1, points: vec![] });
-    let later = bed.store.clock_series(&key(bed.edge, cloud), generate::at(200.0), ALWAYS.1, 10).await;
+    let later =
+        test_store.store.clock_series(&key(test_store.edge, cloud), generate::at(200.0), ALWAYS.1, 10).await;
     assert!(later.expect("answers").points.is_empty());
 }
 
 #[tokio::test]
 async fn repeated_second_replaces_only_sample_of_its_window() {
-    let mut bed = Bed::new().await;
-    let mut again = sample(bed.cloud, 1, 60);
+    let mut test_store = TestStore::new().await;
+    let mut again = sample(test_store.cloud, 1, 60);
     again.probes.lost = 5;
-    let mut stepped = sample(bed.cloud, 1, 70);
+    let mut stepped = sample(test_store.cloud, 1, 70);
     stepped.window = 7;
-    let samples = [sample(bed.cloud, 1, 40), again, stepped];
-    store(&mut bed, samples.clone()).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
-    assert_eq!(bed.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
+    let samples = [sample(test_store.cloud, 1, 40), again, stepped];
+    store(&mut test_store, samples.clone()).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
+    assert_eq!(test_store.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
     // The same batch sent again replaces nothing.
-    let work = bed.batch_numbered(1, samples.map(event));
-    bed.commit(&[work]).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
-    assert_eq!(bed.count("SELECT events FROM host WHERE name = 'edge'").await, 3);
+    let work = test_store.batch_numbered(1, samples.map(event));
+    test_store.commit(&[work]).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
+    assert_eq!(test_store.count("SELECT events FROM host WHERE name = 'edge'").await, 3);
 }
 
 #[tokio::test]
 async fn seconds_of_window_survive_wall_clock_set_back() {
-    let mut bed = Bed::new().await;
-    let cloud = bed.cloud;
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
     // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
     let raw = |raw: i64, second: i64| {
         let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
@@ -144,13 +157,13 @@ async fn seconds_of_window_survive_wall_clock_set_back() {
     };
     let shown = (1..=10).chain(6..=10).chain(6..=10);
     let samples: Vec<_> = shown.zip(1..).map(|(second, at)| raw(at, second)).collect();
-    store(&mut bed, samples.clone()).await;
-    assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
+    store(&mut test_store, samples.clone()).await;
+    assert_eq!(test_store.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
     // A second that arrives again replaces only itself.
-    store(&mut bed, samples).await;
-    assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 20);
-    let read = series(&bed, 1_000).await.points;
+    store(&mut test_store, samples).await;
+    assert_eq!(test_store.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 20);
+    let read = series(&test_store, 1_000).await.points;
     let sent: Vec<u32> = read.iter().map(|point| point.probes.sent).collect();
     assert_eq!(sent, [[10; 5], [30; 5]].concat(), "they are of the same seconds");
 }
@@ -159,18 +172,18 @@ async fn seconds_of_window_survive_wall_clock_set_back() {
 async fn later_window_counts_for_repeated_seconds() {
     // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
     for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
-        let mut bed = Bed::new().await;
-        let cloud = bed.cloud;
+        let mut test_store = TestStore::new().await;
+        let cloud = test_store.cloud;
         let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
-        store(&mut bed, (1..=10).map(|second| of(before, second, 90))).await;
+        store(&mut test_store, (1..=10).map(|second| of(before, second, 90))).await;
         // The clock was set back by five seconds.
         let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
-        store(&mut bed, set_back.clone()).await;
-        let read = series(&bed, 1_000).await.points;
+        store(&mut test_store, set_back.clone()).await;
+        let read = series(&test_store, 1_000).await.points;
         let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
         assert_eq!(read, expected.map(point).collect::<Vec<_>>());
         // A bucket with the step shows the time after it.
-        for point in series(&bed, 2).await.points {
+        for point in series(&test_store, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
             let own = if point.window == before { 90 } else { 40 };
             assert_eq!(width, of(1, 1, own).offset.map(|offset| offset.bounds.width()), "{point:?}");
@@ -180,21 +193,22 @@ async fn later_window_counts_for_repeated_seconds() {
 
 #[tokio::test]
 async fn samples_from_1970_hide_no_later_ones() {
-    let mut bed = Bed::new().await;
-    let cloud = bed.cloud;
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
     let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
     // The clock of a host without a battery begins far back, and is set when the host finds a time server.
     for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
-        store(&mut bed, seconds.map(|second| of(window, second))).await;
+        store(&mut test_store, seconds.map(|second| of(window, second))).await;
     }
-    let windows: Vec<u64> = series(&bed, 10_000).await.points.iter().map(|point| point.window).collect();
+    let windows: Vec<u64> =
+        series(&test_store, 10_000).await.points.iter().map(|point| point.window).collect();
     assert_eq!(windows, [2, 1, 3].map(|window| [window; 10]).concat());
 }
 
 #[tokio::test]
 async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
-    let mut bed = Bed::new().await;
-    let cloud = bed.cloud;
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
     let samples = (1..=1_000).map(|second| {
         let mut sample = sample(cloud, second, 40 + second % 10);
         let up = sample.up.as_mut().expect("judged");
@@ -202,17 +216,17 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
         up.verdict = if second % 10 == 0 { Verdict::Stale } else { Verdict::Ok };
         sample
     });
-    store(&mut bed, samples).await;
+    store(&mut test_store, samples).await;
     for (most, width) in
         [(1_000, 1), (999, 2), (500, 2), (200, 5), (199, 10), (34, 30), (1, 1_800), (0, 1_800)]
     {
-        let series = series(&bed, most).await;
+        let series = series(&test_store, most).await;
         assert_eq!(series.bucket_s, width);
         assert!(series.points.len() <= most.max(1) as usize);
         let sent: u32 = series.points.iter().map(|point| point.probes.sent).sum();
         assert_eq!(sent, 10_000);
     }
-    let series = series(&bed, 100).await;
+    let series = series(&test_store, 100).await;
     assert_eq!(series.points.len(), 100);
     // Zero is a multiple of ten: the buckets are 1 to 10, 11 to 20 …
     let second = &series.points[1];
@@ -229,9 +243,9 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     let (read, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
     assert_eq!(read, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
-    let wide = bed
+    let wide = test_store
         .store
-        .clock_series(&key(bed.edge, cloud), generate::at(1.0), ALWAYS.1, 20)
+        .clock_series(&key(test_store.edge, cloud), generate::at(1.0), ALWAYS.1, 20)
         .await
         .expect("answers");
     assert_eq!(wide.points[1].up.expect("judged").verdict, Verdict::Stale);
@@ -239,8 +253,8 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
 
 #[tokio::test]
 async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
-    let mut bed = Bed::new().await;
-    let cloud = bed.cloud;
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
     let of = |second, change: fn(&mut ClockSample)| {
         let mut sample = sample(cloud, second, 40);
         change(&mut sample);
@@ -280,12 +294,17 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
         ClockSample { at: extreme, ..sample(cloud, 7, 40) },
         wild,
     ];
-    store(&mut bed, samples).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 8);
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample WHERE max_drift_ppm IS NULL").await, 1);
-    assert!(bed.count("SELECT max(length(offset_sources)) FROM clock_sample").await < 100);
+    store(&mut test_store, samples).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 8);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample WHERE max_drift_ppm IS NULL").await, 1);
+    assert!(test_store.count("SELECT max(length(offset_sources)) FROM clock_sample").await < 100);
     let (from, to) = (generate::at(0.0), generate::at(100.0));
-    let points = bed.store.clock_series(&key(bed.edge, cloud), from, to, 100).await.expect("answers").points;
+    let points = test_store
+        .store
+        .clock_series(&key(test_store.edge, cloud), from, to, 100)
+        .await
+        .expect("answers")
+        .points;
     let known = |at: usize| points[at].offset.as_ref();
     assert_eq!(known(0).expect("known").skew_ppm, None);
     assert_eq!((known(1), known(2)), (None, None));
@@ -293,51 +312,51 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
     assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
     assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
     // The whole range of time is also answered in few points.
-    assert!(series(&bed, 1_000).await.points.len() <= 1_000);
-    assert_eq!(bed.store.links().await.expect("answers").len(), 1);
+    assert!(series(&test_store, 1_000).await.points.len() <= 1_000);
+    assert_eq!(test_store.store.links().await.expect("answers").len(), 1);
 }
 
 #[tokio::test]
 async fn silent_cloud_has_last_name_given_by_edge() {
-    let mut bed = Bed::new().await;
-    bed.cloud = HostId::random();
+    let mut test_store = TestStore::new().await;
+    test_store.cloud = HostId::random();
     let named = |name: &str, second| ClockSample {
         peer_name: name.parse().expect("a name"),
-        ..sample(bed.cloud, second, 40)
+        ..sample(test_store.cloud, second, 40)
     };
     let samples = [named("far", 1), named("farther", 2)];
-    store(&mut bed, samples).await;
-    let name = async |bed: &Bed| {
-        let links = bed.store.links().await.expect("answers");
+    store(&mut test_store, samples).await;
+    let name = async |test_store: &TestStore| {
+        let links = test_store.store.links().await.expect("answers");
         assert_eq!(links.len(), 1);
         links[0].cloud_name.to_string()
     };
-    assert_eq!(name(&bed).await, "farther");
-    let host: HostDescription = generate::host(bed.cloud, "base");
-    bed.commit(&[super::hello(host, 1)]).await;
-    assert_eq!(name(&bed).await, "base");
-    assert_eq!(series(&bed, 10).await.points.len(), 2);
+    assert_eq!(name(&test_store).await, "farther");
+    let host: HostDescription = generate::host(test_store.cloud, "base");
+    test_store.commit(&[super::hello(host, 1)]).await;
+    assert_eq!(name(&test_store).await, "base");
+    assert_eq!(series(&test_store, 10).await.points.len(), 2);
 }
 
 #[tokio::test]
 async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration =
-        generate::iteration(RunId::random(), 9, (HostId::random(), bed.cloud), &mut numbers);
-    let live = link(sample(bed.cloud, 3, 40));
-    let bad = bed.batch(vec![event(sample(bed.cloud, 2, 40)), Event::Iteration(foreign)]);
-    let good = bed.batch(vec![event(live.now)]);
-    let committed = bed.commit(&[bad, good]).await;
+        generate::iteration(RunId::random(), 9, (HostId::random(), test_store.cloud), &mut numbers);
+    let live = link(sample(test_store.cloud, 3, 40));
+    let bad = test_store.batch(vec![event(sample(test_store.cloud, 2, 40)), Event::Iteration(foreign)]);
+    let good = test_store.batch(vec![event(live.now)]);
+    let committed = test_store.commit(&[bad, good]).await;
     assert_eq!(committed.quarantined.len(), 1);
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 1);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 1);
     assert_eq!(
-        bed.count("SELECT count(*) FROM clock_sample JOIN link ON link.id = clock_sample.link").await,
+        test_store.count("SELECT count(*) FROM clock_sample JOIN link ON link.id = clock_sample.link").await,
         1
     );
     assert_eq!(
-        bed.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 2 AND from_ns = 1735689602000000000 - 200000000").await,
+        test_store.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 2 AND from_ns = 1735689602000000000 - 200000000").await,
         1
     );
-    assert!(committed.hosts[&bed.edge].1 < Some(NOW));
+    assert!(committed.hosts[&test_store.edge].1 < Some(NOW));
 }

@@ -8,10 +8,10 @@ use peernet_stream::{
 };
 
 use super::clocks::sample;
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::write::ConnectionSample;
 
-fn connection_report(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample {
+fn connection_report(test_store: &TestStore, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample {
     let sent = DirectionStatistics {
         bytes,
         messages: 3,
@@ -24,7 +24,7 @@ fn connection_report(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> Conn
     let trip =
         TransportRoundTrip { min: None, smoothed: Span::from_micros(520), variation: Span::from_micros(33) };
     ConnectionSample {
-        edge: bed.edge,
+        edge: test_store.edge,
         cloud,
         at,
         connection: Connection {
@@ -51,26 +51,30 @@ fn connection_report(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> Conn
 
 #[tokio::test]
 async fn connections_are_stored_within_time_of_clock_samples() {
-    let mut bed = Bed::new().await;
-    let (edge_reported, cloud) = (generate::at(2.0), bed.cloud);
-    let early = connection_report(&bed, cloud, edge_reported, 1);
-    bed.writer.store_connections(&[early]).await.expect("stores");
-    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 0, "the link is not known yet");
+    let mut test_store = TestStore::new().await;
+    let (edge_reported, cloud) = (generate::at(2.0), test_store.cloud);
+    let early = connection_report(&test_store, cloud, edge_reported, 1);
+    test_store.writer.store_connections(&[early]).await.expect("stores");
+    assert_eq!(
+        test_store.count("SELECT count(*) FROM connection_sample").await,
+        0,
+        "the link is not known yet"
+    );
 
-    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
-    let work = bed.batch(clocks);
-    bed.commit(&[work]).await;
+    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40)))).collect();
+    let work = test_store.batch(clocks);
+    test_store.commit(&[work]).await;
     let stranger = HostId::random();
     let samples = [
-        connection_report(&bed, cloud, edge_reported, 2),
-        connection_report(&bed, stranger, edge_reported, 3),
-        connection_report(&bed, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
-        connection_report(&bed, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
+        connection_report(&test_store, cloud, edge_reported, 2),
+        connection_report(&test_store, stranger, edge_reported, 3),
+        connection_report(&test_store, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
+        connection_report(&test_store, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
     ];
-    bed.writer.store_connections(&samples).await.expect("stores");
-    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 3);
+    test_store.writer.store_connections(&samples).await.expect("stores");
+    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 3);
     assert_eq!(
-        bed.count(
+        test_store.count(
             "SELECT count(*) FROM connection_total WHERE edge = 'edge' AND cloud = 'cloud' AND network = 'zmq-tcp' AND pipeline = 'line' \
              AND at_utc = '2025-01-01 00:00:02.000' AND sent_bytes = 2 AND sent_datagrams = 40 AND sent_retransmitted = 6 \
              AND received_bytes = 9223372036854775807 AND received_datagrams IS NULL AND round_trip_ms = 0.52 \
@@ -81,18 +85,18 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     );
     let untold = "SELECT count(*) FROM connection_sample WHERE coalesce(cloud_received_bytes, cloud_sent_messages, \
                   cloud_lost_messages, cloud_round_trip_ns) IS NULL";
-    assert_eq!(bed.count(untold).await, 3, "the cloud told nothing");
+    assert_eq!(test_store.count(untold).await, 3, "the cloud told nothing");
     let within = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
                   AND (SELECT max(at_ns) FROM clock_sample)";
-    assert_eq!(bed.count(within).await, 3, "whatever time was told");
+    assert_eq!(test_store.count(within).await, 3, "whatever time was told");
 }
 
 #[tokio::test]
 async fn connection_reports_of_cloud_and_edge_are_both_stored() {
-    let mut bed = Bed::new().await;
-    let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
-    bed.commit(&[work]).await;
-    let mut counted = connection_report(&bed, bed.cloud, generate::at(2.0), 900);
+    let mut test_store = TestStore::new().await;
+    let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 1, 40)))]);
+    test_store.commit(&[work]).await;
+    let mut counted = connection_report(&test_store, test_store.cloud, generate::at(2.0), 900);
     let direction = |bytes, messages, lost, retransmitted| DirectionStatistics {
         bytes,
         messages,
@@ -112,33 +116,33 @@ async fn connection_reports_of_cloud_and_edge_are_both_stored() {
             variation: Span::from_micros(44),
         }),
     });
-    bed.writer.store_connections(&[counted]).await.expect("stores");
+    test_store.writer.store_connections(&[counted]).await.expect("stores");
     let stored = "SELECT count(*) FROM connection_sample WHERE (sent_bytes, cloud_received_bytes, cloud_received_messages, \
                   cloud_received_lost, cloud_sent_bytes, cloud_sent_messages, cloud_sent_retransmitted) \
                   = (900, 800, 8, 9, 500, 5, 12) AND cloud_received_retransmitted IS NULL AND cloud_sent_lost IS NULL \
                   AND (cloud_malformed_messages, cloud_lost_messages) = (1, 2) \
                   AND (cloud_round_trip_min_ns, cloud_round_trip_ns, cloud_round_trip_variation_ns) = (400000, 620000, 44000)";
-    assert_eq!(bed.count(stored).await, 1);
+    assert_eq!(test_store.count(stored).await, 1);
     let shown = "SELECT count(*) FROM connection_total WHERE (sent_bytes, cloud_received_bytes, cloud_sent_bytes, \
                  cloud_sent_retransmitted, cloud_round_trip_min_ms, cloud_round_trip_ms) = (900, 800, 500, 12, 0.4, 0.62)";
-    assert_eq!(bed.count(shown).await, 1);
+    assert_eq!(test_store.count(shown).await, 1);
 }
 
 #[tokio::test]
 async fn writer_continues_after_sqlite_rollback() {
-    let mut bed = Bed::new().await;
-    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
-    let work = bed.batch(clocks);
-    bed.commit(&[work]).await;
-    let samples = [connection_report(&bed, bed.cloud, generate::at(2.0), 2)];
+    let mut test_store = TestStore::new().await;
+    let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40)))).collect();
+    let work = test_store.batch(clocks);
+    test_store.commit(&[work]).await;
+    let samples = [connection_report(&test_store, test_store.cloud, generate::at(2.0), 2)];
 
     // A full disk has the same effect.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
-    let mut other = bed.other().await;
+    let mut other = test_store.other().await;
     sqlx::raw_sql(full).execute(&mut other).await.expect("makes the trigger");
-    bed.writer.store_connections(&samples).await.expect_err("it is undone");
+    test_store.writer.store_connections(&samples).await.expect_err("it is undone");
     sqlx::raw_sql("DROP TRIGGER full").execute(&mut other).await.expect("removes it");
-    bed.writer.store_connections(&samples).await.expect("stores");
-    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 1);
+    test_store.writer.store_connections(&samples).await.expect("stores");
+    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 1);
 }

@@ -5,11 +5,11 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
 use peernet_stream::{Event, Iteration, Outcome, RunDescription};
 
-use super::{Bed, NOW, generate};
+use super::{NOW, TestStore, generate};
 use crate::types::RunFilter;
 
 /// Stores a run with this configuration. `ends` has the outcome of each iteration and 1 if it missed its deadline.
-async fn store(bed: &mut Bed, configuration: &str, ends: &[(Outcome, f64)]) {
+async fn store(test_store: &mut TestStore, configuration: &str, ends: &[(Outcome, f64)]) {
     let run = RunId::random();
     let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {
         panic!("the start of a run")
@@ -17,27 +17,29 @@ async fn store(bed: &mut Bed, configuration: &str, ends: &[(Outcome, f64)]) {
     let configuration = configuration.to_owned();
     let mut events = vec![Event::RunStarted(RunDescription { configuration, ..description })];
     for (number, (outcome, missed)) in (1..).zip(ends) {
-        let mut one = generate::iteration(run, number, bed.hosts(), &mut generate::Numbers::new(number));
+        let mut one =
+            generate::iteration(run, number, test_store.hosts(), &mut generate::Numbers::new(number));
         one.tree.add(NodeId::ROOT, "deadline-missed".into(), Span::ZERO, Measure::Value(*missed, Unit::NONE));
         events.push(Event::Iteration(Iteration { outcome: outcome.clone(), warm_up: number == 1, ..one }));
     }
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
 }
 
 #[tokio::test]
 async fn misses_are_late_and_unanswered_iterations() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let lost = || Outcome::Lost("gone".into());
     let ends =
         [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Timeout, 1.0), (lost(), 1.0)];
-    store(&mut bed, "name = \"line\"\ndeadline_ms = 100\n\n[sensor]\nkind = \"x\"\n", &ends).await;
-    store(&mut bed, "deadline_ms = 250\n", &[(lost(), 1.0), (lost(), 1.0)]).await;
-    store(&mut bed, "name = \"line\"\n[sensor]\ndeadline_ms = 9\n", &ends).await;
-    let runs = bed.store.runs(&RunFilter { limit: 10, ..RunFilter::default() }).await.expect("answers");
+    store(&mut test_store, "name = \"line\"\ndeadline_ms = 100\n\n[sensor]\nkind = \"x\"\n", &ends).await;
+    store(&mut test_store, "deadline_ms = 250\n", &[(lost(), 1.0), (lost(), 1.0)]).await;
+    store(&mut test_store, "name = \"line\"\n[sensor]\ndeadline_ms = 9\n", &ends).await;
+    let runs =
+        test_store.store.runs(&RunFilter { limit: 10, ..RunFilter::default() }).await.expect("answers");
     let found: Vec<_> = runs.iter().rev().map(|run| (run.deadline_s, run.misses)).collect();
     let of = |missed, of| Some(Misses { missed, of });
     assert_eq!(found, [(Some(0.1), of(3, 4)), (Some(0.25), of(1, 1)), (None, None)]);
-    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!(detail.summary.misses, of(3, 4), "as in the list");
 }

@@ -4,7 +4,7 @@ use peernet_clock::WallTime;
 use peernet_logger::RunId;
 use peernet_stream::{Event, Iteration, Outcome};
 
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::types::Episodes;
 
 /// Sets episode and step as an agent does.
@@ -14,8 +14,8 @@ fn placed(iteration: &mut Iteration, steps: u64) {
 }
 
 /// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it out.
-async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
-    let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers::new(7));
+async fn stored(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
+    let (run, hosts, mut numbers) = (RunId::random(), test_store.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for number in 1..=iterations {
         let mut iteration = generate::iteration(run, number, hosts, &mut numbers);
@@ -23,8 +23,9 @@ async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) 
             events.push(Event::Iteration(iteration));
         }
     }
-    let work: Vec<_> = events.chunks(100).map(<[Event]>::to_vec).map(|events| bed.batch(events)).collect();
-    bed.commit(&work).await;
+    let work: Vec<_> =
+        events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
+    test_store.commit(&work).await;
 }
 
 fn began(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
@@ -33,14 +34,14 @@ fn began(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
 
 #[tokio::test]
 async fn borders_are_at_starts_of_episodes() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 95, |iteration| {
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 95, |iteration| {
         placed(iteration, 30);
         iteration.warm_up = iteration.number <= 30 || iteration.step == 0;
         true
     })
     .await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     let expected = Episodes {
         first: Some(generate::at(0.2)),
         count: 4,
@@ -51,40 +52,44 @@ async fn borders_are_at_starts_of_episodes() {
         without_answer: 0,
     };
     assert_eq!(known, expected);
-    assert_eq!(bed.store.episodes(9).await.expect("answers"), Episodes::default(), "there is no such run");
+    assert_eq!(
+        test_store.store.episodes(9).await.expect("answers"),
+        Episodes::default(),
+        "there is no such run"
+    );
 }
 
 #[tokio::test]
 async fn run_of_one_episode_has_no_border() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 40, |_| true).await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 40, |_| true).await;
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders.len(), known.warm_up_until), (1, None, 0, None));
     // The whole run is warm-up.
-    stored(&mut bed, 5, |iteration| {
+    stored(&mut test_store, 5, |iteration| {
         iteration.warm_up = true;
         true
     })
     .await;
-    assert_eq!(bed.store.episodes(2).await.expect("answers").warm_up_until, None);
+    assert_eq!(test_store.store.episodes(2).await.expect("answers").warm_up_until, None);
 }
 
 #[tokio::test]
 async fn missing_border_is_left_out() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 95, |iteration| {
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 95, |iteration| {
         placed(iteration, 30);
         ![1, 61].contains(&iteration.number)
     })
     .await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.first, known.borders), (4, None, began([31, 91])));
 }
 
 #[tokio::test]
 async fn deleted_iterations_have_no_border() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 95, |iteration| {
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 95, |iteration| {
         placed(iteration, 30);
         if [4, 70].contains(&iteration.number) {
             iteration.outcome = Outcome::Timeout;
@@ -92,51 +97,51 @@ async fn deleted_iterations_have_no_border() {
         true
     })
     .await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.unanswered, known.without_answer), (began([4, 70]), 2));
-    let mut other = bed.other().await;
+    let mut other = test_store.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
         .await
         .expect("deletes");
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.first), (4, Some(30), None));
     assert_eq!((known.borders, known.unanswered, known.without_answer), (began([61, 91]), began([70]), 1));
 }
 
 #[tokio::test]
 async fn inconsistent_step_numbers_have_no_border() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 40, |iteration| {
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 40, |iteration| {
         (iteration.episode, iteration.step) = (iteration.number as u32 / 10, iteration.number as u32 % 7);
         true
     })
     .await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders), (5, None, Vec::new()));
 }
 
 #[tokio::test]
 async fn too_many_episodes_are_only_counted() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     for iterations in [93, 94] {
-        stored(&mut bed, iterations, |iteration| {
+        stored(&mut test_store, iterations, |iteration| {
             placed(iteration, 3);
             true
         })
         .await;
     }
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders), (31, Some(3), began((1..=30).map(|n| n * 3 + 1))));
-    let known = bed.store.episodes(2).await.expect("answers");
+    let known = test_store.store.episodes(2).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders), (32, Some(3), Vec::new()));
 }
 
 #[tokio::test]
 async fn sample_of_unanswered_iterations_covers_whole_run() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // Every second one at first, then a single one at the end.
-    stored(&mut bed, 2_000, |iteration| {
+    stored(&mut test_store, 2_000, |iteration| {
         let is_lost = iteration.number % 2 == 0 && iteration.number <= 1_200 || iteration.number == 1_990;
         if is_lost {
             iteration.outcome = Outcome::Lost("connection broke".into());
@@ -145,7 +150,7 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
         true
     })
     .await;
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!(known.without_answer, 601, "those of the warm-up too");
     let shown = known.unanswered;
     assert!((150..=Episodes::MOST_UNANSWERED).contains(&shown.len()), "{}", shown.len());
@@ -155,9 +160,9 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
 
 #[tokio::test]
 async fn unanswered_iterations_are_counted_up_to_limit() {
-    let mut bed = Bed::new().await;
-    stored(&mut bed, 1, |_| true).await;
-    let mut other = bed.other().await;
+    let mut test_store = TestStore::new().await;
+    stored(&mut test_store, 1, |_| true).await;
+    let mut other = test_store.other().await;
     let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
     let columns = columns.fetch_all(&mut other).await.expect("the columns");
     let values = columns.iter().map(|name| match name.as_str() {
@@ -172,7 +177,7 @@ async fn unanswered_iterations_are_counted_up_to_limit() {
         values.collect::<Vec<_>>().join(", ")
     );
     sqlx::query(sqlx::AssertSqlSafe(more)).execute(&mut other).await.expect("inserts");
-    let known = bed.store.episodes(1).await.expect("answers");
+    let known = test_store.store.episodes(1).await.expect("answers");
     assert_eq!(known.without_answer, Episodes::MOST_COUNTED + 1);
     assert!(known.unanswered.len() <= Episodes::MOST_UNANSWERED);
 }

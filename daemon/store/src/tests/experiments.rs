@@ -9,7 +9,7 @@ use peernet_logger::stage;
 use peernet_logger::{Name, RunId};
 use peernet_stream::{Condition, Event, ExperimentPlace, Grade, RunDescription, RunEnded};
 
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::types::{MeanBucket, RunFilter, RunSummary};
 
 fn place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
@@ -40,44 +40,45 @@ fn began(experiment: Option<ExperimentPlace>, conditions: Vec<Condition>) -> Eve
 
 #[tokio::test]
 async fn a_run_knows_its_experiment_and_what_was_found_of_its_hosts() {
-    let mut bed = Bed::new().await;
-    let work = bed.batch(vec![began(Some(place("a", "1 kB", 2)), conditions()), began(None, Vec::new())]);
-    bed.commit(&[work]).await;
-    let of = bed.store.run(1).await.expect("answers").expect("exists");
+    let mut test_store = TestStore::new().await;
+    let work =
+        test_store.batch(vec![began(Some(place("a", "1 kB", 2)), conditions()), began(None, Vec::new())]);
+    test_store.commit(&[work]).await;
+    let of = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((of.summary.experiment, of.conditions), (Some(place("a", "1 kB", 2)), conditions()));
-    let alone = bed.store.run(2).await.expect("answers").expect("exists");
+    let alone = test_store.store.run(2).await.expect("answers").expect("exists");
     assert_eq!((alone.summary.experiment, alone.conditions), (None, Vec::new()));
-    let listed = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    let listed = test_store.store.runs(&RunFilter::default()).await.expect("answers");
     assert_eq!(listed.iter().filter(|run| run.experiment.is_some()).count(), 1);
 }
 
 #[tokio::test]
 async fn experiments_are_listed_with_their_runs() {
-    let mut bed = Bed::new().await;
-    assert!(bed.store.experiments(10).await.expect("answers").is_empty());
+    let mut test_store = TestStore::new().await;
+    assert!(test_store.store.experiments(10).await.expect("answers").is_empty());
     let events = vec![
         began(Some(place("a", "1 kB", 0)), Vec::new()),
         began(Some(place("b", "1 kB", 0)), Vec::new()),
         began(None, Vec::new()),
         began(Some(place("a", "2 kB", 0)), Vec::new()),
     ];
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
-    let listed = bed.store.experiments(10).await.expect("answers");
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+    let listed = test_store.store.experiments(10).await.expect("answers");
     let told: Vec<_> =
         listed.iter().map(|it| (it.id.as_str(), it.runs, it.open, it.oldest, it.newest)).collect();
     // A pipeline that begins a run has ended the one before.
     assert_eq!(told, [("a", 2, 1, 1, 4), ("b", 1, 0, 2, 2)]);
     assert_eq!(listed[0].name, "sizes");
-    let runs = bed.store.runs_of_experiment("a", 10).await.expect("answers");
+    let runs = test_store.store.runs_of_experiment("a", 10).await.expect("answers");
     assert_eq!(runs.iter().map(|run| run.number).collect::<Vec<_>>(), [1, 4]);
-    assert_eq!(bed.store.runs_of_experiment("a", 1).await.expect("answers").len(), 1);
-    assert!(bed.store.runs_of_experiment("' OR 1", 10).await.expect("answers").is_empty());
+    assert_eq!(test_store.store.runs_of_experiment("a", 1).await.expect("answers").len(), 1);
+    assert!(test_store.store.runs_of_experiment("' OR 1", 10).await.expect("answers").is_empty());
 }
 
 #[tokio::test]
 async fn same_runs_count_in_store_and_in_files() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // The same repeat twice, one that was stopped and begun again, one that failed, one that goes on.
     let plan = [
         ("1 kB", Some("finished")),
@@ -93,10 +94,10 @@ async fn same_runs_count_in_store_and_in_files() {
         let at = generate::at(at as f64 + 1.0);
         let end =
             reason.map(|reason| Event::RunEnded(RunEnded { run: *run, ended: at, reason: reason.into() }));
-        let work = bed.batch([began].into_iter().chain(end).collect());
-        bed.commit(&[work]).await;
+        let work = test_store.batch([began].into_iter().chain(end).collect());
+        test_store.commit(&[work]).await;
     }
-    let stored = bed.store.runs_of_experiment("a", 10).await.expect("answers");
+    let stored = test_store.store.runs_of_experiment("a", 10).await.expect("answers");
     let results = |run: &RunSummary| Loaded {
         folder: format!("runs/{}", run.number).into(),
         record: RunRecord {
@@ -129,12 +130,12 @@ async fn same_runs_count_in_store_and_in_files() {
 
 #[tokio::test]
 async fn a_course_holds_every_sample_in_order_of_time() {
-    let mut bed = Bed::new().await;
-    bed.run_of(500).await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(500).await;
     let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
-    let courses = bed.store.course(1, &asked, 20).await.expect("answers");
+    let courses = test_store.store.course(1, &asked, 20).await.expect("answers");
     assert_eq!(courses.iter().map(|it| it.stage.as_str()).collect::<Vec<_>>(), ["total", "upload"]);
-    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
+    let whole = test_store.store.statistics_of(1).await.expect("answers").stages;
     for course in courses {
         assert!((5..=20).contains(&course.buckets.len()), "{}", course.buckets.len());
         let figures = whole.iter().find(|known| known.stage == course.stage).expect("known").figures;
@@ -146,12 +147,12 @@ async fn a_course_holds_every_sample_in_order_of_time() {
 
 #[tokio::test]
 async fn means_are_those_of_the_course() {
-    let mut bed = Bed::new().await;
-    bed.run_of(500).await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(500).await;
     let asked = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];
     for most in [1, 7, 20, 1_000] {
-        let courses = bed.store.course(1, &asked, most).await.expect("answers");
-        let means = bed.store.means(1, &asked, most).await.expect("answers");
+        let courses = test_store.store.course(1, &asked, most).await.expect("answers");
+        let means = test_store.store.means(1, &asked, most).await.expect("answers");
         assert_eq!(means.len(), courses.len(), "{means:?}");
         for (means, course) in means.iter().zip(&courses) {
             assert_eq!((&means.stage, means.buckets.len()), (&course.stage, course.buckets.len()));

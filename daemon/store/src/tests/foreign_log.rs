@@ -9,7 +9,7 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
-use super::{Bed, NOW, STAMP, open};
+use super::{NOW, STAMP, TestStore, open};
 use crate::RetentionConfig;
 use crate::error::OpenError;
 use crate::incidents::PendingIncidents;
@@ -45,24 +45,24 @@ fn log_of(path: &Path) -> PathBuf {
 }
 
 /// Copies the files in the state in which a killed process leaves them.
-fn killed(bed: &Bed) -> (TempDir, PathBuf) {
+fn killed(test_store: &TestStore) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
-    fs::copy(&bed.path, &path).expect("copies");
-    fs::copy(log_of(&bed.path), log_of(&path)).expect("copies");
+    fs::copy(&test_store.path, &path).expect("copies");
+    fs::copy(log_of(&test_store.path), log_of(&path)).expect("copies");
     (folder, path)
 }
 
-async fn checkpoint(bed: &Bed) {
+async fn checkpoint(test_store: &TestStore) {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
-        .execute(&mut bed.other().await)
+        .execute(&mut test_store.other().await)
         .await
         .expect("carries over");
 }
 
-async fn backup(bed: &Bed, name: &str) -> PathBuf {
-    let target = bed.path.with_file_name(name);
-    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+async fn backup(test_store: &TestStore, name: &str) -> PathBuf {
+    let target = test_store.path.with_file_name(name);
+    let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     backup.run(CancellationToken::new()).await.expect("copies").path
 }
 
@@ -75,12 +75,12 @@ async fn start(path: &Path) -> Result<(), OpenError> {
 
 #[tokio::test]
 async fn backup_is_not_spoilt_by_log_of_previous_database() {
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    checkpoint(&bed).await;
-    let copy = backup(&bed, "copy.sqlite").await;
-    bed.run_of(100).await;
-    let (_folder, path) = killed(&bed);
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    checkpoint(&test_store).await;
+    let copy = backup(&test_store, "copy.sqlite").await;
+    test_store.run_of(100).await;
+    let (_folder, path) = killed(&test_store);
     fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
     fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
     let files = || (fs::read(&path).expect("is there"), fs::read(log_of(&path)).expect("is there"));
@@ -112,14 +112,14 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
 
 #[tokio::test]
 async fn log_of_idle_aggregator_identifies_its_database() {
-    let mut bed = Bed::new().await;
-    bed.run_of(10).await;
-    let copy = backup(&bed, "copy.sqlite").await;
-    bed.writer.close().await.1.expect("closes");
-    bed.store.close().await;
-    bed.writer = open(&bed.path).await;
-    bed.writer.keep_clocks(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
-    let (_folder, path) = killed(&bed);
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(10).await;
+    let copy = backup(&test_store, "copy.sqlite").await;
+    test_store.writer.close().await.1.expect("closes");
+    test_store.store.close().await;
+    test_store.writer = open(&test_store.path).await;
+    test_store.writer.keep_clocks(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
+    let (_folder, path) = killed(&test_store);
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
@@ -132,32 +132,32 @@ async fn log_of_idle_aggregator_identifies_its_database() {
 
 #[tokio::test]
 async fn database_of_killed_process_opens_with_its_log() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // The file itself has no number yet.
-    bed.run_of(100).await;
-    let (_first, path) = killed(&bed);
+    test_store.run_of(100).await;
+    let (_first, path) = killed(&test_store);
     assert_eq!(id(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 100);
 
-    checkpoint(&bed).await;
-    bed.run_of(50).await;
-    let (_second, path) = killed(&bed);
+    checkpoint(&test_store).await;
+    test_store.run_of(50).await;
+    let (_second, path) = killed(&test_store);
     assert_ne!(id(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
     // A database of an earlier version, whose log has the number first.
-    bed.writer.close().await.1.expect("closes");
-    bed.store.close().await;
+    test_store.writer.close().await.1.expect("closes");
+    test_store.store.close().await;
     fs::File::options()
         .write(true)
-        .open(&bed.path)
+        .open(&test_store.path)
         .expect("opens")
         .write_all_at(&[0; 4], 60)
         .expect("writes");
-    bed.writer = open(&bed.path).await;
-    let (_third, path) = killed(&bed);
+    test_store.writer = open(&test_store.path).await;
+    let (_third, path) = killed(&test_store);
     assert_eq!(id(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_ne!(id(&path), [0; 4]);
@@ -174,11 +174,11 @@ async fn each_file_has_own_number_and_keeps_it() {
     start(&fresh).await.expect("opens");
     assert_eq!(id(&fresh), first);
 
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    let (one, other) = (backup(&bed, "one.sqlite").await, backup(&bed, "other.sqlite").await);
-    checkpoint(&bed).await;
-    let mut ids = vec![first, id(&bed.path), id(&one), id(&other)];
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    let (one, other) = (backup(&test_store, "one.sqlite").await, backup(&test_store, "other.sqlite").await);
+    checkpoint(&test_store).await;
+    let mut ids = vec![first, id(&test_store.path), id(&one), id(&other)];
     let root = number(&one, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
     let file = fs::File::options().write(true).open(&one).expect("opens");
     file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");

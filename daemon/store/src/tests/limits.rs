@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, SystemClock};
 
-use super::Bed;
+use super::TestStore;
 use crate::error::StoreError;
 use crate::integrity::Integrity;
 use crate::readers::Readers;
@@ -27,16 +27,16 @@ fn impatient(path: &Path) -> Readers {
 
 #[tokio::test]
 async fn endless_query_is_stopped_while_writer_commits() {
-    let mut bed = Bed::new().await;
-    let readers = impatient(&bed.path);
+    let mut test_store = TestStore::new().await;
+    let readers = impatient(&test_store.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
     // The writer finishes; the question would not.
-    let (endless, _) = tokio::join!(endless, bed.run_of(50));
+    let (endless, _) = tokio::join!(endless, test_store.run_of(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
 
     // The only connection is still usable, and each question has the whole time limit.
     for _ in 0..3 {
@@ -51,28 +51,28 @@ async fn endless_query_is_stopped_while_writer_commits() {
 
 #[tokio::test]
 async fn readers_cannot_write() {
-    let bed = Bed::new().await;
-    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&bed.path).pool()).await;
+    let test_store = TestStore::new().await;
+    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&test_store.path).pool()).await;
     assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
 }
 
 #[tokio::test]
 async fn log_is_emptied_after_last_reader() {
-    let mut bed = Bed::new().await;
-    let log = bed.path.with_extension("sqlite-wal");
+    let mut test_store = TestStore::new().await;
+    let log = test_store.path.with_extension("sqlite-wal");
     let bytes = || std::fs::metadata(&log).expect("it is there").len();
-    let mut reader = bed.other().await;
+    let mut reader = test_store.other().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
-    bed.run_of(200).await;
+    test_store.run_of(200).await;
     let grown = bytes();
     // While a reader is active the log keeps its size, and nothing waits.
-    bed.writer.bound_log(grown / 2).await.expect("tries");
+    test_store.writer.bound_log(grown / 2).await.expect("tries");
     assert_eq!(bytes(), grown);
     sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
-    bed.writer.bound_log(grown).await.expect("is short enough");
+    test_store.writer.bound_log(grown).await.expect("is short enough");
     assert_eq!(bytes(), grown);
-    bed.writer.bound_log(grown / 2).await.expect("empties it");
+    test_store.writer.bound_log(grown / 2).await.expect("empties it");
     assert_eq!(bytes(), 0);
-    bed.run_of(10).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 210);
+    test_store.run_of(10).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 210);
 }

@@ -7,7 +7,7 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 use tokio_util::sync::CancellationToken;
 
-use super::{Bed, NOW};
+use super::{NOW, TestStore};
 use crate::maintenance::{
     Backup, BackupError, DoctorError, Examination, Report, Severity, examine, rebuild_rollups,
 };
@@ -28,30 +28,30 @@ fn problems(report: &Report) -> Vec<&str> {
 
 #[tokio::test]
 async fn copy_is_consistent_and_overwrites_no_file() {
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    let target = bed.path.with_file_name("copy.sqlite");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    let target = test_store.path.with_file_name("copy.sqlite");
     // A file that a killed backup left behind does not matter.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
-    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+    let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);
-    let twice = Backup::prepare(&bed.path, &target).await.expect_err("one is under way");
+    let twice = Backup::prepare(&test_store.path, &target).await.expect_err("one is under way");
     assert!(matches!(twice, BackupError::UnderWay(_)), "{twice}");
     let copied = backup.run(CancellationToken::new()).await.expect("copies");
-    bed.run_of(100).await;
+    test_store.run_of(100).await;
 
     assert_eq!(copied.path, target);
     assert_eq!(copied.bytes, std::fs::metadata(&target).expect("is there").len());
     assert!(!target.with_file_name("copy.sqlite.partial").exists());
-    assert_eq!((count(&target, "iteration").await, count(&bed.path, "iteration").await), (100, 200));
+    assert_eq!((count(&target, "iteration").await, count(&test_store.path, "iteration").await), (100, 200));
     let report = examine(&target, FULL).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
 
-    let again = Backup::prepare(&bed.path, &target).await.expect_err("it exists");
+    let again = Backup::prepare(&test_store.path, &target).await.expect_err("it exists");
     assert!(matches!(again, BackupError::Exists(_)), "{again}");
     // A file that was created under the name meanwhile is not replaced.
-    let other = bed.path.with_file_name("other.sqlite");
-    let backup = Backup::prepare(&bed.path, &other).await.expect("can be read");
+    let other = test_store.path.with_file_name("other.sqlite");
+    let backup = Backup::prepare(&test_store.path, &other).await.expect("can be read");
     std::fs::write(&other, b"theirs").expect("writable");
     backup.run(CancellationToken::new()).await.expect_err("it exists");
     assert_eq!(std::fs::read(&other).expect("is there"), b"theirs");
@@ -60,29 +60,29 @@ async fn copy_is_consistent_and_overwrites_no_file() {
 
 #[tokio::test]
 async fn stopped_copy_leaves_nothing() {
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    let target = bed.path.with_file_name("copy.sqlite");
-    let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    let target = test_store.path.with_file_name("copy.sqlite");
+    let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     let stop = CancellationToken::new();
     stop.cancel();
     let stopped = backup.run(stop).await.expect_err("stopped");
     assert!(matches!(stopped, BackupError::Stopped), "{stopped}");
     assert!(!target.exists() && !target.with_file_name("copy.sqlite.partial").exists());
-    let missing = Backup::prepare(&target, &bed.path).await.expect_err("no such database");
+    let missing = Backup::prepare(&target, &test_store.path).await.expect_err("no such database");
     assert!(matches!(missing, BackupError::Missing(_)), "{missing}");
 }
 
 #[tokio::test]
 async fn healthy_database_is_described_during_writing() {
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    let report = examine(&bed.path, QUICK).await.expect("opens");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    let report = examine(&test_store.path, QUICK).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
     let rows = |wanted: &str| report.tables.iter().find(|rows| rows.table == wanted).expect("is there");
     assert_eq!((rows("run").rows, rows("run").estimated), (1, false));
     assert_eq!((rows("iteration").rows, rows("iteration").estimated), (100, true));
-    assert_eq!(rows("node").rows, count(&bed.path, "node").await.cast_unsigned());
+    assert_eq!(rows("node").rows, count(&test_store.path, "node").await.cast_unsigned());
     let stream = report.streams.iter().find(|stream| stream.stored > 0).expect("one has batches");
     assert_eq!((stream.host.as_deref(), stream.stored), (Some("edge"), 3));
     assert!(report.rollups.iter().any(|extent| extent.oldest_s.is_some()), "{report:?}");
@@ -91,19 +91,20 @@ async fn healthy_database_is_described_during_writing() {
 
 #[tokio::test]
 async fn row_counts_are_exact_after_deletions() {
-    let mut bed = Bed::new().await;
-    bed.run_of(100).await;
-    let mut connection = SqliteConnectOptions::new().filename(&bed.path).connect().await.expect("opens");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(100).await;
+    let mut connection =
+        SqliteConnectOptions::new().filename(&test_store.path).connect().await.expect("opens");
     sqlx::raw_sql("DELETE FROM node WHERE iteration <= 60; DELETE FROM iteration WHERE number <= 60")
         .execute(&mut connection)
         .await
         .expect("deletes");
-    let report = examine(&bed.path, QUICK).await.expect("opens");
-    let left = count(&bed.path, "iteration").await;
+    let report = examine(&test_store.path, QUICK).await.expect("opens");
+    let left = count(&test_store.path, "iteration").await;
     assert!((1..100).contains(&left), "{left}");
     for table in ["iteration", "node"] {
         let told = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
-        assert_eq!(told, count(&bed.path, table).await.cast_unsigned(), "{table}");
+        assert_eq!(told, count(&test_store.path, table).await.cast_unsigned(), "{table}");
     }
 }
 
@@ -133,10 +134,10 @@ async fn spool_is_distinguished_from_database() {
 
 #[tokio::test]
 async fn damaged_page_is_found_and_named() {
-    let mut bed = Bed::new().await;
-    bed.run_of(200).await;
-    let copy = bed.path.with_file_name("copy.sqlite");
-    let backup = Backup::prepare(&bed.path, &copy).await.expect("can be read");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(200).await;
+    let copy = test_store.path.with_file_name("copy.sqlite");
+    let backup = Backup::prepare(&test_store.path, &copy).await.expect("can be read");
     backup.run(CancellationToken::new()).await.expect("copies");
     let file = std::fs::File::options().read(true).write(true).open(&copy).expect("opens");
     let mut connection = SqliteConnectOptions::new().filename(&copy).connect().await.expect("opens");
@@ -155,12 +156,13 @@ async fn damaged_page_is_found_and_named() {
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("no database")), "{report:?}");
-    let other = bed.path.with_file_name("other.sqlite");
+    let other = test_store.path.with_file_name("other.sqlite");
     let options = SqliteConnectOptions::new().filename(&other).create_if_missing(true);
     let mut connection = options.connect().await.expect("opens");
     sqlx::query("CREATE TABLE other (id)").execute(&mut connection).await.expect("makes a table");
     let report = examine(&other, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("not an aggregator's")), "{report:?}");
-    let missing = examine(&bed.path.with_file_name("none.sqlite"), QUICK).await.expect_err("is not there");
+    let missing =
+        examine(&test_store.path.with_file_name("none.sqlite"), QUICK).await.expect_err("is not there");
     assert!(matches!(missing, DoctorError::Missing(_)), "{missing}");
 }

@@ -11,7 +11,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use super::clocks::sample;
 use super::retention::{day, work_off};
 use super::rollups::{assert_same, table};
-use super::{Bed, database, generate, open};
+use super::{TestStore, database, generate, open};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, RunFilter};
 
@@ -19,15 +19,15 @@ use crate::types::{IterationFilter, RunFilter};
 const LAST_COARSE: i64 = 4;
 
 /// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it kept.
-pub(super) async fn as_of_version(bed: &Bed, version: i64) -> PathBuf {
-    let path = bed.path.with_file_name(format!("version-{version}.sqlite"));
+pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathBuf {
+    let path = test_store.path.with_file_name(format!("version-{version}.sqlite"));
     let mut old = database::writing(&path).connect().await.expect("makes");
     let migrations: Vec<_> =
         database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
     migrator.run_direct(None, &mut old, false).await.expect("makes the old schema");
     sqlx::query("ATTACH ? AS new")
-        .bind(bed.path.to_string_lossy().into_owned())
+        .bind(test_store.path.to_string_lossy().into_owned())
         .execute(&mut old)
         .await
         .expect("opens");
@@ -67,8 +67,8 @@ pub(super) async fn as_of_version(bed: &Bed, version: i64) -> PathBuf {
 }
 
 /// Returns what pages show of a run, as text. Series have points of ten seconds, which all versions stored.
-async fn answers(bed: &Bed) -> String {
-    let store = &bed.store;
+async fn answers(test_store: &TestStore) -> String {
+    let store = &test_store.store;
     let series = store.series(1, &[stage::UPLOAD, stage::TOTAL], 21).await.expect("answers");
     assert_eq!(series.bucket_s, 10);
     format!(
@@ -82,90 +82,94 @@ async fn answers(bed: &Bed) -> String {
     )
 }
 
-async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
-    bed.writer = open(path).await;
-    bed.store = super::Store::new(super::readers(path));
+async fn reopen(test_store: &mut TestStore, path: &Path) -> SqliteConnection {
+    test_store.writer = open(path).await;
+    test_store.store = super::Store::new(super::readers(path));
     database::writing(path).connect().await.expect("opens")
 }
 
 /// Version 5 is the first with statistics of all widths.
 #[tokio::test]
 async fn database_without_experiments_is_migrated_unchanged() {
-    let mut bed = Bed::new().await;
-    bed.run_of(200).await;
-    let expected =
-        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
-    let grown = table(&mut bed.other().await).await;
-    let path = as_of_version(&bed, 5).await;
-    let mut connection = reopen(&mut bed, &path).await;
-    let found =
-        (bed.store.run(1).await.expect("answers"), bed.store.statistics_of(1).await.expect("answers").stages);
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(200).await;
+    let expected = (
+        test_store.store.run(1).await.expect("answers"),
+        test_store.store.statistics_of(1).await.expect("answers").stages,
+    );
+    let grown = table(&mut test_store.other().await).await;
+    let path = as_of_version(&test_store, 5).await;
+    let mut connection = reopen(&mut test_store, &path).await;
+    let found = (
+        test_store.store.run(1).await.expect("answers"),
+        test_store.store.statistics_of(1).await.expect("answers").stages,
+    );
     assert_eq!(found, expected);
     assert_same(&table(&mut connection).await, &grown);
-    bed.run_of(20).await;
-    assert_eq!(bed.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
+    test_store.run_of(20).await;
+    assert_eq!(test_store.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
 }
 
 #[tokio::test]
 async fn skipped_starts_of_stored_runs_are_counted_once() {
     for version in [1, 6] {
-        let mut bed = Bed::new().await;
-        bed.run_that_skips().await;
-        bed.run_of(5).await;
-        let path = as_of_version(&bed, version).await;
-        reopen(&mut bed, &path).await;
-        assert_eq!(bed.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
-        reopen(&mut bed, &path).await;
-        bed.run_that_skips().await;
+        let mut test_store = TestStore::new().await;
+        test_store.run_that_skips().await;
+        test_store.run_of(5).await;
+        let path = as_of_version(&test_store, version).await;
+        reopen(&mut test_store, &path).await;
+        assert_eq!(test_store.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
+        reopen(&mut test_store, &path).await;
+        test_store.run_that_skips().await;
         let both = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
-        assert_eq!(bed.skipped_starts().await, both, "version {version}");
+        assert_eq!(test_store.skipped_starts().await, both, "version {version}");
     }
 }
 
 #[tokio::test]
 async fn database_with_coarse_statistics_is_migrated_unchanged() {
     for version in 1..=LAST_COARSE {
-        let mut bed = Bed::new().await;
-        bed.run_of(1_000).await;
-        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 0, 40)))]);
-        bed.commit(&[work]).await;
-        let expected = answers(&bed).await;
-        let links = bed.store.links().await.expect("answers");
-        let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
-        let grown = table(&mut bed.other().await).await;
-        let path = as_of_version(&bed, version).await;
+        let mut test_store = TestStore::new().await;
+        test_store.run_of(1_000).await;
+        let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 0, 40)))]);
+        test_store.commit(&[work]).await;
+        let expected = answers(&test_store).await;
+        let links = test_store.store.links().await.expect("answers");
+        let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
+        let grown = table(&mut test_store.other().await).await;
+        let path = as_of_version(&test_store, version).await;
 
-        let mut connection = reopen(&mut bed, &path).await;
-        assert_eq!(answers(&bed).await, expected, "version {version}");
-        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21);
+        let mut connection = reopen(&mut test_store, &path).await;
+        assert_eq!(answers(&test_store).await, expected, "version {version}");
+        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21);
         // The coarser statistics were made of the stored ones; finer ones did not exist.
         let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
-        assert_eq!(bed.count("SELECT count(*) FROM rollup_debt").await, 0);
-        let minutes = bed.store.series(1, &[stage::TOTAL], 4).await.expect("answers");
+        assert_eq!(test_store.count("SELECT count(*) FROM rollup_debt").await, 0);
+        let minutes = test_store.store.series(1, &[stage::TOTAL], 4).await.expect("answers");
         assert_eq!((minutes.bucket_s, minutes.stages[0].points.len()), (60, 4));
-        let all = bed.store.series(1, &[stage::TOTAL], 1_000).await.expect("answers");
+        let all = test_store.store.series(1, &[stage::TOTAL], 1_000).await.expect("answers");
         assert_eq!(all.bucket_s, 10);
         if version >= 3 {
-            assert_eq!(bed.store.links().await.expect("answers"), links);
-            assert_eq!(bed.store.recompute(1).await.expect("answers"), Some(recomputed));
+            assert_eq!(test_store.store.links().await.expect("answers"), links);
+            assert_eq!(test_store.store.recompute(1).await.expect("answers"), Some(recomputed));
         } else {
-            assert_eq!(bed.store.links().await.expect("answers"), []);
-            let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
+            assert_eq!(test_store.store.links().await.expect("answers"), []);
+            let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
             assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
         }
         // After an update, data of any age stays for its whole period, so that the user can pin runs.
         let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
         let steps = work_off(&mut retention, &mut connection, day(0.9)).await;
-        assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
+        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
 
-        let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
-        bed.commit(&[work]).await;
-        let links = bed.store.links().await.expect("answers");
+        let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 1, 40)))]);
+        test_store.commit(&[work]).await;
+        let links = test_store.store.links().await.expect("answers");
         assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
         // Opening it again changes nothing.
         let before = table(&mut connection).await;
-        reopen(&mut bed, &path).await;
+        reopen(&mut test_store, &path).await;
         assert_same(&table(&mut connection).await, &before);
     }
 }

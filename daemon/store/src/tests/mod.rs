@@ -60,7 +60,7 @@ const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0), raw: RawT
 const PROCESS: u64 = u64::MAX - 4;
 
 /// A database in a temporary folder with one agent that writes to it.
-struct Bed {
+struct TestStore {
     _folder: TempDir,
     path: PathBuf,
     writer: Writer,
@@ -71,20 +71,21 @@ struct Bed {
     next: u64,
 }
 
-impl Bed {
+impl TestStore {
     async fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
         let writer = open(&path).await;
         let store = Store::new(readers(&path));
         let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
-        let mut bed = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
-        bed.commit(&[
-            hello(generate::host(bed.edge, "edge"), 1),
-            hello(generate::host(bed.cloud, "cloud"), 1),
-        ])
-        .await;
-        bed
+        let mut test_store = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
+        test_store
+            .commit(&[
+                hello(generate::host(test_store.edge, "edge"), 1),
+                hello(generate::host(test_store.cloud, "cloud"), 1),
+            ])
+            .await;
+        test_store
     }
 
     fn hosts(&self) -> (HostId, HostId) {

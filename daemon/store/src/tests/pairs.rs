@@ -5,14 +5,14 @@ use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
 use peernet_stream::{Event, Iteration, Outcome};
 
 use super::retention::{day, short, two_runs, work_off};
-use super::{Bed, NOW, generate};
+use super::{NOW, TestStore, generate};
 use crate::retention::Retention;
 use crate::types::Pairs;
 
 /// Duration in milliseconds of an additional inference node.
 const SLOW: f64 = 1_000.0;
 
-impl Bed {
+impl TestStore {
     /// Makes an iteration whose answer has ten bytes and two tokens times its number, and takes as many seconds.
     fn talking(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
@@ -54,15 +54,15 @@ impl Bed {
 
 #[tokio::test]
 async fn sample_is_spread_over_run_and_reports_total() {
-    let mut bed = Bed::new().await;
-    assert_eq!(bed.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
-    bed.run_that_talks(1..=400).await;
+    let mut test_store = TestStore::new().await;
+    assert_eq!(test_store.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
+    test_store.run_that_talks(1..=400).await;
     for (name, each) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
-        let whole = bed.pairs(name, 400).await;
+        let whole = test_store.pairs(name, 400).await;
         assert!(whole.is_whole());
         let wanted: Vec<(f64, f64)> = (1..=400).map(|n| (f64::from(n) * each, f64::from(n))).collect();
         assert_eq!((whole.points, whole.asked, whole.of), (wanted, 400, 400));
-        let some = bed.pairs(name, 40).await;
+        let some = test_store.pairs(name, 40).await;
         assert!(!some.is_whole());
         assert_eq!((some.points.len(), some.asked, some.of), (40, 40, 400));
         for (stretch, (x, y)) in some.points.iter().enumerate() {
@@ -70,33 +70,38 @@ async fn sample_is_spread_over_run_and_reports_total() {
             assert_eq!((y - 1.0) as usize / 10, stretch, "one of each ten");
         }
     }
-    assert_eq!(bed.pairs("download-bytes", 0).await.points, []);
-    assert_eq!(bed.pairs("' OR 1", 400).await.points, []);
+    assert_eq!(test_store.pairs("download-bytes", 0).await.points, []);
+    assert_eq!(test_store.pairs("' OR 1", 400).await.points, []);
 }
 
 #[tokio::test]
 async fn values_outside_statistics_are_not_sampled() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_that_talks(1..=4).await;
-    let warm_up = Iteration { warm_up: true, ..bed.talking(run, 5) };
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_that_talks(1..=4).await;
+    let warm_up = Iteration { warm_up: true, ..test_store.talking(run, 5) };
     let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout];
-    let ends = (6..).zip(ends).map(|(number, outcome)| Iteration { outcome, ..bed.talking(run, number) });
-    let mut without = bed.talking(run, 9);
+    let ends =
+        (6..).zip(ends).map(|(number, outcome)| Iteration { outcome, ..test_store.talking(run, number) });
+    let mut without = test_store.talking(run, 9);
     let (id, _) = without.tree.find(&["download-bytes"]).expect("a node");
     *without.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
     let all: Vec<Iteration> = [warm_up, without].into_iter().chain(ends).collect();
-    bed.store_talking(all.into_iter()).await;
-    let found = bed.pairs("download-bytes", 100).await;
+    test_store.store_talking(all.into_iter()).await;
+    let found = test_store.pairs("download-bytes", 100).await;
     assert_eq!(found.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
     assert_eq!((found.asked, found.of), (9, 9));
-    assert_eq!(bed.pairs("completion-tokens", 100).await.points.len(), 5, "one has no bytes, but tokens");
+    assert_eq!(
+        test_store.pairs("completion-tokens", 100).await.points.len(),
+        5,
+        "one has no bytes, but tokens"
+    );
 }
 
 #[tokio::test]
 async fn nodes_of_one_name_are_combined_as_in_results() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_that_talks(1..=1).await;
-    let mut twice = bed.talking(run, 2);
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_that_talks(1..=1).await;
+    let mut twice = test_store.talking(run, 2);
     let (model, _) = twice.tree.find(&["inference"]).expect("a stage");
     let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
     twice.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
@@ -106,22 +111,26 @@ async fn nodes_of_one_name_are_combined_as_in_results() {
         twice.tree.add(parent, "completion-tokens".into(), Span::ZERO, Measure::Value(value, Unit::NONE));
     }
     twice.tree.add(NodeId::ROOT, "download-bytes".into(), Span::ZERO, Measure::Value(5.0, Unit::BYTES));
-    bed.store_talking([twice].into_iter()).await;
-    assert_eq!(bed.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
-    assert_eq!(bed.pairs("completion-tokens", 9).await.points, [(2.0, 1.0), (4.0, 3.0)], "the first one");
+    test_store.store_talking([twice].into_iter()).await;
+    assert_eq!(test_store.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
+    assert_eq!(
+        test_store.pairs("completion-tokens", 9).await.points,
+        [(2.0, 1.0), (4.0, 3.0)],
+        "the first one"
+    );
 }
 
 #[tokio::test]
 async fn deleted_iterations_are_not_sampled() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(0.0)).await;
-    let before = bed.pairs("upload-bytes", 20).await;
+    let before = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((before.points.len(), before.of), (20, 288));
     work_off(&mut retention, &mut connection, day(4.0)).await;
-    let left = bed.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
+    let left = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
     assert!((50..200).contains(&left), "{left}");
-    let after = bed.pairs("upload-bytes", 20).await;
+    let after = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((after.points.len(), after.of), (20, left as u64), "each of those asked for is there");
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use sqlx::AssertSqlSafe;
 
-use super::Bed;
+use super::TestStore;
 use crate::read::sql;
 
 /// Tables that grow with every iteration or second, and what a look-up must name at least to find a few rows of them:
@@ -44,10 +44,10 @@ const SORTING: [(&str, &str); 11] = [
     ("NEWEST_ASSUMED_WINDOW", "windows begin where a clock is stepped"),
 ];
 
-async fn plan(bed: &Bed, name: &str, statement: &str) -> Vec<String> {
+async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String> {
     let explain = AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
     let steps: Vec<(i64, i64, i64, String)> = sqlx::query_as(explain)
-        .fetch_all(&bed.store.readers.pool())
+        .fetch_all(&test_store.store.readers.pool())
         .await
         .unwrap_or_else(|error| panic!("{name}: {error}"));
     assert!(!steps.is_empty(), "{name} has no plan");
@@ -86,10 +86,10 @@ fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
 
 #[tokio::test]
 async fn every_question_finds_its_rows_by_an_index() {
-    let bed = Bed::new().await;
+    let test_store = TestStore::new().await;
     let (mut wrong, mut needed) = (Vec::new(), HashSet::new());
     for (name, statement) in sql::ALL {
-        let (faults, exceptions) = judged(name, &plan(&bed, name, statement).await);
+        let (faults, exceptions) = judged(name, &plan(&test_store, name, statement).await);
         wrong.extend(faults);
         needed.extend(exceptions);
     }
@@ -101,7 +101,7 @@ async fn every_question_finds_its_rows_by_an_index() {
 
 #[tokio::test]
 async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
-    let bed = Bed::new().await;
+    let test_store = TestStore::new().await;
     for bad in [
         "SELECT count(*) FROM node",
         "SELECT max(value) FROM node WHERE run = ?1",
@@ -111,7 +111,7 @@ async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
         "SELECT number FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY started_ns LIMIT 10",
         "SELECT * FROM clock_sample WHERE link = ?1",
     ] {
-        assert!(!judged("BAD", &plan(&bed, "BAD", bad).await).0.is_empty(), "{bad}");
+        assert!(!judged("BAD", &plan(&test_store, "BAD", bad).await).0.is_empty(), "{bad}");
     }
 }
 
@@ -146,7 +146,7 @@ fn no_question_is_asked_elsewhere() {
 
 #[tokio::test]
 async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone() {
-    let bed = Bed::new().await;
+    let test_store = TestStore::new().await;
     for (statement, index) in [
         (
             sql::SLOWER,
@@ -167,14 +167,14 @@ async fn counting_the_slower_ones_and_finding_neighbours_touch_the_index_alone()
         (sql::ITERATIONS_WITHOUT_ANSWER, "USING INDEX iteration_without_answer (run=? AND number>?)"),
         (sql::COUNT_WITHOUT_ANSWER, "INDEX iteration_without_answer (run=? AND number>?)"),
     ] {
-        let steps = plan(&bed, statement, statement).await;
+        let steps = plan(&test_store, statement, statement).await;
         assert!(steps.iter().any(|step| step.contains(index)), "{statement}: {steps:?}");
     }
 }
 
 /// Instructions of SQLite's machine that a question about a run takes.
-async fn instructions(bed: &Bed, statement: &'static str, numbers: &[i64]) -> u64 {
-    let mut connection = bed.other().await;
+async fn instructions(test_store: &TestStore, statement: &'static str, numbers: &[i64]) -> u64 {
+    let mut connection = test_store.other().await;
     let counted = Arc::new(AtomicU64::new(0));
     let counter = Arc::clone(&counted);
     let count = move || {
@@ -193,17 +193,17 @@ async fn instructions(bed: &Bed, statement: &'static str, numbers: &[i64]) -> u6
 /// The plan alone does not show whether a `min` or a `LIMIT` ends early: the instructions do.
 #[tokio::test]
 async fn extents_cost_the_same_in_a_long_run() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut costs = Vec::new();
     for iterations in [20, 1_000] {
-        bed.run_of(iterations).await;
-        let run = bed.count("SELECT max(number) FROM run").await;
+        test_store.run_of(iterations).await;
+        let run = test_store.count("SELECT max(number) FROM run").await;
         costs.push([
-            instructions(&bed, sql::RUN_EXTENT, &[run]).await,
-            instructions(&bed, sql::PREVIOUS, &[run, 10]).await,
-            instructions(&bed, sql::NEXT, &[run, 10]).await,
-            instructions(&bed, sql::ITERATIONS, &[run, 3, 10]).await,
-            instructions(&bed, sql::SLOWEST, &[run, 10]).await,
+            instructions(&test_store, sql::RUN_EXTENT, &[run]).await,
+            instructions(&test_store, sql::PREVIOUS, &[run, 10]).await,
+            instructions(&test_store, sql::NEXT, &[run, 10]).await,
+            instructions(&test_store, sql::ITERATIONS, &[run, 3, 10]).await,
+            instructions(&test_store, sql::SLOWEST, &[run, 10]).await,
         ]);
     }
     for (short, long) in costs[0].iter().zip(&costs[1]) {

@@ -6,15 +6,15 @@ use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::figures::Figures;
 use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
-/// Returns the values of one name in the iterations of [`Bed::run_of`].
-fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
+/// Returns the values of one name in the iterations of [`TestStore::run_of`].
+fn values(test_store: &TestStore, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
     let mut numbers = generate::Numbers::new(7);
     (1..=iterations)
-        .map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers))
+        .map(|n| generate::iteration(run, n, test_store.hosts(), &mut numbers))
         .filter_map(|iteration| iteration.tree.find(&[name]).and_then(|(_, node)| node.measure.value()))
         .collect()
 }
@@ -25,11 +25,12 @@ fn close(a: f64, b: f64) -> bool {
 
 #[tokio::test]
 async fn statistics_of_run_are_those_of_its_iterations() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(400).await;
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(400).await;
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     for (name, statistics) in stages.iter().map(|known| (&known.stage, known)) {
-        let Some(exact) = Some(values(&bed, run, 400, name)).filter(|values| !values.is_empty()) else {
+        let Some(exact) = Some(values(&test_store, run, 400, name)).filter(|values| !values.is_empty())
+        else {
             continue;
         };
         let mut sorted = exact.clone();
@@ -54,21 +55,21 @@ async fn statistics_of_run_are_those_of_its_iterations() {
     let bound = upload.bound.as_ref().expect("judged");
     assert!(close(bound.half_width.expect("bounded").mean, 40e-6));
     assert_eq!(bound.verdicts, [(peernet_clock::Verdict::Limited, 400)]);
-    assert!(bed.store.statistics_of(1).await.expect("answers").bounds.contains(bound));
+    assert!(test_store.store.statistics_of(1).await.expect("answers").bounds.contains(bound));
     let of_total: f64 = stages.iter().filter(|known| known.is_stage).filter_map(|known| known.share).sum();
     assert!(close(of_total, 1.0), "{of_total}");
 }
 
 #[tokio::test]
 async fn runs_read_together_equal_runs_read_alone() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     for iterations in [40, 30, 20] {
-        bed.run_of(iterations).await;
+        test_store.run_of(iterations).await;
     }
-    let together = bed.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
+    let together = test_store.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
     let mut alone = Vec::new();
     for run in [3, 9, 1, 2, 1] {
-        alone.push(bed.store.statistics_of(run).await.expect("answers"));
+        alone.push(test_store.store.statistics_of(run).await.expect("answers"));
     }
     assert_eq!(together, alone);
     let total = |known: &RunStatistics| {
@@ -78,19 +79,19 @@ async fn runs_read_together_equal_runs_read_alone() {
     assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
     assert!(together[0].bounds.iter().any(|bound| bound.half_width.is_some() && !bound.verdicts.is_empty()));
     assert_eq!(together[1], RunStatistics::default(), "there is no such run");
-    let listed = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    let listed = test_store.store.runs(&RunFilter::default()).await.expect("answers");
     let totals: Vec<Option<u64>> = listed.iter().map(|run| run.total.map(|total| total.count)).collect();
     assert_eq!(totals, [Some(20), Some(30), Some(40)], "each has its own total");
 }
 
 #[tokio::test]
 async fn warm_up_and_failures_are_stored_outside_statistics() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut numbers = generate::Numbers::new(1);
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for n in 1..=6 {
-        let mut iteration = generate::iteration(run, n, bed.hosts(), &mut numbers);
+        let mut iteration = generate::iteration(run, n, test_store.hosts(), &mut numbers);
         iteration.warm_up = n == 1;
         iteration.outcome = match n {
             3 => Outcome::Lost("connection broke".into()),
@@ -101,10 +102,10 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
         events.push(Event::Iteration(iteration));
     }
     events.push(Event::RunEnded(RunEnded { run, ended: generate::at(9.0), reason: EndReason::Finished }));
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
 
-    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     let counts = detail.summary.counts;
     assert_eq!(
         (counts.ok, counts.failed, counts.lost, counts.timeout, detail.summary.warm_up),
@@ -119,46 +120,46 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
     assert_eq!(detail.facts[0], ("Sensor".to_owned(), "30 images".to_owned()));
     assert_eq!((detail.summary.pipeline.as_str(), detail.summary.host_name.as_str()), ("line", "edge"));
 
-    let all = bed.store.iterations(1, &IterationFilter::default()).await.expect("answers");
+    let all = test_store.store.iterations(1, &IterationFilter::default()).await.expect("answers");
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
     let filter = IterationFilter { unsuccessful: true, after: 3, limit: 10 };
-    let bad = bed.store.iterations(1, &filter).await.expect("answers");
+    let bad = test_store.store.iterations(1, &filter).await.expect("answers");
     let failures: Vec<_> =
         bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
     assert_eq!(failures, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
-    let lost = bed.store.iteration(1, 3).await.expect("answers").expect("exists");
+    let lost = test_store.store.iteration(1, 3).await.expect("answers").expect("exists");
     assert_eq!((lost.rank, lost.previous, lost.next), (None, Some(2), Some(4)));
 }
 
 #[tokio::test]
 async fn iteration_is_read_as_sent() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(20).await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(20).await;
     let mut numbers = generate::Numbers::new(7);
     let sent: Vec<Iteration> =
-        (1..=20).map(|n| generate::iteration(run, n, bed.hosts(), &mut numbers)).collect();
+        (1..=20).map(|n| generate::iteration(run, n, test_store.hosts(), &mut numbers)).collect();
     for iteration in &sent {
-        let detail = bed.store.iteration(1, iteration.number).await.expect("answers").expect("exists");
+        let detail = test_store.store.iteration(1, iteration.number).await.expect("answers").expect("exists");
         assert_eq!(detail.tree, iteration.tree);
         let names: Vec<_> = detail.hosts.iter().flatten().map(|name| name.as_str().to_owned()).collect();
         assert_eq!(names, ["edge", "cloud"]);
         assert_eq!((detail.row.episode, detail.row.step), (iteration.episode, iteration.step));
     }
-    assert_eq!(bed.store.iteration(1, 21).await.expect("answers"), None);
-    assert_eq!(bed.store.iteration(2, 1).await.expect("answers"), None);
-    assert_eq!(bed.store.iteration(1, u64::MAX).await.expect("answers"), None);
+    assert_eq!(test_store.store.iteration(1, 21).await.expect("answers"), None);
+    assert_eq!(test_store.store.iteration(2, 1).await.expect("answers"), None);
+    assert_eq!(test_store.store.iteration(1, u64::MAX).await.expect("answers"), None);
 }
 
 #[tokio::test]
 async fn slowest_iterations_come_first_with_causes() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(300).await;
-    let mut totals: Vec<(f64, u64)> = values(&bed, run, 300, "total").into_iter().zip(1..).collect();
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(300).await;
+    let mut totals: Vec<(f64, u64)> = values(&test_store, run, 300, "total").into_iter().zip(1..).collect();
     totals.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let slowest = bed.store.slowest(1, 10).await.expect("answers");
+    let slowest = test_store.store.slowest(1, 10).await.expect("answers");
     let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
     assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let median =
         |name: &Name| stages.iter().find(|known| known.stage == *name).map(|known| known.figures.p50);
     for row in &slowest {
@@ -173,13 +174,13 @@ async fn slowest_iterations_come_first_with_causes() {
         assert!(explained >= wanted || named.len() == excesses.len(), "{row:?}");
         assert!(explained - named.last().expect("something took longer") < wanted, "{row:?}");
     }
-    let first = bed.store.iteration(1, numbers[0]).await.expect("answers").expect("exists");
-    let tenth = bed.store.iteration(1, numbers[9]).await.expect("answers").expect("exists");
+    let first = test_store.store.iteration(1, numbers[0]).await.expect("answers").expect("exists");
+    let tenth = test_store.store.iteration(1, numbers[9]).await.expect("answers").expect("exists");
     assert_eq!((first.rank, tenth.rank), (Some(1), Some(10)));
     assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
     assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
     // Iterations with equal totals have a defined order, too.
-    let mut other = bed.other().await;
+    let mut other = test_store.other().await;
     sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
         .bind(numbers[3].cast_signed())
         .bind(numbers[5].cast_signed())
@@ -188,9 +189,9 @@ async fn slowest_iterations_come_first_with_causes() {
         .await
         .expect("changes");
     let order: Vec<u64> =
-        bed.store.slowest(1, 5).await.expect("answers").iter().map(|row| row.number).collect();
+        test_store.store.slowest(1, 5).await.expect("answers").iter().map(|row| row.number).collect();
     for (place, number) in order.iter().enumerate().take(4) {
-        let detail = bed.store.iteration(1, *number).await.expect("answers").expect("exists");
+        let detail = test_store.store.iteration(1, *number).await.expect("answers").expect("exists");
         let slower = place.checked_sub(1).map(|place| order[place]);
         assert_eq!((detail.slower, detail.faster), (slower, Some(order[place + 1])), "{order:?}");
     }
@@ -198,19 +199,20 @@ async fn slowest_iterations_come_first_with_causes() {
 
 #[tokio::test]
 async fn series_adds_up_to_run_for_any_buckets() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
-    bed.run_of(1_000).await;
+    test_store.run_of(1_000).await;
     let names = [stage::UPLOAD, stage::TOTAL, "nonsense".into()];
     for (points, width) in [(201, 1), (200, 2), (100, 5), (21, 10), (8, 30), (4, 60), (1, 300)] {
-        let series = bed.store.series(1, &names, points).await.expect("answers");
+        let series = test_store.store.series(1, &names, points).await.expect("answers");
         assert_eq!((series.bucket_s, series.stages.len()), (width, 2), "{points} points");
         for stage in &series.stages {
             assert!(stage.points.len() <= points);
             assert_eq!(stage.points.iter().map(|point| point.count).sum::<u64>(), 1_000);
             assert!(stage.points.iter().all(|point| point.at.unix_seconds() % i64::from(width) == 0));
             let mean = stage.points.iter().map(|p| p.mean * p.count as f64).sum::<f64>() / 1_000.0;
-            let run = bed.store.histogram(1, &stage.stage, 10).await.expect("answers").expect("exists");
+            let run =
+                test_store.store.histogram(1, &stage.stage, 10).await.expect("answers").expect("exists");
             assert!(close(mean, run.figures.mean));
         }
     }
@@ -218,67 +220,71 @@ async fn series_adds_up_to_run_for_any_buckets() {
 
 #[tokio::test]
 async fn histogram_counts_each_sample_once() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(500).await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(500).await;
     for (stage, bins) in [("upload", 40), ("total", 1), ("upload-bytes", 20), ("inference", 500)] {
-        let histogram = bed.store.histogram(1, stage, bins).await.expect("answers").expect("exists");
+        let histogram = test_store.store.histogram(1, stage, bins).await.expect("answers").expect("exists");
         assert_eq!((histogram.edges.len(), histogram.counts.len()), (bins + 1, bins));
         assert_eq!(histogram.counts.iter().sum::<u64>() + histogram.beyond, 500, "{stage}");
         assert!(histogram.edges.windows(2).all(|pair| pair[0] < pair[1]));
     }
     // The border of the two bins divides the samples correctly, within the sketch's 1 %.
-    let histogram = bed.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
+    let histogram = test_store.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
     let exact =
-        values(&bed, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count() as u64;
+        values(&test_store, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count()
+            as u64;
     assert!(histogram.counts[0].abs_diff(exact) < 15, "{} {exact}", histogram.counts[0]);
-    assert_eq!(bed.store.histogram(1, "nonsense", 10).await.expect("answers"), None);
+    assert_eq!(test_store.store.histogram(1, "nonsense", 10).await.expect("answers"), None);
 }
 
 #[tokio::test]
 async fn runs_are_listed_newest_first_in_pages() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     for n in 0..5 {
         let pipeline = if n % 2 == 0 { "even" } else { "odd" };
-        let work =
-            bed.batch(vec![generate::run_started(RunId::random(), pipeline, generate::at(f64::from(n)))]);
-        bed.commit(&[work]).await;
+        let work = test_store.batch(vec![generate::run_started(
+            RunId::random(),
+            pipeline,
+            generate::at(f64::from(n)),
+        )]);
+        test_store.commit(&[work]).await;
     }
     let numbers = async |filter: RunFilter| {
-        let runs = bed.store.runs(&filter).await.expect("answers");
+        let runs = test_store.store.runs(&filter).await.expect("answers");
         runs.iter().map(|run| run.number).collect::<Vec<_>>()
     };
     assert_eq!(numbers(RunFilter::default()).await, [5, 4, 3, 2, 1]);
     assert_eq!(numbers(RunFilter { limit: 2, before: Some(4), ..RunFilter::default() }).await, [3, 2]);
-    let odd = RunFilter { pipeline: "odd".parse().ok(), host: Some(bed.edge), ..RunFilter::default() };
+    let odd = RunFilter { pipeline: "odd".parse().ok(), host: Some(test_store.edge), ..RunFilter::default() };
     assert_eq!(numbers(odd).await, [4, 2]);
-    assert!(numbers(RunFilter { host: Some(bed.cloud), ..RunFilter::default() }).await.is_empty());
-    assert_eq!(bed.store.run(6).await.expect("answers"), None);
+    assert!(numbers(RunFilter { host: Some(test_store.cloud), ..RunFilter::default() }).await.is_empty());
+    assert_eq!(test_store.store.run(6).await.expect("answers"), None);
 }
 
 #[tokio::test]
 async fn rehearsed_run_is_marked_in_all_answers() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     for fact in ["Rehearsal", "Rehearsal of cloud", "Rehearsals"] {
         let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
         else {
             panic!("the start of a run")
         };
         run.facts.push((fact.to_owned(), "offset +1000 ms".to_owned()));
-        let work = bed.batch(vec![Event::RunStarted(run)]);
-        bed.commit(&[work]).await;
+        let work = test_store.batch(vec![Event::RunStarted(run)]);
+        test_store.commit(&[work]).await;
     }
-    let runs = bed.store.runs(&RunFilter::default()).await.expect("answers");
+    let runs = test_store.store.runs(&RunFilter::default()).await.expect("answers");
     assert_eq!(runs.iter().map(|run| run.rehearsed).collect::<Vec<_>>(), [false, true, true]);
-    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert!(detail.summary.rehearsed);
 }
 
 #[tokio::test]
 async fn listed_iterations_have_delays_or_their_sum() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(100).await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(100).await;
     let mut numbers = generate::Numbers::new(7);
-    let mut stepped = generate::iteration(run, 101, bed.hosts(), &mut numbers);
+    let mut stepped = generate::iteration(run, 101, test_store.hosts(), &mut numbers);
     let nodes = ["upload", "download"].map(|name| stepped.tree.find(&[name]).expect("there").0);
     for node in nodes {
         let Some(Measure::Transit(transit)) = stepped.tree.measure_mut(node) else { panic!("a transit") };
@@ -290,13 +296,13 @@ async fn listed_iterations_have_delays_or_their_sum() {
     }
     let known = Measure::Timer(Some(Span::from_millis(1)));
     stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, known);
-    let work = bed.batch(vec![Event::Iteration(stepped)]);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(vec![Event::Iteration(stepped)]);
+    test_store.commit(&[work]).await;
 
-    let rows = bed.store.iterations(1, &IterationFilter::default()).await.expect("answers");
+    let rows = test_store.store.iterations(1, &IterationFilter::default()).await.expect("answers");
     assert_eq!(rows.len(), 100);
     for row in &rows {
-        let detail = bed.store.iteration(1, row.number).await.expect("answers").expect("exists");
+        let detail = test_store.store.iteration(1, row.number).await.expect("answers").expect("exists");
         assert_eq!((&detail.row, row.both_ways), (row, None));
         let names: Vec<_> = row.delays.iter().map(|delay| delay.stage.as_str().to_owned()).collect();
         assert_eq!(names, ["upload", "download"]);
@@ -313,7 +319,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
             assert_eq!(delay.value, sent.value.map(Span::seconds));
         }
     }
-    let slowest = bed.store.slowest(1, 1).await.expect("answers").remove(0);
+    let slowest = test_store.store.slowest(1, 1).await.expect("answers").remove(0);
     assert_eq!(slowest.number, 101);
     let ways = slowest.both_ways.expect("not known apart");
     let others: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
@@ -327,7 +333,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
 
 #[tokio::test]
 async fn incidents_are_in_order_of_time() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let stranger = HostId::random();
     let incident = |seconds: f64, text: &str, peer| {
         Event::Incident(Incident {
@@ -339,13 +345,13 @@ async fn incidents_are_in_order_of_time() {
             text: text.into(),
         })
     };
-    let work = bed.batch(vec![
-        incident(2.0, "second", Some(bed.cloud)),
+    let work = test_store.batch(vec![
+        incident(2.0, "second", Some(test_store.cloud)),
         incident(3.0, "third", None),
         incident(1.0, "first, spooled", Some(stranger)),
     ]);
-    bed.commit(&[work]).await;
-    let all = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    test_store.commit(&[work]).await;
+    let all = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     assert_eq!(
         all.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(),
         ["third", "second", "first, spooled"]
@@ -353,12 +359,12 @@ async fn incidents_are_in_order_of_time() {
     let peers = all.iter().map(|row| row.peer.clone()).collect::<Vec<_>>();
     assert_eq!(peers, [None, Some("cloud".to_owned()), Some(stranger.to_string())]);
     let page = IncidentFilter { before: Some(all[0].id), ..IncidentFilter::newest(1) };
-    let page = bed.store.incidents(&page).await.expect("answers");
+    let page = test_store.store.incidents(&page).await.expect("answers");
     assert_eq!(page[0].text, "second");
     let count = async |kind: Option<&str>, host: Option<&str>| {
         let (kind, host) = (kind.map(str::to_owned), host.map(str::to_owned));
         let filter = IncidentFilter { kind, host, ..IncidentFilter::newest(10) };
-        bed.store.incidents(&filter).await.expect("answers").len()
+        test_store.store.incidents(&filter).await.expect("answers").len()
     };
     let reporter = all[0].host_name.as_ref().map(ToString::to_string);
     let of_kind = (count(Some("disconnected"), None).await, count(Some("gap"), None).await);
@@ -369,16 +375,16 @@ async fn incidents_are_in_order_of_time() {
 
 #[tokio::test]
 async fn views_answer_queries_of_sqlite_shell() {
-    let mut bed = Bed::new().await;
-    bed.run_of(5).await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(5).await;
     let stages = "SELECT count(*) FROM stage_ms WHERE run = 1 AND iteration = 3 AND name = 'upload' AND ms > 1 \
                   AND hi_ms > ms AND verdict = 'limited'";
-    assert_eq!(bed.count(stages).await, 1);
+    assert_eq!(test_store.count(stages).await, 1);
     let statistics =
         "SELECT count FROM stage_statistics WHERE run = 1 AND name = 'total' AND unit = 's' AND variance > 0";
-    assert_eq!(bed.count(statistics).await, 5);
+    assert_eq!(test_store.count(statistics).await, 5);
     let runs = "SELECT ok FROM run_list WHERE host = 'edge' AND pipeline = 'line' AND started_utc = '2025-01-01 00:00:00'";
-    assert_eq!(bed.count(runs).await, 5);
+    assert_eq!(test_store.count(runs).await, 5);
 }
 
 #[test]

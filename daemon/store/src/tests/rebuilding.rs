@@ -7,15 +7,15 @@ use sqlx::Connection;
 
 use super::generate::{self, Numbers};
 use super::rollups::{assert_same, table};
-use super::{Bed, NOW};
+use super::{NOW, TestStore};
 use crate::rebuild::{Rebuilt, rebuild};
 
 /// Makes iterations over some hours in random order, some of the warm-up, some without an answer.
-fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
+fn iterations(test_store: &TestStore, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
     let mut all: Vec<Iteration> = (1..=count)
         .map(|number| {
             let started = generate::at(number as f64 * 9.7 + numbers.between(0, 3_000) as f64 * 1e-3);
-            let mut iteration = generate::iteration_at(run, number, bed.hosts(), started, numbers);
+            let mut iteration = generate::iteration_at(run, number, test_store.hosts(), started, numbers);
             iteration.warm_up = number <= 3;
             iteration.outcome = match numbers.between(0, 10) {
                 0 => Outcome::Timeout,
@@ -33,14 +33,14 @@ fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<E
 }
 
 /// Makes a database with two runs whose iterations arrived in random order, in commits of random sizes.
-async fn mixed(seed: u64) -> Bed {
-    let mut bed = Bed::new().await;
+async fn mixed(seed: u64) -> TestStore {
+    let mut test_store = TestStore::new().await;
     let mut numbers = Numbers::new(seed);
     let runs = [RunId::random(), RunId::random()];
     let started = runs.map(|run| generate::run_started(run, "line", NOW));
-    let work = bed.batch(started.into());
-    bed.commit(&[work]).await;
-    let lists = runs.map(|run| iterations(&bed, run, 400, &mut numbers));
+    let work = test_store.batch(started.into());
+    test_store.commit(&[work]).await;
+    let lists = runs.map(|run| iterations(&test_store, run, 400, &mut numbers));
     let mut lists = lists.map(Vec::into_iter);
     loop {
         let mut work = Vec::new();
@@ -48,21 +48,21 @@ async fn mixed(seed: u64) -> Bed {
             let some = usize::try_from(numbers.between(1, 60)).expect("few");
             let events: Vec<Event> = list.by_ref().take(some).collect();
             if !events.is_empty() {
-                work.push(bed.batch(events));
+                work.push(test_store.batch(events));
             }
         }
         if work.is_empty() {
-            return bed;
+            return test_store;
         }
-        bed.commit(&work).await;
+        test_store.commit(&work).await;
     }
 }
 
 #[tokio::test]
 async fn rebuilt_statistics_equal_incremental_ones() {
     for seed in 1..=4 {
-        let bed = mixed(seed).await;
-        let mut connection = bed.other().await;
+        let test_store = mixed(seed).await;
+        let mut connection = test_store.other().await;
         let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
         let judged: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
@@ -83,7 +83,7 @@ async fn rebuilt_statistics_equal_incremental_ones() {
         let again: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(again, judged);
-        let ok = bed.count("SELECT sum(ok) FROM run").await.unsigned_abs();
+        let ok = test_store.count("SELECT sum(ok) FROM run").await.unsigned_abs();
         assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
         assert_eq!(reports.last(), Some(&rebuilt));
         connection.close().await.expect("closes");
@@ -92,8 +92,8 @@ async fn rebuilt_statistics_equal_incremental_ones() {
 
 #[tokio::test]
 async fn rebuild_of_one_run_changes_no_other() {
-    let bed = mixed(9).await;
-    let mut connection = bed.other().await;
+    let test_store = mixed(9).await;
+    let mut connection = test_store.other().await;
     let grown = table(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
@@ -106,23 +106,23 @@ async fn rebuild_of_one_run_changes_no_other() {
 
 #[tokio::test]
 async fn extreme_values_are_stored_and_spare_statistics() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
-    let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
+    test_store.commit(&[work]).await;
     // Numbers that drivers report for "nothing there", among readings.
     for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
-        let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
+        let mut iteration = generate::iteration(run, at as u64 + 1, test_store.hosts(), &mut numbers);
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
-        let work = bed.batch(vec![Event::Iteration(iteration)]);
-        let committed = bed.commit(&[work]).await;
+        let work = test_store.batch(vec![Event::Iteration(iteration)]);
+        let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{range}: {:?}", committed.quarantined);
     }
-    let known = bed.store.statistics_of(1).await.expect("answers").stages;
+    let known = test_store.store.statistics_of(1).await.expect("answers").stages;
     let range = known.iter().find(|known| known.stage == *"range").expect("known");
     assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
 
-    let mut connection = bed.other().await;
+    let mut connection = test_store.other().await;
     let grown = table(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_same(&grown, &table(&mut connection).await);
@@ -131,9 +131,9 @@ async fn extreme_values_are_stored_and_spare_statistics() {
 /// An earlier version counted readings close to infinity.
 #[tokio::test]
 async fn spoilt_statistics_block_nothing_and_are_repaired() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(60).await;
-    let mut connection = bed.other().await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(60).await;
+    let mut connection = test_store.other().await;
     sqlx::query("UPDATE rollup SET mean = ?1, m2 = ?2, min = ?3, max = ?1 WHERE quantity = 0")
         .bind(f64::MAX)
         .bind(f64::INFINITY)
@@ -141,21 +141,21 @@ async fn spoilt_statistics_block_nothing_and_are_repaired() {
         .execute(&mut connection)
         .await
         .expect("spoils");
-    bed.writer = super::open(&bed.path).await;
+    test_store.writer = super::open(&test_store.path).await;
     let mut numbers = Numbers::new(9);
     for number in 61..=70 {
         let iterations = (0..10).map(|at| {
-            Event::Iteration(generate::iteration(run, number * 10 + at, bed.hosts(), &mut numbers))
+            Event::Iteration(generate::iteration(run, number * 10 + at, test_store.hosts(), &mut numbers))
         });
-        let work = bed.batch(iterations.collect());
-        let committed = bed.commit(&[work]).await;
+        let work = test_store.batch(iterations.collect());
+        let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     assert!(stages.iter().any(|known| known.figures.max > 1e140), "it was not changed");
 
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let total = stages.iter().find(|known| known.stage == stage::TOTAL).expect("known").figures;
     assert_eq!(total.count, 160);
     for known in stages {

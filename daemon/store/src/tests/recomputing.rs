@@ -5,7 +5,7 @@ use peernet_logger::RunId;
 use peernet_stream::{Event, Iteration, Outcome};
 
 use super::simulation::{Simulation, delays};
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::read::recompute::rejudge_delays;
 use crate::types::{Judgement, Recomputed, RecomputedStage};
 
@@ -20,27 +20,27 @@ pub(super) struct Simulated {
 
 /// Stores a run of a simulation that `change` changes at the begin of each second of the run.
 async fn simulate(
-    bed: &mut Bed,
+    test_store: &mut TestStore,
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
 ) -> Simulated {
-    simulate_by(bed, RelatedClocks::Wall, seconds, change).await
+    simulate_by(test_store, RelatedClocks::Wall, seconds, change).await
 }
 
 /// Does the same for hosts whose clocks are related by `clocks`.
 pub(super) async fn simulate_by(
-    bed: &mut Bed,
+    test_store: &mut TestStore,
     clocks: RelatedClocks,
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
 ) -> Simulated {
-    let simulation = Simulation::new(bed.hosts(), clocks);
-    go_on(bed, simulation, seconds, change).await
+    let simulation = Simulation::new(test_store.hosts(), clocks);
+    go_on(test_store, simulation, seconds, change).await
 }
 
 /// Stores a run of an existing simulation.
 pub(super) async fn go_on(
-    bed: &mut Bed,
+    test_store: &mut TestStore,
     mut simulation: Simulation,
     seconds: (i64, i64, i64),
     mut change: impl FnMut(i64, &mut Simulation),
@@ -57,20 +57,21 @@ pub(super) async fn go_on(
         events.push(sample);
         all.extend(iterations);
     }
-    let work: Vec<_> = events.chunks(100).map(<[Event]>::to_vec).map(|events| bed.batch(events)).collect();
-    let committed = bed.commit(&work).await;
+    let work: Vec<_> =
+        events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
+    let committed = test_store.commit(&work).await;
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
     Simulated { iterations: all, truths: simulation.truths }
 }
 
-pub(super) async fn recompute(bed: &Bed) -> Recomputed {
-    recompute_run(bed, 1).await
+pub(super) async fn recompute(test_store: &TestStore) -> Recomputed {
+    recompute_run(test_store, 1).await
 }
 
-pub(super) async fn recompute_run(bed: &Bed, run: i64) -> Recomputed {
-    let recomputed = bed.store.recompute(run).await.expect("answers").expect("exists");
+pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recomputed {
+    let recomputed = test_store.store.recompute(run).await.expect("answers").expect("exists");
     // The judgement before agrees with the statistics.
-    let stages = bed.store.statistics_of(run).await.expect("answers").stages;
+    let stages = test_store.store.statistics_of(run).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
         let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
         let bound = stored.bound.as_ref().expect("judged");
@@ -94,13 +95,13 @@ pub(super) fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
 }
 
 /// Asserts that every delay that was judged again contains the truth, within the bounds before.
-pub(super) async fn assert_sound(bed: &Bed, simulated: &Simulated) {
-    assert_run_is_sound(bed, 1, simulated).await;
+pub(super) async fn assert_sound(test_store: &TestStore, simulated: &Simulated) {
+    assert_run_is_sound(test_store, 1, simulated).await;
 }
 
-pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulated) {
+pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &Simulated) {
     let mut judged = 0;
-    let samples = rejudge_delays(&bed.store.readers, run, |delay| {
+    let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };
@@ -118,35 +119,35 @@ pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulat
 }
 
 #[tokio::test]
-async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
-    let mut bed = Bed::new().await;
+async fn later_clock_samples_narrow_delays() {
+    let mut test_store = TestStore::new().await;
     // Probes are slow until the fifth second.
-    let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
+    let simulated = simulate(&mut test_store, SECONDS, |second, simulation| {
         simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
     })
     .await;
-    let recomputed = recompute(&bed).await;
+    let recomputed = recompute(&test_store).await;
     assert_eq!((recomputed.number, recomputed.samples), (1, 125));
     assert_eq!(recomputed.clocks, [RelatedClocks::Wall], "recorded without raw stamps");
-    assert_sound(&bed, &simulated).await;
+    assert_sound(&test_store, &simulated).await;
     let (before, after) = stage(&recomputed, "upload");
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
     assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
     assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok));
     // The stored stamps and judgements are those that were sent.
     for iteration in simulated.iterations.iter().step_by(100) {
-        let stored = bed.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
+        let stored = test_store.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
         assert_eq!(stored.tree, iteration.tree);
     }
 }
 
 #[tokio::test]
 async fn long_run_is_judged_in_pages() {
-    let mut bed = Bed::new().await;
-    let simulated = simulate(&mut bed, (5, 1_500, 5), |_, _| {}).await;
-    let recomputed = recompute(&bed).await;
+    let mut test_store = TestStore::new().await;
+    let simulated = simulate(&mut test_store, (5, 1_500, 5), |_, _| {}).await;
+    let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 1_510);
-    assert_sound(&bed, &simulated).await;
+    assert_sound(&test_store, &simulated).await;
     let (_, after) = stage(&recomputed, "download");
     assert_eq!(after.delay.expect("has values").count, 15_000);
     assert_eq!(times(after, Verdict::Stale), 0);
@@ -154,27 +155,27 @@ async fn long_run_is_judged_in_pages() {
 
 #[tokio::test]
 async fn single_clock_or_missing_samples_change_nothing() {
-    let mut bed = Bed::new().await;
-    bed.run_of(30).await;
-    let recomputed = recompute(&bed).await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(30).await;
+    let recomputed = recompute(&test_store).await;
     assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
     assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
 
-    let mut bed = Bed::new().await;
-    simulate(&mut bed, (5, 20, 0), |_, _| {}).await;
-    assert!(recompute(&bed).await.samples > 0);
-    sqlx::raw_sql("DELETE FROM clock_sample").execute(&mut bed.other().await).await.expect("deletes");
-    let recomputed = recompute(&bed).await;
+    let mut test_store = TestStore::new().await;
+    simulate(&mut test_store, (5, 20, 0), |_, _| {}).await;
+    assert!(recompute(&test_store).await.samples > 0);
+    sqlx::raw_sql("DELETE FROM clock_sample").execute(&mut test_store.other().await).await.expect("deletes");
+    let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 0);
     assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after));
-    assert!(bed.store.recompute(2).await.expect("answers").is_none());
+    assert!(test_store.store.recompute(2).await.expect("answers").is_none());
 }
 
 #[tokio::test]
 async fn warm_up_and_unanswered_iterations_are_left_out() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    let mut simulation = Simulation::new(bed.hosts(), RelatedClocks::Wall);
+    let mut simulation = Simulation::new(test_store.hosts(), RelatedClocks::Wall);
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for second in 0..10 {
         let (mut iterations, sample) = simulation.second(Some(run));
@@ -187,9 +188,9 @@ async fn warm_up_and_unanswered_iterations_are_left_out() {
         events.extend(iterations.into_iter().map(Event::Iteration));
         events.push(sample);
     }
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
-    let recomputed = recompute(&bed).await;
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+    let recomputed = recompute(&test_store).await;
     for RecomputedStage { before, after, .. } in &recomputed.stages {
         for judgement in [before, after] {
             assert_eq!(judgement.verdicts.iter().map(|(_, times)| times).sum::<u64>(), 60);
@@ -210,8 +211,8 @@ async fn sides_of_step_are_judged_separately() {
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
     ];
     for (step, halfway) in steps.into_iter().flat_map(|step| [(step, false), (step, true)]) {
-        let mut bed = Bed::new().await;
-        let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
+        let mut test_store = TestStore::new().await;
+        let simulated = simulate(&mut test_store, SECONDS, |second, simulation| {
             simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
             match second {
                 30 if halfway => simulation.halfway = Some(step),
@@ -220,9 +221,9 @@ async fn sides_of_step_are_judged_separately() {
             }
         })
         .await;
-        assert_eq!(bed.count("SELECT count(DISTINCT window) FROM clock_sample").await, 2);
-        let recomputed = recompute(&bed).await;
-        assert_sound(&bed, &simulated).await;
+        assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 2);
+        let recomputed = recompute(&test_store).await;
+        assert_sound(&test_store, &simulated).await;
         for stage in &recomputed.stages {
             assert_eq!(times(&stage.before, Verdict::Stepped), times(&stage.after, Verdict::Stepped));
         }
@@ -237,8 +238,8 @@ async fn sides_of_step_are_judged_separately() {
 #[tokio::test]
 async fn unannounced_jump_moves_no_earlier_delay() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
-        let mut bed = Bed::new().await;
-        let simulated = simulate(&mut bed, (5, 60, 20), |second, simulation| {
+        let mut test_store = TestStore::new().await;
+        let simulated = simulate(&mut test_store, (5, 60, 20), |second, simulation| {
             simulation.is_one_window = is_one_window;
             // Only exchanges of data show it.
             simulation.congestion = Span::from_millis(20);
@@ -249,8 +250,8 @@ async fn unannounced_jump_moves_no_earlier_delay() {
             }
         })
         .await;
-        assert_sound(&bed, &simulated).await;
-        let recomputed = recompute(&bed).await;
+        assert_sound(&test_store, &simulated).await;
+        let recomputed = recompute(&test_store).await;
         let (_, after) = stage(&recomputed, "upload");
         assert_eq!(times(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
     }
@@ -260,8 +261,8 @@ async fn unannounced_jump_moves_no_earlier_delay() {
 async fn time_daemon_claims_count_as_in_first_judgement() {
     let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
     for wrong in [0, 50] {
-        let mut bed = Bed::new().await;
-        let judged = simulate(&mut bed, (5, 30, 5), |second, simulation| {
+        let mut test_store = TestStore::new().await;
+        let judged = simulate(&mut test_store, (5, 30, 5), |second, simulation| {
             simulation.congestion = Span::from_millis(40);
             let mut interval = simulation.offset_within(200);
             let off = Span::from_millis(wrong);
@@ -269,10 +270,10 @@ async fn time_daemon_claims_count_as_in_first_judgement() {
             simulation.claim((second >= 10).then_some(interval).and_then(claim));
         })
         .await;
-        let recomputed = recompute(&bed).await;
+        let recomputed = recompute(&test_store).await;
         let (before, after) = stage(&recomputed, "upload");
         if wrong == 0 {
-            assert_sound(&bed, &judged).await;
+            assert_sound(&test_store, &judged).await;
             assert_eq!(times(after, Verdict::Inconsistent), 0);
             assert_eq!(times(after, Verdict::Ok), 200);
             assert!(after.half_width.expect("has bounds").min < 0.21e-3);
@@ -288,12 +289,12 @@ async fn time_daemon_claims_count_as_in_first_judgement() {
 
 #[tokio::test]
 async fn only_link_over_network_of_run_counts() {
-    let mut bed = Bed::new().await;
-    simulate(&mut bed, SECONDS, |_, _| {}).await;
-    assert_eq!(recompute(&bed).await.samples, 125);
+    let mut test_store = TestStore::new().await;
+    simulate(&mut test_store, SECONDS, |_, _| {}).await;
+    assert_eq!(recompute(&test_store).await.samples, 125);
     let over_another = "UPDATE link SET network = 'zmq-udp'";
-    sqlx::query(over_another).execute(&mut bed.other().await).await.expect("changes");
-    let recomputed = recompute(&bed).await;
+    sqlx::query(over_another).execute(&mut test_store.other().await).await.expect("changes");
+    let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 0);
     for RecomputedStage { before, after, .. } in recomputed.stages {
         assert_eq!(before, after);

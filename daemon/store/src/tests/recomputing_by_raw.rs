@@ -3,7 +3,7 @@
 
 use peernet_clock::{RelatedClocks, Span, Verdict};
 
-use super::Bed;
+use super::TestStore;
 use super::recomputing::{
     SECONDS, assert_run_is_sound, assert_sound, go_on, recompute, recompute_run, simulate_by, stage, times,
 };
@@ -20,15 +20,16 @@ fn slow_begin(second: i64, simulation: &mut Simulation) {
 #[tokio::test]
 async fn delays_are_judged_by_stored_raw_stamps() {
     for clocks in PAIRS {
-        let mut bed = Bed::new().await;
-        let simulated = simulate_by(&mut bed, clocks, SECONDS, slow_begin).await;
-        let recomputed = recompute(&bed).await;
+        let mut test_store = TestStore::new().await;
+        let simulated = simulate_by(&mut test_store, clocks, SECONDS, slow_begin).await;
+        let recomputed = recompute(&test_store).await;
         assert_eq!((recomputed.samples, recomputed.clocks.as_slice()), (125, &[clocks][..]));
-        assert_sound(&bed, &simulated).await;
+        assert_sound(&test_store, &simulated).await;
         let (before, after) = stage(&recomputed, "upload");
         assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "{before:?} {after:?}");
         for iteration in simulated.iterations.iter().step_by(100) {
-            let stored = bed.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
+            let stored =
+                test_store.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
             assert_eq!(stored.tree, iteration.tree);
         }
     }
@@ -44,17 +45,17 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
         |simulation| simulation.cloud_ahead += Span::from_seconds(3),
     ];
     for step in steps {
-        let mut bed = Bed::new().await;
-        let simulated = simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, |second, simulation| {
+        let mut test_store = TestStore::new().await;
+        let simulated = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
             slow_begin(second, simulation);
             if second == 30 {
                 simulation.halfway = Some(step);
             }
         })
         .await;
-        assert_eq!(bed.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
-        let recomputed = recompute(&bed).await;
-        assert_sound(&bed, &simulated).await;
+        assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
+        let recomputed = recompute(&test_store).await;
+        assert_sound(&test_store, &simulated).await;
         let (_, after) = stage(&recomputed, "upload");
         assert_eq!(
             (times(after, Verdict::Stepped), times(after, Verdict::Inconsistent)),
@@ -67,8 +68,8 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
 
 /// Makes a simulation in which both machines were restarted `after` the begin of the first one, with free-running clocks that
 /// show the same times.
-fn started_again(bed: &Bed, after: Span) -> Simulation {
-    let mut again = Simulation::new(bed.hosts(), RelatedClocks::Raw);
+fn started_again(test_store: &TestStore, after: Span) -> Simulation {
+    let mut again = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
     again.now = after;
     again.raw_zeros = (again.raw_zeros.0 + after, again.raw_zeros.1 + after + Span::from_seconds(12));
     again.first_window += 100;
@@ -77,14 +78,14 @@ fn started_again(bed: &Bed, after: Span) -> Simulation {
 
 #[tokio::test]
 async fn runs_of_two_starts_are_judged_by_their_own_windows() {
-    let mut bed = Bed::new().await;
-    let first = simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
-    let again = started_again(&bed, Span::from_seconds(1_000));
-    let second = go_on(&mut bed, again, SECONDS, slow_begin).await;
+    let mut test_store = TestStore::new().await;
+    let first = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_begin).await;
+    let again = started_again(&test_store, Span::from_seconds(1_000));
+    let second = go_on(&mut test_store, again, SECONDS, slow_begin).await;
     for (run, simulated) in [(1, &first), (2, &second)] {
-        let recomputed = recompute_run(&bed, run).await;
+        let recomputed = recompute_run(&test_store, run).await;
         assert_eq!(recomputed.samples, 125, "run {run}");
-        assert_run_is_sound(&bed, run, simulated).await;
+        assert_run_is_sound(&test_store, run, simulated).await;
         let (before, after) = stage(&recomputed, "upload");
         assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "run {run}");
     }
@@ -92,14 +93,14 @@ async fn runs_of_two_starts_are_judged_by_their_own_windows() {
 
 #[tokio::test]
 async fn ambiguous_time_of_two_starts_is_not_judged() {
-    let mut bed = Bed::new().await;
-    simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
+    let mut test_store = TestStore::new().await;
+    simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_begin).await;
     // A machine without a battery: after its second start both of its clocks show the same times again.
-    let mut again = started_again(&bed, Span::from_seconds(1_000));
+    let mut again = started_again(&test_store, Span::from_seconds(1_000));
     again.edge_ahead = Span::from_seconds(-1_000);
-    go_on(&mut bed, again, SECONDS, slow_begin).await;
+    go_on(&mut test_store, again, SECONDS, slow_begin).await;
     for run in [1, 2] {
-        let recomputed = recompute_run(&bed, run).await;
+        let recomputed = recompute_run(&test_store, run).await;
         assert_eq!((recomputed.samples, recomputed.clocks.len()), (0, 0), "run {run}");
         for RecomputedStage { before, after, .. } in recomputed.stages {
             assert_eq!(before, after);
@@ -116,11 +117,11 @@ async fn windows_of_other_clocks_or_starts_judge_nothing() {
         // The edge's wall clock had another reading when its free-running clock showed these times.
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
-        let mut bed = Bed::new().await;
-        simulate_by(&mut bed, RelatedClocks::Raw, (5, 20, 0), slow_begin).await;
-        assert!(recompute(&bed).await.samples > 0);
-        sqlx::raw_sql(other).execute(&mut bed.other().await).await.expect("changes");
-        let recomputed = recompute(&bed).await;
+        let mut test_store = TestStore::new().await;
+        simulate_by(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_begin).await;
+        assert!(recompute(&test_store).await.samples > 0);
+        sqlx::raw_sql(other).execute(&mut test_store.other().await).await.expect("changes");
+        let recomputed = recompute(&test_store).await;
         assert_eq!(recomputed.samples, 0, "{other}");
         assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after), "{other}");
     }
@@ -143,22 +144,22 @@ async fn each_delay_names_basis_of_its_bounds() {
         ..by_raw
     };
     for (clocks, expected) in [(RelatedClocks::Raw, by_raw), (RelatedClocks::Wall, earlier)] {
-        let mut bed = Bed::new().await;
-        simulate_by(&mut bed, clocks, (5, 20, 0), slow_begin).await;
-        let rows = bed.store.slowest(1, 50).await.expect("answers");
+        let mut test_store = TestStore::new().await;
+        simulate_by(&mut test_store, clocks, (5, 20, 0), slow_begin).await;
+        let rows = test_store.store.slowest(1, 50).await.expect("answers");
         let delays = || rows.iter().flat_map(|row| &row.delays);
         assert_eq!(delays().count(), 100);
         assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
-        let key = bed.store.links().await.expect("answers")[0].key();
-        assert_eq!(bed.store.link_assumptions(&key).await.expect("answers"), Some(expected));
+        let key = test_store.store.links().await.expect("answers")[0].key();
+        assert_eq!(test_store.store.link_assumptions(&key).await.expect("answers"), Some(expected));
         // One sample without authentication counts for its whole window.
         let unsigned = "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
-        sqlx::raw_sql(unsigned).execute(&mut bed.other().await).await.expect("changes");
-        let known = bed.store.link_assumptions(&key).await.expect("answers").expect("stored");
+        sqlx::raw_sql(unsigned).execute(&mut test_store.other().await).await.expect("changes");
+        let known = test_store.store.link_assumptions(&key).await.expect("answers").expect("stored");
         assert_eq!(known.probes_authenticated, expected.probes_authenticated.map(|_| false));
     }
-    let mut bed = Bed::new().await;
-    bed.run_of(3).await;
-    let rows = bed.store.slowest(1, 3).await.expect("answers");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(3).await;
+    let rows = test_store.store.slowest(1, 3).await.expect("answers");
     assert!(rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()), "one clock");
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
-use super::{Bed, NOW};
+use super::{NOW, TestStore};
 use crate::maintenance::{Examination, RepairError, examine, repair};
 
 /// Sums that must agree after any loss: iterations by rows, by the runs' counters and by their gaps, incomplete trees, and nodes
@@ -23,14 +23,14 @@ async fn connect(path: &Path) -> SqliteConnection {
 
 #[tokio::test]
 async fn database_is_whole_after_repair_of_any_page() {
-    let mut bed = Bed::new().await;
-    bed.run_of(60).await;
-    bed.run_of(60).await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(60).await;
+    test_store.run_of(60).await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789")
-        .execute(&mut bed.other().await)
+        .execute(&mut test_store.other().await)
         .await
         .expect("sets");
-    let Bed { _folder, path: whole, writer, store, .. } = bed;
+    let TestStore { _folder, path: whole, writer, store, .. } = test_store;
     store.close().await;
     let (_, closed) = writer.close().await;
     closed.expect("takes its log over");
@@ -105,9 +105,9 @@ fn noise(seed: u64, bytes: usize) -> Vec<u8> {
 /// An overwritten row may still be readable, with another key.
 #[tokio::test]
 async fn trees_are_whole_after_repair_of_single_rows() {
-    let mut bed = Bed::new().await;
-    bed.run_of(60).await;
-    let Bed { _folder, path: whole, writer, store, .. } = bed;
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(60).await;
+    let TestStore { _folder, path: whole, writer, store, .. } = test_store;
     store.close().await;
     writer.close().await.1.expect("takes its log over");
     let mut connection = connect(&whole).await;

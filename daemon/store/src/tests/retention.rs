@@ -8,7 +8,7 @@ use sqlx::SqliteConnection;
 use super::clocks::sample;
 use super::generate::{self, Numbers};
 use super::rollups::{assert_same, table};
-use super::{Bed, NOW};
+use super::{NOW, TestStore};
 use crate::maintenance::{Examination, examine};
 use crate::rebuild::rebuild;
 use crate::retention::{Retention, Step, pin};
@@ -25,12 +25,16 @@ const TOGETHER: u64 = 3;
 const RESOLUTION_S: i64 = 3_600;
 
 /// Makes iterations of a run, one every [`EVERY`] seconds.
-pub(super) fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
+pub(super) fn iterations(
+    test_store: &TestStore,
+    run: RunId,
+    numbers: std::ops::RangeInclusive<u64>,
+) -> Vec<Event> {
     let mut random = Numbers::new(*numbers.start());
     numbers
         .map(|number| {
             let started = generate::at(number as f64 * EVERY);
-            Event::Iteration(generate::iteration_at(run, number, bed.hosts(), started, &mut random))
+            Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), started, &mut random))
         })
         .collect()
 }
@@ -78,29 +82,29 @@ pub(super) async fn work_off(
 }
 
 /// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
-pub(super) async fn arrive(bed: &mut Bed, events: Vec<Event>, at: WallTime) {
-    let mut connection = bed.other().await;
+pub(super) async fn arrive(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
+    let mut connection = test_store.other().await;
     work_off(&mut Retention::new(for_ever()), &mut connection, at).await;
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
 }
 
 /// Stores two equal runs of four days, the second one pinned, neither ended. Measurements arrive each hour.
-pub(super) async fn two_runs() -> (Bed, [RunId; 2]) {
-    let mut bed = Bed::new().await;
+pub(super) async fn two_runs() -> (TestStore, [RunId; 2]) {
+    let mut test_store = TestStore::new().await;
     let runs = [RunId::random(), RunId::random()];
     let begin = runs.into_iter().zip(["line", "arm"]);
     let begin = begin.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
-    arrive(&mut bed, begin, day(0.0)).await;
-    let mut connection = bed.other().await;
+    arrive(&mut test_store, begin, day(0.0)).await;
+    let mut connection = test_store.other().await;
     assert!(pin(&mut connection, 2, true).await.expect("pins"));
     assert!(!pin(&mut connection, 3, true).await.expect("looks"));
     for first in (1..=288).step_by(TOGETHER as usize) {
         let last = first + TOGETHER - 1;
-        let events = runs.iter().flat_map(|run| iterations(&bed, *run, first..=last)).collect();
-        arrive(&mut bed, events, generate::at(last as f64 * EVERY)).await;
+        let events = runs.iter().flat_map(|run| iterations(&test_store, *run, first..=last)).collect();
+        arrive(&mut test_store, events, generate::at(last as f64 * EVERY)).await;
     }
-    (bed, runs)
+    (test_store, runs)
 }
 
 pub(super) fn for_ever() -> RetentionConfig {
@@ -126,10 +130,10 @@ pub(super) fn short() -> RetentionConfig {
 
 #[tokio::test]
 async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     let before = table(&mut connection).await;
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(4.0)).await;
 
@@ -166,31 +170,31 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     assert_same(&stayed, &expected);
 
     let cutoff_ns = (now_s - 2 * 86_400) * 1_000_000_000;
-    let oldest = bed.count("SELECT min(started_ns) FROM iteration WHERE run = 1").await;
+    let oldest = test_store.count("SELECT min(started_ns) FROM iteration WHERE run = 1").await;
     let slack_ns = (2 * RESOLUTION_S + 60) * 1_000_000_000;
     assert!(
         oldest <= cutoff_ns + 1_200_000_000_000 && oldest >= cutoff_ns - slack_ns,
         "{oldest} {cutoff_ns}"
     );
-    let first = bed.count("SELECT min(number) FROM iteration WHERE run = 1").await;
-    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
+    let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
+    assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
     let left = 288 - (first - 1);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration WHERE run = 1").await, left);
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, left * 21);
-    assert_eq!(bed.count("SELECT count(*) FROM transit WHERE run = 1").await, left * 2);
-    assert_eq!(bed.count("SELECT count(*) FROM anchor WHERE run = 1").await, left);
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
-    assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await, left);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, left * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM transit WHERE run = 1").await, left * 2);
+    assert_eq!(test_store.count("SELECT count(*) FROM anchor WHERE run = 1").await, left);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
+    assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
     // The run's figures are the same as before, in wider points.
-    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, stages);
+    assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, stages);
     let filter = IterationFilter::default();
-    let listed = bed.store.iterations(1, &filter).await.expect("answers");
+    let listed = test_store.store.iterations(1, &filter).await.expect("answers");
     assert_eq!(i64::try_from(listed[0].number).expect("small"), first);
-    assert!(bed.store.iteration(1, 1).await.expect("answers").is_none());
+    assert!(test_store.store.iteration(1, 1).await.expect("answers").is_none());
     for (run, width_s) in [(1, 3_600), (2, 60)] {
-        let series = bed.store.series(run, &[stage::TOTAL], 6_000).await.expect("answers");
+        let series = test_store.store.series(run, &[stage::TOTAL], 6_000).await.expect("answers");
         assert_eq!(series.bucket_s, width_s);
         let counts = series.stages[0].points.iter().map(|point| point.count);
         assert_eq!(counts.sum::<u64>(), 288);
@@ -199,16 +203,16 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
 
 #[tokio::test]
 async fn deletions_are_one_incident_with_counts() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
-    let before = bed.count(seconds).await;
+    let before = test_store.count(seconds).await;
     let mut retention = Retention::new(RetentionConfig { seconds_days: 1, nodes_days: 2, ..for_ever() });
     assert!(work_off(&mut retention, &mut connection, day(4.0)).await > 10);
-    let gone = before - bed.count(seconds).await;
-    let iterations = 288 - bed.count("SELECT count(*) FROM iteration WHERE run = 1").await;
+    let gone = before - test_store.count(seconds).await;
+    let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
-    let told = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let [incident] = &told[..] else { panic!("one for all of it: {told:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
@@ -218,30 +222,30 @@ async fn deletions_are_one_incident_with_counts() {
              1 run (seconds_days = 1)"
         )
     );
-    let report = examine(&bed.path, Examination { full: false, now: NOW }).await.expect("opens");
+    let report = examine(&test_store.path, Examination { full: false, now: NOW }).await.expect("opens");
     assert!(report.findings.iter().any(|it| it.what.contains(&incident.text)), "{:?}", report.findings);
     // A day later another incident begins.
     work_off(&mut retention, &mut connection, day(5.0)).await;
-    assert_eq!(bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers").len(), 2);
+    assert_eq!(test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers").len(), 2);
 }
 
 #[tokio::test]
 async fn jump_of_robot_clock_deletes_nothing_early() {
     for jump in [400.0, -400.0] {
-        let mut bed = Bed::new().await;
+        let mut test_store = TestStore::new().await;
         let run = RunId::random();
         let mut random = Numbers::new(5);
-        arrive(&mut bed, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
+        arrive(&mut test_store, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
         // The robot's clock is wrong on the second of three days.
         for hour in 0..72_u32 {
             let arrived = generate::at(f64::from(hour) * 3_600.0);
             let wrong = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
             let began = generate::at(f64::from(hour) * 3_600.0 + wrong);
             let number = u64::from(hour) + 1;
-            let iteration = generate::iteration_at(run, number, bed.hosts(), began, &mut random);
-            arrive(&mut bed, vec![Event::Iteration(iteration)], arrived).await;
+            let iteration = generate::iteration_at(run, number, test_store.hosts(), began, &mut random);
+            arrive(&mut test_store, vec![Event::Iteration(iteration)], arrived).await;
         }
-        let mut connection = bed.other().await;
+        let mut connection = test_store.other().await;
         let config = RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..for_ever() };
         let mut retention = Retention::new(config);
         let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
@@ -249,33 +253,35 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
         for hour in 72..150_i64 {
             work_off(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
             let young = (72 - (hour - 72) - 1).clamp(0, 72);
-            for left in [bed.count("SELECT count(*) FROM iteration").await, bed.count(stored).await] {
+            for left in
+                [test_store.count("SELECT count(*) FROM iteration").await, test_store.count(stored).await]
+            {
                 assert!((young..=young + 4).contains(&left), "{jump} days, hour {hour}: {left} of {young}");
             }
         }
-        assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
-        assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10)").await, 0);
-        assert_eq!(bed.count("SELECT count(*) FROM arrival WHERE kind IN (0, 1, 10)").await, 0);
+        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
+        assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10)").await, 0);
+        assert_eq!(test_store.count("SELECT count(*) FROM arrival WHERE kind IN (0, 1, 10)").await, 0);
     }
 }
 
 #[tokio::test]
 async fn step_is_bounded_and_idle_step_writes_nothing() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     let mut retention = Retention::new(short());
     let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
-    let mut left = bed.count(rows).await;
+    let mut left = test_store.count(rows).await;
     let mut steps = 0;
     while step(&mut retention, &mut connection, day(5.0)).await == Step::More {
-        let now = bed.count(rows).await;
+        let now = test_store.count(rows).await;
         assert!(left - now <= 400, "{left} {now}");
         left = now;
         steps += 1;
     }
     assert!(steps > 40, "{steps}");
     // SQLite reports to each connection whether others have written.
-    let mut onlooker = bed.other().await;
+    let mut onlooker = test_store.other().await;
     let mut version = async || -> i64 {
         sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut onlooker).await.expect("tells")
     };
@@ -292,70 +298,70 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
 
 #[tokio::test]
 async fn late_arrivals_are_kept_for_their_period() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     // It was older than any period when it was stored.
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
-    events.extend(iterations(&bed, run, 1..=288));
+    events.extend(iterations(&test_store, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
-    arrive(&mut bed, events, day(100.0)).await;
-    let mut connection = bed.other().await;
+    arrive(&mut test_store, events, day(100.0)).await;
+    let mut connection = test_store.other().await;
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(100.9)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
-    assert!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
     work_off(&mut retention, &mut connection, day(104.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(
-        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
+        test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
         0
     );
-    assert_eq!(bed.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
+    assert_eq!(test_store.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
 
     // A batch of iterations from a time that is already deleted.
-    let events = iterations(&bed, run, 300..=310);
-    arrive(&mut bed, events, day(104.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
-    assert_eq!(bed.count("SELECT ok FROM run WHERE number = 1").await, 299);
-    assert!(bed.store.iteration(1, 305).await.expect("answers").is_some());
-    let whole = bed.store.statistics_of(1).await.expect("answers").stages;
-    let series = bed.store.series(1, &[stage::TOTAL], 6_000).await.expect("answers");
+    let events = iterations(&test_store, run, 300..=310);
+    arrive(&mut test_store, events, day(104.0)).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
+    assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 299);
+    assert!(test_store.store.iteration(1, 305).await.expect("answers").is_some());
+    let whole = test_store.store.statistics_of(1).await.expect("answers").stages;
+    let series = test_store.store.series(1, &[stage::TOTAL], 6_000).await.expect("answers");
     assert_eq!(series.bucket_s, 3_600);
     assert_eq!(series.stages[0].points.iter().map(|point| point.count).sum::<u64>(), 299);
     let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(rebuilt.in_part, 1);
-    assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, whole);
+    assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, whole);
     // The arrival is recorded within the hour.
     work_off(&mut retention, &mut connection, day(104.1)).await;
     work_off(&mut retention, &mut connection, day(108.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
-    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, 310);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, 310);
 }
 
 #[tokio::test]
 async fn rebuilt_statistics_are_deleted_after_their_period() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
-    let before = bed.count(seconds).await;
+    let before = test_store.count(seconds).await;
     let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..for_ever() });
     work_off(&mut retention, &mut connection, day(4.0)).await;
-    let left = bed.count(seconds).await;
+    let left = test_store.count(seconds).await;
     assert!(left < before / 3, "{left} of {before}");
     rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
-    assert_eq!(bed.count(seconds).await, before);
+    assert_eq!(test_store.count(seconds).await, before);
     // The latest arrivals are recorded within the hour.
     work_off(&mut retention, &mut connection, day(4.05)).await;
     work_off(&mut retention, &mut connection, day(4.9)).await;
-    assert!(bed.count(seconds).await >= before - left);
+    assert!(test_store.count(seconds).await >= before - left);
     work_off(&mut retention, &mut connection, day(5.2)).await;
-    assert_eq!(bed.count(seconds).await, 0);
+    assert_eq!(test_store.count(seconds).await, 0);
 }
 
 #[tokio::test]
 async fn unpinned_run_is_kept_for_whole_period() {
-    let (bed, _) = two_runs().await;
-    let mut connection = bed.other().await;
+    let (test_store, _) = two_runs().await;
+    let mut connection = test_store.other().await;
     // Pinned by hand, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short());
@@ -363,27 +369,28 @@ async fn unpinned_run_is_kept_for_whole_period() {
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
     work_off(&mut retention, &mut connection, day(51.5)).await;
     work_off(&mut retention, &mut connection, day(51.9)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
     work_off(&mut retention, &mut connection, day(60.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
 }
 
 #[tokio::test]
 async fn clock_samples_are_deleted_except_for_pinned_runs() {
-    let (mut bed, [_, pinned]) = two_runs().await;
+    let (mut test_store, [_, pinned]) = two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
     // The edge's clock does not determine when they arrive.
     for (from, arrived) in [(-1.0, 4.1), (1.0, 4.2), (4.0, 4.3), (6.0, 4.4), (11.9, 11.9)] {
-        let samples = seconds(from).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40))));
+        let samples =
+            seconds(from).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40))));
         let events = samples.collect();
-        arrive(&mut bed, events, day(arrived)).await;
+        arrive(&mut test_store, events, day(arrived)).await;
         if arrived < 5.0 {
             continue;
         }
-        assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
+        assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     }
-    let mut connection = bed.other().await;
+    let mut connection = test_store.other().await;
     // One connection for each clock sample.
     sqlx::query(
         "INSERT INTO connection_sample (link, at_ns, pipeline, sent_bytes, sent_messages, received_bytes, \
@@ -397,18 +404,18 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let mut retention = Retention::new(config);
     // The pinned run may continue: all samples of its edge stay from its begin on.
     work_off(&mut retention, &mut connection, day(12.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
-    let work = bed.batch(vec![Event::RunEnded(ended)]);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(vec![Event::RunEnded(ended)]);
+    test_store.commit(&[work]).await;
     // Samples that were kept for it are checked again a period later.
     work_off(&mut retention, &mut connection, day(13.2)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
-    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
+    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
     work_off(&mut retention, &mut connection, day(14.4)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM clock_window").await, 1);
-    assert_eq!(bed.count("SELECT count(*) FROM arrival WHERE kind = -1").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_window").await, 1);
+    assert_eq!(test_store.count("SELECT count(*) FROM arrival WHERE kind = -1").await, 0);
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_logger::RunId;
 use peernet_stream::Event;
 
-use super::Bed;
+use super::TestStore;
 use super::generate::{self, Numbers, at};
 use super::retention::{arrive, day, for_ever, iterations, step, two_runs, work_off};
 use crate::retention::{Retention, Step};
@@ -21,22 +21,24 @@ fn limited(size_limit_bytes: u64) -> Retention {
 
 #[tokio::test]
 async fn oldest_unpinned_rows_are_deleted_above_limit() {
-    let (mut bed, [run, _]) = two_runs().await;
-    let mut connection = bed.other().await;
-    let full = bed.count(USED).await.unsigned_abs();
+    let (mut test_store, [run, _]) = two_runs().await;
+    let mut connection = test_store.other().await;
+    let full = test_store.count(USED).await.unsigned_abs();
     let limit = full - full / 20;
     let mut retention = limited(limit);
     work_off(&mut retention, &mut connection, day(4.0)).await;
-    let first = bed.count("SELECT min(number) FROM iteration WHERE run = 1").await;
+    let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert!((2..288).contains(&first), "{first}");
-    assert_eq!(bed.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
-    assert!(bed.count(USED).await.unsigned_abs() <= limit);
+    assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
+    assert!(test_store.count(USED).await.unsigned_abs() <= limit);
     assert_eq!(
-        bed.count("SELECT count(*) FROM retention_note WHERE what = 'size-limit' AND count > 100").await,
+        test_store
+            .count("SELECT count(*) FROM retention_note WHERE what = 'size-limit' AND count > 100")
+            .await,
         1
     );
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    let told = bed.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    let told = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let iterations_gone = first - 1;
     let expected = format!(
         "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"
@@ -46,27 +48,29 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     // No size is small enough: everything that may be deleted is deleted, and then it stops.
     let mut retention = limited(1);
     work_off(&mut retention, &mut connection, day(4.1)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(
-        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
+        test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s IN (1, 10, 60)").await,
         0
     );
-    assert!(bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
-    assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert!(test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
     // The run continues.
-    let events = iterations(&bed, run, 289..=290);
-    let work = bed.batch(events);
-    bed.commit(&[work]).await;
-    assert_eq!(bed.store.run(1).await.expect("answers").expect("exists").summary.counts.ok, 290);
+    let events = iterations(&test_store, run, 289..=290);
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+    assert_eq!(test_store.store.run(1).await.expect("answers").expect("exists").summary.counts.ok, 290);
     assert_eq!(
-        bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1 AND quantity = 1").await,
+        test_store
+            .count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1 AND quantity = 1")
+            .await,
         4
     );
 }
 
 /// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All iterations of an
 /// hour arrive at its end.
-async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
+async fn side_by_side(test_store: &mut TestStore, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
     let ids: Vec<RunId> = runs.iter().map(|_| RunId::random()).collect();
     let mut random = Numbers::new(7);
     for hour in 0..hours {
@@ -83,19 +87,19 @@ async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)],
                     Event::Iteration(generate::iteration_at(
                         *run,
                         number.into(),
-                        bed.hosts(),
+                        test_store.hosts(),
                         began,
                         &mut random,
                     ))
                 }));
             }
         }
-        arrive(bed, events, at(f64::from(hour + 1) * 3_600.0)).await;
+        arrive(test_store, events, at(f64::from(hour + 1) * 3_600.0)).await;
     }
 }
 
 /// Returns, for each kind, the oldest data of each run and the second before which it is deleted.
-async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
+async fn course(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
     let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
         "SELECT kind.column1, \
            iif(kind.column1 = 0, (SELECT min(started_ns) / 1000000000 FROM iteration WHERE iteration.run = run.number), \
@@ -103,7 +107,7 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
            coalesce((SELECT before_s FROM trimmed WHERE trimmed.run = run.number AND kind = kind.column1), 0) \
          FROM (VALUES (0), (1), (10), (60)) AS kind, run",
     )
-    .fetch_all(&bed.store.readers.pool())
+    .fetch_all(&test_store.store.readers.pool())
     .await
     .expect("answers");
     rows.into_iter().fold(BTreeMap::new(), |mut kinds, (kind, oldest_s, gone_s)| {
@@ -114,17 +118,17 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
 
 #[tokio::test]
 async fn overlapping_runs_are_trimmed_in_turns() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // One that continues, two that ended meanwhile, and one that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
-    side_by_side(&mut bed, &runs, 20).await;
-    let mut connection = bed.other().await;
+    side_by_side(&mut test_store, &runs, 20).await;
+    let mut connection = test_store.other().await;
     let mut retention = limited(1);
     // Data that arrives within an hour is deleted together, and a bucket as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
     let mut together = 0;
     while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
-        for (kind, runs) in course(&bed).await {
+        for (kind, runs) in course(&test_store).await {
             let gone_s = runs.iter().map(|(_, gone_s)| *gone_s).max().expect("there are runs");
             let oldest_s = runs.iter().filter_map(|(oldest_s, _)| *oldest_s).min();
             if let Some(oldest_s) = oldest_s {
@@ -135,25 +139,25 @@ async fn overlapping_runs_are_trimmed_in_turns() {
         }
     }
     assert!(together > 10, "{together}");
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
 }
 
 #[tokio::test]
 async fn rows_from_future_are_deleted_too() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     for name in ["line", "arm"] {
         let run = RunId::random();
         let mut random = Numbers::new(7);
         let mut events = vec![generate::run_started(run, name, at(9_000.0))];
         events.extend((1..50).map(|number| {
             let began = at(9_000.0 + 2.0 * number as f64);
-            Event::Iteration(generate::iteration_at(run, number, bed.hosts(), began, &mut random))
+            Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), began, &mut random))
         }));
-        arrive(&mut bed, events, at(0.0)).await;
+        arrive(&mut test_store, events, at(0.0)).await;
     }
-    let mut connection = bed.other().await;
+    let mut connection = test_store.other().await;
     work_off(&mut limited(1), &mut connection, at(0.0)).await;
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
 }

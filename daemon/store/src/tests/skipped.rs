@@ -4,13 +4,13 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
 use peernet_stream::{Event, Iteration, Outcome};
 
-use super::{Bed, NOW, generate};
+use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Number of starts that were skipped in [`Bed::run_that_skips`].
+/// Number of starts that were skipped in [`TestStore::run_that_skips`].
 pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
-impl Bed {
+impl TestStore {
     /// Makes an iteration before which `skipped` starts were skipped.
     fn late_iteration(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
         let mut iteration =
@@ -51,21 +51,21 @@ impl Bed {
 
 #[tokio::test]
 async fn skipped_starts_before_unanswered_iterations_count() {
-    let mut bed = Bed::new().await;
-    bed.run_that_skips().await;
-    bed.run_of(5).await;
-    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+    let mut test_store = TestStore::new().await;
+    test_store.run_that_skips().await;
+    test_store.run_of(5).await;
+    assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
 }
 
 #[tokio::test]
 async fn rebuild_counts_skipped_starts_again() {
-    let mut bed = Bed::new().await;
-    bed.run_that_skips().await;
-    bed.run_of(5).await;
-    let mut connection = bed.other().await;
+    let mut test_store = TestStore::new().await;
+    test_store.run_that_skips().await;
+    test_store.run_of(5).await;
+    let mut connection = test_store.other().await;
     sqlx::query("UPDATE run SET skipped_starts = 7").execute(&mut connection).await.expect("spoils");
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+    assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
 
     // If a part of the iterations is deleted, they cannot be counted again.
     sqlx::query("INSERT INTO trimmed (run, kind, before_s) VALUES (1, 0, 9000000000)")
@@ -74,21 +74,21 @@ async fn rebuild_counts_skipped_starts_again() {
         .expect("trims");
     sqlx::query("DELETE FROM node WHERE run = 1").execute(&mut connection).await.expect("deletes");
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
+    assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
 }
 
 #[tokio::test]
 async fn invalid_counts_of_skipped_starts_block_nothing() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
     for (number, skipped) in (1..).zip(odd) {
-        let iteration = Event::Iteration(bed.late_iteration(run, number, skipped));
-        let work = bed.batch(vec![iteration]);
-        let committed = bed.commit(&[work]).await;
+        let iteration = Event::Iteration(test_store.late_iteration(run, number, skipped));
+        let work = test_store.batch(vec![iteration]);
+        let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);
     }
-    assert_eq!(bed.skipped_starts().await, [1 << 53]);
-    let mut connection = bed.other().await;
+    assert_eq!(test_store.skipped_starts().await, [1 << 53]);
+    let mut connection = test_store.other().await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
 }

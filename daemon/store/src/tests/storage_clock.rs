@@ -3,7 +3,7 @@
 use peernet_clock::{Span, Stamp};
 use sqlx::Connection;
 
-use super::{Bed, NOW, STAMP, database, generate, hello, open};
+use super::{NOW, STAMP, TestStore, database, generate, hello, open};
 use crate::retention::Step;
 use crate::types::{AggregatorIncidentKind, IncidentFilter};
 use crate::write::{PendingIncidents, Writer};
@@ -16,82 +16,84 @@ fn after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }
 
-async fn incidents(bed: &Bed) -> Vec<IncidentRow> {
-    bed.store.incidents(&IncidentFilter::newest(100)).await.expect("answers")
+async fn incidents(test_store: &TestStore) -> Vec<IncidentRow> {
+    test_store.store.incidents(&IncidentFilter::newest(100)).await.expect("answers")
 }
 
 #[tokio::test]
 async fn storage_clock_ignores_wall_clock_and_pauses() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     for seconds in (1..=100).step_by(3) {
-        bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
     }
-    let elapsed = bed.count(ELAPSED_S).await;
+    let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
     // Other transactions store it as well.
-    let work = [hello(generate::host(bed.edge, "edge"), 1)];
-    bed.writer.commit(&work, after(100)).await.expect("commits");
-    assert_eq!(bed.count(ELAPSED_S).await, 100);
+    let work = [hello(generate::host(test_store.edge, "edge"), 1)];
+    test_store.writer.commit(&work, after(100)).await.expect("commits");
+    assert_eq!(test_store.count(ELAPSED_S).await, 100);
     // Only the wall clock moves.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [after(101).wall + month, after(101).wall - month] {
-        bed.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
+        test_store.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
     }
-    assert_eq!(bed.count(ELAPSED_S).await, 101);
+    assert_eq!(test_store.count(ELAPSED_S).await, 101);
     // The aggregator did not store for a day.
-    bed.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
-    assert_eq!(bed.count(ELAPSED_S).await, 161);
+    test_store.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
+    assert_eq!(test_store.count(ELAPSED_S).await, 161);
     // Another process, on a machine that booted later: the clock continues with its first transaction.
-    bed.writer = open(&bed.path).await;
+    test_store.writer = open(&test_store.path).await;
     for seconds in [0, 40] {
-        bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
     }
-    assert_eq!(bed.count(ELAPSED_S).await, 201);
+    assert_eq!(test_store.count(ELAPSED_S).await, 201);
 }
 
 #[tokio::test]
 async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    bed.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
-    bed.writer
+    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    test_store
+        .writer
         .keep_clocks(Stamp { wall: after(2).wall + Span::from_seconds(9), ..after(2) }, &mut pending)
         .await
         .expect("stores");
-    assert_eq!(incidents(&bed).await, []);
-    bed.writer
+    assert_eq!(incidents(&test_store).await, []);
+    test_store
+        .writer
         .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
         .await
         .expect("stores");
-    let stored = incidents(&bed).await;
+    let stored = incidents(&test_store).await;
     let [step] = &stored[..] else { panic!("{stored:?}") };
     assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
     assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
 
     // The aggregator starts again after the clock was set back.
-    let connection = database::open(&bed.path).await.expect("opens");
+    let connection = database::open(&test_store.path).await.expect("opens");
     let config = RetentionConfig::default();
-    bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
+    test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
     let mut pending = PendingIncidents::new(STAMP);
-    bed.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
-    let stored = incidents(&bed).await;
+    test_store.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
+    let stored = incidents(&test_store).await;
     assert_eq!(stored.len(), 2);
     assert!(stored.iter().any(|step| step.text.contains("3600.0 s less")), "{stored:?}");
 }
 
 #[tokio::test]
 async fn incident_waits_until_database_is_writable() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    let mut other = bed.other().await;
+    let mut other = test_store.other().await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
     pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
-    bed.writer.keep_clocks(after(1), &mut pending).await.expect_err("locked");
+    test_store.writer.keep_clocks(after(1), &mut pending).await.expect_err("locked");
     other.close().await.expect("unlocks");
-    bed.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
-    bed.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
-    let stored = incidents(&bed).await;
+    test_store.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
+    test_store.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
+    let stored = incidents(&test_store).await;
     assert_eq!(
         stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
         [("storage", "it refused")]
@@ -100,9 +102,9 @@ async fn incident_waits_until_database_is_writable() {
 
 #[tokio::test]
 async fn newest_ten_thousand_aggregator_incidents_stay() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    let mut other = bed.other().await;
+    let mut other = test_store.other().await;
     sqlx::raw_sql(
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10010) \
          INSERT INTO incident (host, at_ns, kind, text) SELECT NULL, i, 'storage', 'old' FROM n; \
@@ -112,37 +114,37 @@ async fn newest_ten_thousand_aggregator_incidents_stay() {
     .await
     .expect("inserts");
     pending.add(AggregatorIncidentKind::Storage, NOW, "new".to_owned());
-    bed.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
-    assert_eq!(bed.count("SELECT count(*) FROM incident WHERE host IS NULL").await, 10_000);
-    assert_eq!(bed.count("SELECT count(*) FROM incident WHERE host IS NOT NULL").await, 1);
-    assert_eq!(incidents(&bed).await[0].text, "new");
+    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NULL").await, 10_000);
+    assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NOT NULL").await, 1);
+    assert_eq!(incidents(&test_store).await[0].text, "new");
 }
 
 /// Simulates real time, with one check each minute, from the first commit to the deletion by an aggregator's writer.
 #[tokio::test]
 async fn data_is_deleted_after_its_period_of_running_time() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };
-    let connection = database::open(&bed.path).await.expect("opens");
-    bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
-    bed.run_of(50).await;
-    let mut look = async |bed: &mut Bed, minutes: std::ops::Range<i64>| {
+    let connection = database::open(&test_store.path).await.expect("opens");
+    test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
+    test_store.run_of(50).await;
+    let mut look = async |test_store: &mut TestStore, minutes: std::ops::Range<i64>| {
         for minute in minutes {
             // The wall clock runs a thousand times as fast.
             let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..after(60 * minute) };
-            while bed.writer.retain(stamp).await.expect("steps") == Step::More {}
-            bed.writer.keep_clocks(stamp, &mut pending).await.expect("stores");
+            while test_store.writer.retain(stamp).await.expect("steps") == Step::More {}
+            test_store.writer.keep_clocks(stamp, &mut pending).await.expect("stores");
         }
     };
-    look(&mut bed, 1..24 * 60).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
-    let seconds = bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
+    look(&mut test_store, 1..24 * 60).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
+    let seconds = test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
     // Data that arrives within a sixty-fourth of the period is deleted together.
-    look(&mut bed, 24 * 60..24 * 60 + 26).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
-    let stored = bed.store.incidents(&IncidentFilter::newest(1_000)).await.expect("answers");
+    look(&mut test_store, 24 * 60..24 * 60 + 26).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 0);
+    assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
+    let stored = test_store.store.incidents(&IncidentFilter::newest(1_000)).await.expect("answers");
     let deleted: Vec<&str> =
         stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(

@@ -4,29 +4,29 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
 use peernet_stream::Event;
 
-use super::{Bed, NOW, generate};
+use super::{NOW, TestStore, generate};
 use crate::types::RunStatistics;
 
 /// Stores a run with one iteration for each reading.
-async fn store(bed: &mut Bed, readings: &[f64]) {
+async fn store(test_store: &mut TestStore, readings: &[f64]) {
     let (run, mut numbers) = (RunId::random(), generate::Numbers::new(11));
     let mut events = vec![generate::run_started(run, "line", NOW)];
     for (at, reading) in readings.iter().enumerate() {
-        let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
+        let mut iteration = generate::iteration(run, at as u64 + 1, test_store.hosts(), &mut numbers);
         let measure = Measure::Value(*reading, Unit::new("m"));
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, measure);
         events.push(Event::Iteration(iteration));
     }
     let mut work = Vec::new();
     for events in events.chunks(50) {
-        work.push(bed.batch(events.to_vec()));
+        work.push(test_store.batch(events.to_vec()));
     }
-    bed.commit(&work).await;
+    test_store.commit(&work).await;
 }
 
 #[tokio::test]
 async fn merged_quantiles_are_within_one_percent() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true ones.
     let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
@@ -34,9 +34,9 @@ async fn merged_quantiles_are_within_one_percent() {
     };
     let runs = [readings(200, 1_000, 2_000), readings(150, 1_800, 5_000), readings(40, 90_000, 100_000)];
     for run in &runs {
-        store(&mut bed, run).await;
+        store(&mut test_store, run).await;
     }
-    let statistics = bed.store.statistics(&[3, 1, 2]).await.expect("answers");
+    let statistics = test_store.store.statistics(&[3, 1, 2]).await.expect("answers");
     let of = |known: &RunStatistics| {
         let range = known.stages.iter().find(|known| known.stage == *"range").expect("stored");
         assert_eq!(range.unit, "m");

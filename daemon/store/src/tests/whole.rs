@@ -4,18 +4,18 @@ use peernet_clock::Span;
 use peernet_logger::{HostId, Measure, NodeId, RunId};
 use peernet_stream::{Event, Iteration, Outcome};
 
-use super::{Bed, generate};
+use super::{TestStore, generate};
 use crate::types::RunSummary;
 
-async fn run(bed: &Bed) -> RunSummary {
-    bed.store.run(1).await.expect("answers").expect("exists").summary
+async fn run(test_store: &TestStore) -> RunSummary {
+    test_store.store.run(1).await.expect("answers").expect("exists").summary
 }
 
 /// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
-async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
-    let run = bed.run_of(iterations).await;
+async fn stored(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
+    let run = test_store.run_of(iterations).await;
     let mut numbers = generate::Numbers::new(7);
-    let mut next = |number| generate::iteration(run, number, bed.hosts(), &mut numbers);
+    let mut next = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
     let mut all: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
     let lost = Outcome::Lost("the cable".to_owned());
     all.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..next(iterations + 1) });
@@ -23,17 +23,17 @@ async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
     more.tree.add(NodeId(1), "debayer".into(), Span::ZERO, Measure::Timer(Some(Span::from_micros(70))));
     all.push(more);
     let last = all[iterations as usize..].iter().cloned().map(Event::Iteration).collect();
-    let work = bed.batch(last);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(last);
+    test_store.commit(&[work]).await;
     all
 }
 
 #[tokio::test]
 async fn whole_iterations_are_read_as_sent() {
-    let mut bed = Bed::new().await;
-    let sent = stored(&mut bed, 450).await;
-    let (run, mut read, mut after, mut pages) = (run(&bed).await, Vec::new(), 0, 0);
-    while let Some((last, some)) = bed.store.whole(&run, after).await.expect("answers") {
+    let mut test_store = TestStore::new().await;
+    let sent = stored(&mut test_store, 450).await;
+    let (run, mut read, mut after, mut pages) = (run(&test_store).await, Vec::new(), 0, 0);
+    while let Some((last, some)) = test_store.store.whole(&run, after).await.expect("answers") {
         read.extend(some);
         (after, pages) = (last, pages + 1);
     }
@@ -43,26 +43,26 @@ async fn whole_iterations_are_read_as_sent() {
 
 #[tokio::test]
 async fn each_tree_shape_is_found_once_per_page() {
-    let mut bed = Bed::new().await;
-    let sent = stored(&mut bed, 40).await;
-    let run = run(&bed).await;
-    let (last, firsts) = bed.store.shapes(&run, 0).await.expect("answers").expect("there are some");
+    let mut test_store = TestStore::new().await;
+    let sent = stored(&mut test_store, 40).await;
+    let run = run(&test_store).await;
+    let (last, firsts) = test_store.store.shapes(&run, 0).await.expect("answers").expect("there are some");
     assert_eq!((last, firsts), (43, vec![sent[0].clone(), sent[41].clone()]));
-    assert_eq!(bed.store.shapes(&run, 43).await.expect("answers"), None);
-    assert_eq!(bed.store.whole(&run, 43).await.expect("answers"), None);
+    assert_eq!(test_store.store.shapes(&run, 43).await.expect("answers"), None);
+    assert_eq!(test_store.store.whole(&run, 43).await.expect("answers"), None);
 }
 
 /// A published server reports to no aggregator: it has the name that the edge gives it.
 #[tokio::test]
 async fn silent_server_has_name_given_by_run() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let (run, silent) = (RunId::random(), HostId::random());
     let mut numbers = generate::Numbers::new(5);
-    let iteration = generate::iteration(run, 1, (bed.edge, silent), &mut numbers);
+    let iteration = generate::iteration(run, 1, (test_store.edge, silent), &mut numbers);
     let started = generate::run_started(run, "line", generate::at(0.0));
-    let work = bed.batch(vec![started, Event::Iteration(iteration)]);
-    bed.commit(&[work]).await;
-    let detail = bed.store.iteration(1, 1).await.expect("answers").expect("exists");
+    let work = test_store.batch(vec![started, Event::Iteration(iteration)]);
+    test_store.commit(&[work]).await;
+    let detail = test_store.store.iteration(1, 1).await.expect("answers").expect("exists");
     let names: Vec<Option<String>> =
         detail.hosts.iter().map(|host| host.as_ref().map(ToString::to_string)).collect();
     assert_eq!(names, [Some("edge".to_owned()), Some("cloud".to_owned())]);

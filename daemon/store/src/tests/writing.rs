@@ -7,14 +7,14 @@ use peernet_stream::{
 };
 
 use super::rollups::{assert_same, table};
-use super::{Bed, NOW, STAMP, Work, generate, open};
+use super::{NOW, STAMP, TestStore, Work, generate, open};
 use crate::rebuild::rebuild;
 use crate::stored::Stored;
-use crate::write::{Aside, Introduction};
+use crate::write::{Introduction, UnstorableBatch};
 
-fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
+fn iterations(test_store: &TestStore, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = generate::Numbers::new(*numbers.start());
-    numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
+    numbers.map(|n| Event::Iteration(generate::iteration(run, n, test_store.hosts(), &mut random))).collect()
 }
 
 /// Number of iterations in the statistics of whole runs.
@@ -23,52 +23,52 @@ const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.nam
 
 #[tokio::test]
 async fn repeated_batch_is_stored_once() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
-    events.extend(iterations(&bed, run, 1..=10));
-    let work = bed.batch_numbered(1, events.clone());
-    let again = bed.batch_numbered(1, events.clone());
+    events.extend(iterations(&test_store, run, 1..=10));
+    let work = test_store.batch_numbered(1, events.clone());
+    let again = test_store.batch_numbered(1, events.clone());
     // Twice in one transaction, then in another one, then by another process.
-    let committed = bed.commit(&[work, again]).await;
-    assert_eq!((committed.marks[&bed.stream].stored, committed.nodes), (1, 210));
-    let again = bed.batch_numbered(1, events.clone());
-    assert_eq!(bed.commit(&[again]).await.marks[&bed.stream].stored, 1);
-    bed.writer = open(&bed.path).await;
-    let mark = bed.writer.streams().marks[&bed.stream];
-    assert_eq!(mark, Mark::from(bed.head(1, &generate::body(&events), 11)));
-    let again = bed.batch_numbered(1, events);
-    let committed = bed.commit(&[again]).await;
-    assert_eq!((committed.marks[&bed.stream].stored, committed.nodes), (1, 0));
+    let committed = test_store.commit(&[work, again]).await;
+    assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 210));
+    let again = test_store.batch_numbered(1, events.clone());
+    assert_eq!(test_store.commit(&[again]).await.marks[&test_store.stream].stored, 1);
+    test_store.writer = open(&test_store.path).await;
+    let mark = test_store.writer.streams().marks[&test_store.stream];
+    assert_eq!(mark, Mark::from(test_store.head(1, &generate::body(&events), 11)));
+    let again = test_store.batch_numbered(1, events);
+    let committed = test_store.commit(&[again]).await;
+    assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 0));
 
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 210);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 10);
-    assert_eq!(bed.count("SELECT ok FROM run").await, 10);
-    assert_eq!(bed.count("SELECT nodes FROM host WHERE name = 'edge'").await, 210);
-    assert_eq!(bed.count(TOTALS).await, 10);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 210);
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 10);
+    assert_eq!(test_store.count("SELECT ok FROM run").await, 10);
+    assert_eq!(test_store.count("SELECT nodes FROM host WHERE name = 'edge'").await, 210);
+    assert_eq!(test_store.count(TOTALS).await, 10);
 }
 
 #[tokio::test]
 async fn rollups_do_not_depend_on_commits_and_restarts() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let started = generate::run_started(run, "line", NOW);
-    let work = bed.batch(vec![started]);
-    bed.commit(&[work]).await;
+    let work = test_store.batch(vec![started]);
+    test_store.commit(&[work]).await;
     for n in 0..10 {
-        let events = iterations(&bed, run, n * 20 + 1..=n * 20 + 20);
-        let work = bed.batch(events);
-        bed.commit(&[work]).await;
+        let events = iterations(&test_store, run, n * 20 + 1..=n * 20 + 20);
+        let work = test_store.batch(events);
+        test_store.commit(&[work]).await;
         if n % 3 == 0 {
-            bed.writer = open(&bed.path).await;
+            test_store.writer = open(&test_store.path).await;
         }
     }
-    let stages = bed.store.statistics_of(1).await.expect("answers").stages;
-    let mut one = Bed::new().await;
-    (one.edge, one.cloud) = bed.hosts();
+    let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
+    let mut one = TestStore::new().await;
+    (one.edge, one.cloud) = test_store.hosts();
     let mut events = vec![generate::run_started(run, "line", NOW)];
     for n in 0..10 {
-        events.extend(iterations(&bed, run, n * 20 + 1..=n * 20 + 20));
+        events.extend(iterations(&test_store, run, n * 20 + 1..=n * 20 + 20));
     }
     let work = one.batch(events);
     one.commit(&[work]).await;
@@ -90,59 +90,64 @@ async fn rollups_do_not_depend_on_commits_and_restarts() {
 
 #[tokio::test]
 async fn bad_batch_is_quarantined_and_others_are_stored() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let good = vec![generate::run_started(run, "line", NOW)];
-    let first = iterations(&bed, run, 1..=5);
+    let first = iterations(&test_store, run, 1..=5);
     // One iteration twice in one batch; and an iteration that began on another host.
-    let twice = [iterations(&bed, run, 6..=6), iterations(&bed, run, 6..=6)].concat();
+    let twice = [iterations(&test_store, run, 6..=6), iterations(&test_store, run, 6..=6)].concat();
     let mut numbers = generate::Numbers::new(1);
-    let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), bed.cloud), &mut numbers);
-    let last = iterations(&bed, run, 7..=8);
+    let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), test_store.cloud), &mut numbers);
+    let last = iterations(&test_store, run, 7..=8);
     let work: Vec<Work> = [good, first, twice, vec![Event::Iteration(foreign)], last]
         .into_iter()
-        .map(|events| bed.batch(events))
+        .map(|events| test_store.batch(events))
         .collect();
-    let committed = bed.commit(&work).await;
-    assert_eq!(committed.marks[&bed.stream].stored, 5);
+    let committed = test_store.commit(&work).await;
+    assert_eq!(committed.marks[&test_store.stream].stored, 5);
     let quarantined: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
     assert_eq!(quarantined, [3, 4]);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 7);
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 7 * 21);
-    assert_eq!(bed.count("SELECT ok FROM run").await, 7);
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 7);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 7 * 21);
+    assert_eq!(test_store.count("SELECT ok FROM run").await, 7);
     assert_eq!(
-        bed.count("SELECT count(*) FROM quarantine WHERE length(frame) > 100 AND length(reason) > 10").await,
+        test_store
+            .count("SELECT count(*) FROM quarantine WHERE length(frame) > 100 AND length(reason) > 10")
+            .await,
         2
     );
-    assert_eq!(bed.count("SELECT quarantined FROM host WHERE name = 'edge'").await, 2);
-    assert_eq!(bed.count(TOTALS).await, 7);
+    assert_eq!(test_store.count("SELECT quarantined FROM host WHERE name = 'edge'").await, 2);
+    assert_eq!(test_store.count(TOTALS).await, 7);
 }
 
 #[tokio::test]
 async fn iterations_repeated_in_another_stream_are_left_out() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(20).await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(20).await;
     let stranger = RunId::random();
     // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown run.
-    bed.stream = StreamId::random();
+    test_store.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
-    events.extend(iterations(&bed, run, 11..=30));
-    events.extend(iterations(&bed, stranger, 1..=5));
-    let known = bed.batch_numbered(1, events);
-    let (all_known, new) = (iterations(&bed, run, 1..=10), iterations(&bed, run, 31..=35));
-    let (all_known, new) = (bed.batch_numbered(2, all_known), bed.batch_numbered(3, new));
-    let committed = bed.commit(&[known, all_known, new]).await;
-    assert_eq!(committed.marks[&bed.stream].stored, 3);
+    events.extend(iterations(&test_store, run, 11..=30));
+    events.extend(iterations(&test_store, stranger, 1..=5));
+    let known = test_store.batch_numbered(1, events);
+    let (all_known, new) = (iterations(&test_store, run, 1..=10), iterations(&test_store, run, 31..=35));
+    let (all_known, new) = (test_store.batch_numbered(2, all_known), test_store.batch_numbered(3, new));
+    let committed = test_store.commit(&[known, all_known, new]).await;
+    assert_eq!(committed.marks[&test_store.stream].stored, 3);
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
-    let (stored, _) = committed.hosts[&bed.edge];
+    let (stored, _) = committed.hosts[&test_store.edge];
     let (events, nodes, missing, quarantined) = (1 + 20 + 1 + 15 + 5, 40 * 21, 0, 0);
     assert_eq!(stored, Stored { events, nodes, missing, quarantined, ..Stored::default() });
 
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 40);
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 40 * 21);
-    assert_eq!(bed.count("SELECT sum(ok + failed + lost + timeout + warm_up) FROM run").await, 40);
-    assert_eq!(bed.count("SELECT (SELECT count(*) FROM gap) + (SELECT count(*) FROM quarantine)").await, 0);
-    let mut connection = bed.other().await;
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 40);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 40 * 21);
+    assert_eq!(test_store.count("SELECT sum(ok + failed + lost + timeout + warm_up) FROM run").await, 40);
+    assert_eq!(
+        test_store.count("SELECT (SELECT count(*) FROM gap) + (SELECT count(*) FROM quarantine)").await,
+        0
+    );
+    let mut connection = test_store.other().await;
     let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
     let judged: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
@@ -156,20 +161,20 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
 
 #[tokio::test]
 async fn commit_without_log_is_not_acknowledged() {
-    let mut bed = Bed::new().await;
-    bed.run_of(3).await;
-    let work = [bed.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
-    let log = bed.path.with_extension("sqlite-wal");
+    let mut test_store = TestStore::new().await;
+    test_store.run_of(3).await;
+    let work = [test_store.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
+    let log = test_store.path.with_extension("sqlite-wal");
     std::fs::remove_file(&log).expect("there was one");
     for _ in 0..2 {
-        let refused = bed.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
+        let refused = test_store.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
         assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
         // Another program that opens the database would create it.
         std::fs::write(&log, "").expect("writes");
     }
-    assert!(bed.writer.check_file().is_err());
+    assert!(test_store.writer.check_file().is_err());
     // After a restart, the contents of the main file count.
-    let Bed { _folder, path, writer, store, stream, .. } = bed;
+    let TestStore { _folder, path, writer, store, stream, .. } = test_store;
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
@@ -180,33 +185,34 @@ async fn commit_without_log_is_not_acknowledged() {
 
 #[tokio::test]
 async fn unreadable_batch_is_quarantined_unchanged() {
-    let mut bed = Bed::new().await;
-    let head = bed.head(1, &[], 0);
-    let batch = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
-    let unreadable = Work::Aside(Box::new(batch));
-    let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
-    let committed = bed.commit(&[unreadable, after]).await;
-    assert_eq!(committed.marks[&bed.stream].stored, 2);
+    let mut test_store = TestStore::new().await;
+    let head = test_store.head(1, &[], 0);
+    let batch =
+        UnstorableBatch { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
+    let unreadable = Work::UnstorableBatch(Box::new(batch));
+    let after = test_store.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
+    let committed = test_store.commit(&[unreadable, after]).await;
+    assert_eq!(committed.marks[&test_store.stream].stored, 2);
     assert_eq!(committed.quarantined, [(head, "cut off".to_owned())]);
     assert_eq!(
-        bed.count("SELECT count(*) FROM quarantine WHERE frame = x'81a5' AND events IS NULL").await,
+        test_store.count("SELECT count(*) FROM quarantine WHERE frame = x'81a5' AND events IS NULL").await,
         1
     );
 }
 
 #[tokio::test]
 async fn iterations_of_run_without_start_are_kept() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    let events = iterations(&bed, run, 4..=6);
-    let work = bed.batch(events);
-    let committed = bed.commit(&[work]).await;
-    assert_eq!(committed.runs, [(bed.edge, run, 1)]);
-    let unknown = bed.store.run(1).await.expect("answers").expect("exists");
+    let events = iterations(&test_store, run, 4..=6);
+    let work = test_store.batch(events);
+    let committed = test_store.commit(&[work]).await;
+    assert_eq!(committed.runs, [(test_store.edge, run, 1)]);
+    let unknown = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((unknown.summary.pipeline.as_str(), unknown.summary.counts.ok), ("unknown", 3));
-    let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
-    bed.commit(&[work]).await;
-    let known = bed.store.run(1).await.expect("answers").expect("exists");
+    let work = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
+    test_store.commit(&[work]).await;
+    let known = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!(
         (known.summary.pipeline.as_str(), known.summary.counts.ok, known.version.as_str()),
         ("line", 3, "0.1.0")
@@ -215,8 +221,8 @@ async fn iterations_of_run_without_start_are_kept() {
 
 #[tokio::test]
 async fn gaps_are_recorded_per_run_and_holes_per_host() {
-    let mut bed = Bed::new().await;
-    let run = bed.run_of(3).await;
+    let mut test_store = TestStore::new().await;
+    let run = test_store.run_of(3).await;
     let gap = Gap {
         pipeline: "line".parse().ok(),
         run: Some(run),
@@ -225,36 +231,36 @@ async fn gaps_are_recorded_per_run_and_holes_per_host() {
         count: 1_050,
         reason: "the queue was full".into(),
     };
-    let work = bed.batch(vec![Event::Gap(gap)]);
-    bed.commit(&[work]).await;
-    let detail = bed.store.run(1).await.expect("answers").expect("exists");
+    let work = test_store.batch(vec![Event::Gap(gap)]);
+    test_store.commit(&[work]).await;
+    let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 1_050));
 
-    let (host, stream) = (bed.edge, bed.stream);
+    let (host, stream) = (test_store.edge, test_store.stream);
     let (from, through, chain, process) = (3, 9, Chain::START, 7);
     let (events, events_through) = (Some(40), 700);
     let missing = MissingBatches { host, stream, from, through, chain, process, events, events_through };
-    let after = bed.batch_numbered(10, vec![]);
-    let committed = bed.commit(&[Work::MissingBatches(missing), after]).await;
-    assert_eq!(committed.marks[&bed.stream].stored, 10);
-    let (stored, _) = committed.hosts[&bed.edge];
+    let after = test_store.batch_numbered(10, vec![]);
+    let committed = test_store.commit(&[Work::MissingBatches(missing), after]).await;
+    assert_eq!(committed.marks[&test_store.stream].stored, 10);
+    let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.gaps, stored.missing), (2, 1_090));
     assert_eq!(
-        bed.count("SELECT count(*) FROM gap WHERE count = 40 AND reason LIKE 'batches 3 to 9 of stream%another one stored them before%'")
+        test_store.count("SELECT count(*) FROM gap WHERE count = 40 AND reason LIKE 'batches 3 to 9 of stream%another one stored them before%'")
             .await,
         1
     );
-    let hosts = bed.store.hosts().await.expect("answers");
+    let hosts = test_store.store.hosts().await.expect("answers");
     assert_eq!(hosts.iter().map(|host| host.name.as_str()).collect::<Vec<_>>(), ["cloud", "edge"]);
     assert_eq!(hosts[1].stored, stored);
 }
 
 #[tokio::test]
 async fn replaced_spool_leaves_one_gap() {
-    let mut bed = Bed::new().await;
-    let (old, new) = (bed.stream, StreamId::random());
+    let mut test_store = TestStore::new().await;
+    let (old, new) = (test_store.stream, StreamId::random());
     let greeting = |stream, previous, replaced| {
-        let (host, process, first, lacking) = (generate::host(bed.edge, "edge"), 1, 5, None);
+        let (host, process, first, lacking) = (generate::host(test_store.edge, "edge"), 1, 5, None);
         let secret = None;
         Work::Hello(Box::new(Introduction {
             host,
@@ -272,45 +278,49 @@ async fn replaced_spool_leaves_one_gap() {
         greeting(new, Some(old), None),
         greeting(StreamId::from_bytes([9; 16]), None, Some(new)),
     );
-    bed.commit(&[first, renewed]).await;
-    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
+    test_store.commit(&[first, renewed]).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM gap").await, 0);
     // Handed in twice, as after a commit whose result was lost.
-    bed.commit(std::slice::from_ref(&replaced)).await;
-    let committed = bed.commit(&[replaced]).await;
-    assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
+    test_store.commit(std::slice::from_ref(&replaced)).await;
+    let committed = test_store.commit(&[replaced]).await;
+    assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);
     assert_eq!(
-        bed.count("SELECT count(*) FROM gap WHERE count = 0 AND reason LIKE '%was deleted or replaced%'")
+        test_store
+            .count("SELECT count(*) FROM gap WHERE count = 0 AND reason LIKE '%was deleted or replaced%'")
             .await,
         1
     );
-    assert_eq!(bed.count("SELECT count(*) FROM stream WHERE previous IS NOT NULL AND stored = 4").await, 1);
-    bed.writer = open(&bed.path).await;
-    assert!(bed.writer.streams().marks.is_empty(), "nothing of any is stored");
-    let hello = hello_of(bed.edge, StreamId::from_bytes([9; 16]), None);
+    assert_eq!(
+        test_store.count("SELECT count(*) FROM stream WHERE previous IS NOT NULL AND stored = 4").await,
+        1
+    );
+    test_store.writer = open(&test_store.path).await;
+    assert!(test_store.writer.streams().marks.is_empty(), "nothing of any is stored");
+    let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
     let known = StreamRecord { came: true, last: Some(hello.stream), ..StreamRecord::default() };
-    assert_eq!(bed.writer.streams().known(&hello, None), known);
+    assert_eq!(test_store.writer.streams().known(&hello, None), known);
 }
 
 #[tokio::test]
 async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
-    let mut bed = Bed::new().await;
-    let (old, new) = (bed.stream, StreamId::random());
-    let work = bed.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
-    let mark = bed.commit(&[work]).await.marks[&old];
-    bed.writer = open(&bed.path).await;
-    let hello = hello_of(bed.edge, new, Some(old));
+    let mut test_store = TestStore::new().await;
+    let (old, new) = (test_store.stream, StreamId::random());
+    let work = test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
+    let mark = test_store.commit(&[work]).await.marks[&old];
+    test_store.writer = open(&test_store.path).await;
+    let hello = hello_of(test_store.edge, new, Some(old));
     let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
-    assert_eq!(bed.writer.streams().known(&hello, None), known);
+    assert_eq!(test_store.writer.streams().known(&hello, None), known);
     let (host, lacking) =
         (hello.host, Some(LackingBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {
-        let committed = bed.commit(&[Work::Hello(Box::new(came.clone()))]).await;
-        assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
+        let committed = test_store.commit(&[Work::Hello(Box::new(came.clone()))]).await;
+        assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);
     }
     let gaps = "SELECT count(*) FROM gap WHERE count = 17 AND reason LIKE 'batches 2 to 4 of stream % a newer database %'";
-    assert_eq!(bed.count(gaps).await, 1);
+    assert_eq!(test_store.count(gaps).await, 1);
 }
 
 fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello {
@@ -332,56 +342,56 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
 
 #[tokio::test]
 async fn claimed_missing_counts_do_not_overflow() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let at = generate::at(1.0);
     let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
-    let work = [0, 1].map(|_| bed.batch(vec![Event::Gap(gap.clone()), Event::Gap(gap.clone())]));
-    let committed = bed.commit(&work).await;
-    assert_eq!((committed.quarantined.len(), committed.hosts[&bed.edge].0.missing), (0, 4 << 40));
-    assert_eq!(bed.count("SELECT sum(count) FROM gap").await, 4 << 40, "sums do not overflow");
-    let after = bed.batch(vec![Event::Gap(gap)]);
-    assert!(bed.commit(&[after]).await.quarantined.is_empty());
+    let work = [0, 1].map(|_| test_store.batch(vec![Event::Gap(gap.clone()), Event::Gap(gap.clone())]));
+    let committed = test_store.commit(&work).await;
+    assert_eq!((committed.quarantined.len(), committed.hosts[&test_store.edge].0.missing), (0, 4 << 40));
+    assert_eq!(test_store.count("SELECT sum(count) FROM gap").await, 4 << 40, "sums do not overflow");
+    let after = test_store.batch(vec![Event::Gap(gap)]);
+    assert!(test_store.commit(&[after]).await.quarantined.is_empty());
 }
 
 #[tokio::test]
 async fn locked_database_is_error_without_changes() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    let mut other = open(&bed.path).await;
+    let mut other = open(&test_store.path).await;
     other.lock().await;
     let events = vec![generate::run_started(run, "line", NOW)];
-    let work = [bed.batch(events)];
-    let refused = bed.writer.commit(&work, STAMP).await;
+    let work = [test_store.batch(events)];
+    let refused = test_store.writer.commit(&work, STAMP).await;
     assert!(refused.expect_err("locked").to_string().contains("locked"));
     drop(other);
-    assert_eq!(bed.commit(&work).await.marks[&bed.stream].stored, 1);
-    assert_eq!(bed.count("SELECT count(*) FROM run").await, 1);
+    assert_eq!(test_store.commit(&work).await.marks[&test_store.stream].stored, 1);
+    assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
 }
 
 #[tokio::test]
 async fn full_disk_is_error_without_changes() {
-    let mut bed = Bed::new().await;
+    let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
-    events.extend(iterations(&bed, run, 1..=100));
-    let work = [bed.batch(events)];
-    bed.writer.limit_pages(1).await;
-    let refused = bed.writer.commit(&work, STAMP).await;
+    events.extend(iterations(&test_store, run, 1..=100));
+    let work = [test_store.batch(events)];
+    test_store.writer.limit_pages(1).await;
+    let refused = test_store.writer.commit(&work, STAMP).await;
     assert!(refused.expect_err("full").to_string().contains("full"));
-    assert_eq!(bed.count("SELECT (SELECT count(*) FROM run) + (SELECT count(*) FROM name)").await, 0);
-    bed.writer.limit_pages(1_000_000).await;
-    assert_eq!(bed.commit(&work).await.nodes, 2_100);
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2_100);
+    assert_eq!(test_store.count("SELECT (SELECT count(*) FROM run) + (SELECT count(*) FROM name)").await, 0);
+    test_store.writer.limit_pages(1_000_000).await;
+    assert_eq!(test_store.commit(&work).await.nodes, 2_100);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2_100);
 }
 
 #[tokio::test]
 async fn database_of_newer_version_is_refused() {
-    let bed = Bed::new().await;
-    let mut connection = super::database::open(&bed.path).await.expect("opens");
+    let test_store = TestStore::new().await;
+    let mut connection = super::database::open(&test_store.path).await.expect("opens");
     sqlx::query("INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) VALUES (9000, 'later', 1, x'00', 0)")
         .execute(&mut connection)
         .await
         .expect("inserts");
-    let error = super::database::open(&bed.path).await.expect_err("refuses");
+    let error = super::database::open(&test_store.path).await.expect_err("refuses");
     assert!(error.to_string().contains("newer version (its schema 9000"), "{error}");
 }

@@ -37,7 +37,7 @@ pub struct RunStatistics {
     /// name.
     pub bounds: Vec<Bound>,
     /// The mergeable sums from which `stages` and `bounds` were made.
-    pub kept: Arc<Kept>,
+    pub kept: Arc<MergeableStatistics>,
 }
 
 impl RunStatistics {
@@ -46,7 +46,7 @@ impl RunStatistics {
         if let [only] = runs {
             return only.clone();
         }
-        let mut all = Kept::default();
+        let mut all = MergeableStatistics::default();
         runs.iter().for_each(|run| all.merge(&run.kept));
         Self::from(all)
     }
@@ -60,15 +60,15 @@ impl RunStatistics {
     }
 }
 
-impl From<Kept> for RunStatistics {
-    fn from(kept: Kept) -> Self {
+impl From<MergeableStatistics> for RunStatistics {
+    fn from(kept: MergeableStatistics) -> Self {
         Self { stages: kept.stages(), bounds: kept.bounds(), kept: Arc::new(kept) }
     }
 }
 
 /// Mergeable statistics of runs: counts, values, widths of intervals. Merging loses nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Kept {
+pub struct MergeableStatistics {
     values: HashMap<Name, NameSummary>,
     half_widths: HashMap<Name, Summary>,
     verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
@@ -91,7 +91,7 @@ impl NameSummary {
     }
 }
 
-impl Kept {
+impl MergeableStatistics {
     /// Returns the values of a node name in its SI unit, or `None` where it has none.
     pub fn known(&self, name: &str) -> Option<&Summary> {
         self.values.get(name).map(|known| &known.summary)
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     fn run(values: impl Iterator<Item = f64>, verdict: Verdict) -> RunStatistics {
-        let (mut kept, mut total) = (Kept::default(), Summary::default());
+        let (mut kept, mut total) = (MergeableStatistics::default(), Summary::default());
         values.for_each(|value| total.record(value));
         let mut upload = Summary::default();
         (0..total.count()).for_each(|_| upload.record(0.002));

@@ -40,7 +40,7 @@ pub(crate) use self::secrets::known_hosts;
 pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
-pub use self::work::{Aside, Introduction, RunName, Work};
+pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
 use super::foreign_log::mark;
 use super::limits::BUSY;
 use super::retention::{self, Retention, Step};

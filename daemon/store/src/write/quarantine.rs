@@ -10,7 +10,7 @@ use sqlx::SqliteConnection;
 
 use super::entities::{Entities, Reporter};
 use super::prepared::Prepared;
-use super::{Aside, Refusal, records};
+use super::{Refusal, UnstorableBatch, records};
 use crate::stored::Stored;
 
 /// A batch to be quarantined.
@@ -23,7 +23,7 @@ pub(super) struct RejectedBatch<'a> {
 
 impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
-    pub(super) fn unstorable(unstorable: &'a Aside) -> Self {
+    pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
             unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }

@@ -62,7 +62,7 @@ impl Staging {
                 (Work::Batch(batch), Some(reason)) => {
                     (batch.head, Some(RejectedBatch::refused(batch, reason)))
                 }
-                (Work::Aside(batch), _) => (batch.head, Some(RejectedBatch::unstorable(batch))),
+                (Work::UnstorableBatch(batch), _) => (batch.head, Some(RejectedBatch::unstorable(batch))),
                 (Work::MissingBatches(missing), _) => {
                     let MissingBatches {
                         host, stream, through: number, chain, process, events_through, ..

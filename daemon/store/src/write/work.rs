@@ -20,7 +20,7 @@ pub enum Work {
     /// A batch of events.
     Batch(Box<Prepared>),
     /// A batch that can never be stored: quarantined as it arrived.
-    Aside(Box<Aside>),
+    UnstorableBatch(Box<UnstorableBatch>),
     /// Batches that no longer exist anywhere.
     MissingBatches(MissingBatches),
     /// Request to read the secret of a host again: an operator may have cleared it.
@@ -50,7 +50,7 @@ pub struct Introduction {
 
 /// A batch that cannot be stored.
 #[derive(Clone, Debug)]
-pub struct Aside {
+pub struct UnstorableBatch {
     /// Head of the batch.
     pub head: BatchHead,
     /// The frame as it arrived.
@@ -81,7 +81,12 @@ impl Work {
             Ok(batch) => Self::Batch(Box::new(batch)),
             Err(error) => {
                 let frame = Bytes::from(codec::batch_frame(&head, &body, false));
-                Self::Aside(Box::new(Aside { head, frame, body: Some(body), reason: error.to_string() }))
+                Self::UnstorableBatch(Box::new(UnstorableBatch {
+                    head,
+                    frame,
+                    body: Some(body),
+                    reason: error.to_string(),
+                }))
             }
         }
     }

@@ -6,7 +6,7 @@ use peernet_analysis::deadline::Misses;
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_store::{Kept, RunSummary};
+use peernet_store::{MergeableStatistics, RunSummary};
 use peernet_stream::ExperimentPlace;
 use peernet_stream::PlacementKind::{Local, Remote};
 
@@ -311,7 +311,7 @@ async fn a_delay_that_the_clocks_hardly_tell_is_drawn_as_an_interval() {
         let mut one = configuration(at, Remote, 1.0, 1e3);
         let mut widths = Summary::default();
         (0..300).for_each(|_| widths.record(half));
-        let mut kept = Kept::clone(&one.kept);
+        let mut kept = MergeableStatistics::clone(&one.kept);
         kept.add_half_widths(stage::UPLOAD, &widths);
         kept.add_verdicts(stage::UPLOAD, verdict, 300);
         one.kept = Arc::new(kept);
@@ -326,7 +326,7 @@ async fn a_delay_that_the_clocks_hardly_tell_is_drawn_as_an_interval() {
     let html = asked_for(&two, "upload-throughput").await.expect("there");
     assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
     let mut untold = configuration(2, Remote, 1.0, 1e3);
-    let mut kept = Kept::default();
+    let mut kept = MergeableStatistics::default();
     kept.add(stage::TOTAL, "s", untold.known(&stage::TOTAL).expect("measured"));
     kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     untold.kept = Arc::new(kept);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_clock::Span;
 use peernet_logger::stage;
-use peernet_store::{Episodes, Kept, RunSummary};
+use peernet_store::{Episodes, MergeableStatistics, RunSummary};
 use peernet_stream::PlacementKind::{Local, Remote};
 
 use super::super::compare::rendered;
@@ -68,7 +68,7 @@ async fn a_sensor_alone_has_its_sensing_and_nothing_has_no_panel() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
     let known = one.known(&stage::SENSING).expect("samples").clone();
-    let mut kept = Kept::default();
+    let mut kept = MergeableStatistics::default();
     kept.add(stage::SENSING, "s", &known);
     one.kept = Arc::new(kept);
     let panel = panel_of(vec![one.clone()]).await.expect("a panel");

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use peernet_analysis::compare::{Column, computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
-use peernet_store::{Kept, RunDetail, RunStatistics, RunSummary, Store};
+use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
 
 use super::differing::Differing;
@@ -102,7 +102,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
     let computing = Computing::of(store, &details).await?;
     let Differing { axes, values, settings, also } =
         if experiment.is_some() { Differing::of_experiment(&details) } else { Differing::of_runs(&details) };
-    let kept: HashMap<i64, Arc<Kept>> =
+    let kept: HashMap<i64, Arc<MergeableStatistics>> =
         numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
     let mut groups: Vec<Group> = Vec::new();
     for (at, ((detail, statistics), values)) in details.into_iter().zip(statistics).zip(values).enumerate() {

@@ -6,7 +6,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
     SPACE, figure, interval_ms, milliseconds, throughput, throughput_between, within_ms,
 };
-use peernet_store::Kept;
+use peernet_store::MergeableStatistics;
 
 use crate::svg::shown_in;
 use crate::view::chip::Chip;
@@ -33,7 +33,7 @@ pub(super) struct Median {
 
 impl Median {
     /// The median of a name's values, which are of this SI unit; `None` without any.
-    pub(super) fn of(kept: &Kept, name: &str, unit: &str) -> Option<Self> {
+    pub(super) fn of(kept: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
         let value = kept.known(name)?.quantile(0.5)?;
         let delay = CROSSING.iter().find(|(known, _)| *known == *name).map(|(_, delay)| delay);
         let bound = delay.and_then(|delay| kept.bound(delay));
@@ -90,13 +90,13 @@ mod tests {
 
     use super::*;
 
-    fn kept(half_ms: f64, verdict: Verdict) -> Kept {
+    fn kept(half_ms: f64, verdict: Verdict) -> MergeableStatistics {
         let of = |value: f64| {
             let mut all = Summary::default();
             (0..100).for_each(|_| all.record(value));
             all
         };
-        let mut kept = Kept::default();
+        let mut kept = MergeableStatistics::default();
         kept.add(stage::UPLOAD, "s", &of(0.006));
         kept.add(stage::UPLOAD_THROUGHPUT, "bit/s", &of(2e8));
         kept.add(stage::SENSING, "s", &of(0.000_126));
@@ -105,7 +105,7 @@ mod tests {
         kept
     }
 
-    fn said(kept: &Kept, name: &Name, unit: &str) -> (String, bool) {
+    fn said(kept: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
         let median = Median::of(kept, name, unit).expect("samples");
         (median.said.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
     }

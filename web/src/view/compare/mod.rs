@@ -43,7 +43,7 @@ use std::sync::Arc;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::trust::Starts;
 use peernet_statistics::Summary;
-use peernet_store::{Bound, Figures, Kept, RunSummary, StageStatistics};
+use peernet_store::{Bound, Figures, MergeableStatistics, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
@@ -62,7 +62,7 @@ pub(crate) struct Comparison {
     /// An experiment's by their labels, axis by axis; runs as they were asked for.
     pub configurations: Vec<Configuration>,
     /// All that is kept of each run, by its number.
-    pub kept: HashMap<i64, Arc<Kept>>,
+    pub kept: HashMap<i64, Arc<MergeableStatistics>>,
     /// Runs of the experiment that do not count, oldest first.
     pub left_out: Vec<LeftOut>,
     /// Whether there were more runs than are compared.
@@ -99,7 +99,7 @@ pub(crate) struct Configuration {
     /// How well the one-way delays are known.
     pub bounds: Vec<Bound>,
     /// All that is kept of its runs together.
-    pub kept: Arc<Kept>,
+    pub kept: Arc<MergeableStatistics>,
     /// Whether its model computes something, and does not only answer what it was sent.
     pub computes: bool,
 }

@@ -75,8 +75,8 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
 }
 
 /// Samples with the means that stages have.
-fn kept(stages: &[StageStatistics]) -> Arc<Kept> {
-    let mut kept = Kept::default();
+fn kept(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
+    let mut kept = MergeableStatistics::default();
     for stage in stages {
         let mut values = Summary::default();
         (0..300).for_each(|n| values.record(stage.figures.mean * (1.0 + 0.2 * f64::from(n).sin())));

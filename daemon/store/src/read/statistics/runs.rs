@@ -10,11 +10,11 @@ use super::super::{corrupt, count, sql};
 use super::{RollupRow, WHAT, list};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::types::{Kept, RunStatistics};
+use crate::types::{MergeableStatistics, RunStatistics};
 
 pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<RunStatistics>, StoreError> {
     let list = list(runs)?;
-    let mut found = HashMap::<i64, Kept>::new();
+    let mut found = HashMap::<i64, MergeableStatistics>::new();
     let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS).bind(&list).fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {

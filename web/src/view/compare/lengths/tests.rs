@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use peernet_logger::{Name, stage};
 use peernet_statistics::SplitMix64;
-use peernet_store::{Figures, Kept};
+use peernet_store::{Figures, MergeableStatistics};
 use peernet_stream::PlacementKind::Remote;
 
 use super::super::tests::{comparison, configuration};
@@ -20,7 +20,7 @@ pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configura
     (length.stage, length.unit) = (Name::from(name), String::new());
     length.figures = Figures::of(&x).expect("lengths");
     one.stages.push(length);
-    let mut kept = Kept::default();
+    let mut kept = MergeableStatistics::default();
     kept.add(Name::from(name), "", &x);
     kept.add(stage::INFERENCE, "s", &y);
     one.kept = Arc::new(kept);
