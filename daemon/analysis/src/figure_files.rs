@@ -15,9 +15,9 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
 ];
 
 /// What each is written as.
-const ENDINGS: [&str; 2] = ["png", "svg"];
+const ENDINGS: [&str; 4] = ["png", "svg", "pdf", "txt"];
 /// Figures of which there is one.
-const SINGLE: [&str; 5] = ["series", "length", "stacked", "accuracy", "paired"];
+const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
 /// Figures of which there may be several, numbered from the second on.
 const NUMBERED: [&str; 3] = ["payload-latency", "payload-throughput", "users"];
 /// Bytes of the longest header that is read.
@@ -41,7 +41,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         })
     };
     let is_column = || {
-        let column = stem.strip_suffix("-histogram");
+        let column = stem.strip_suffix("-histogram").or_else(|| stem.strip_suffix("-cumulative"));
         column.is_some_and(|column| columns.iter().any(|known| known == column))
     };
     ENDINGS.contains(&ending)
@@ -70,15 +70,18 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
         let figures = [
+            "cumulative.txt",
             "download-time.svg",
             "paired.svg",
             "payload-latency-3.png",
+            "stacked.pdf",
             "stacked.png",
+            "total-cumulative.pdf",
             "total-histogram.png",
             "users-2.svg",
             "users.png",
         ];
-        let others = ["my-histogram.png", "stacked.pdf", "stacked-old.png", "users-photo.png", "notes.txt"];
+        let others = ["my-histogram.png", "stacked.csv", "stacked-old.png", "users-photo.png", "notes.txt"];
         for name in figures.iter().chain(&others) {
             std::fs::write(folder.path().join(name), "").expect("writable");
         }

@@ -224,6 +224,7 @@ impl Series {
 
     /// Its area: a tint with an edge.
     pub fn shape(&self) -> Style {
-        Style::area(self.classes[1], Fill::of(self.colour.tint(0.3))).edged(Some(self.colour))
+        let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
+        Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.colour.tint(0.3))) }
     }
 }

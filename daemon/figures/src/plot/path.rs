@@ -35,6 +35,20 @@ impl Path {
         Self { dx, ..self }
     }
 
+    /// The same without the points that would leave the plot when it is moved to the right by that share of its width.
+    #[must_use]
+    pub fn within(mut self, share: f64) -> Self {
+        let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
+        self.steps.retain(|step| match step {
+            Step::Move(x, _) | Step::Line(x, _) => inside(*x),
+            Step::Close => true,
+        });
+        if let Some(Step::Line(x, y)) = self.steps.first().copied() {
+            self.steps[0] = Step::Move(x, y);
+        }
+        self
+    }
+
     fn of(steps: Vec<Step>) -> Self {
         Self { steps, dx: 0.0 }
     }

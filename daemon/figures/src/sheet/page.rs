@@ -13,16 +13,11 @@ use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
 
-/// Lines of text above a plot are so far apart, in their size; the first stands so far above the plot.
-const LINE: f64 = 1.3;
-const FIRST: f64 = -0.4;
+/// From the top of a plot downwards to the baseline of a remark above it, and of one inside because labels stand above; in the type
+/// size.
+const REMARK: [f64; 2] = [-0.4, 0.9];
 /// A label this near to an end of a plot without room at its sides would reach over it.
 const END: f64 = 0.04;
-
-/// Returns from a place above a plot downwards to the baseline of the line of text with this number, in its size.
-pub fn line_above(number: usize) -> f64 {
-    FIRST + LINE * number as f64
-}
 
 /// Draws a plot with its axes; `class` names its grid in the style sheet, `words` say what it shows.
 pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
@@ -51,7 +46,7 @@ pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     items(&mut svg, &plot.items);
     if let Some(remark) = &plot.remark {
         let at = Label::new(At::new(1.0, 0.0), remark.clone(), crate::look::TextStyle::BEYOND);
-        label(&mut svg, &at.anchored(Anchor::End).shifted(0.0, line_above(plot.lines_above)));
+        label(&mut svg, &at.anchored(Anchor::End).shifted(0.0, REMARK[usize::from(plot.lines_above > 0)]));
     }
     svg.close();
     if let Some(strip) = &plot.beside {

@@ -15,7 +15,7 @@ const LABEL: f64 = 9.5;
 /// From a place to the baseline of text in the middle of whose capitals it lies, in the type size.
 const MIDDLE: f64 = 0.36;
 /// From the plot to the baseline of the title above it, points.
-const TITLE: f64 = 4.0;
+const TITLE: f64 = 5.5;
 
 /// Draws the lines that go through the plot.
 pub(super) fn draw_grid(svg: &mut Writer, plot: &Plot, area: &Area) {

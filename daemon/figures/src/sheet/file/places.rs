@@ -6,7 +6,7 @@ use crate::scale::Tick;
 use crate::text::width;
 
 /// Room above a plot for the title of its vertical axis, points.
-const TITLE: f64 = 12.5;
+const TITLE: f64 = 13.5;
 /// Room below a plot without labels, points.
 const BELOW: f64 = 3.0;
 /// Between two plots, points.
@@ -116,9 +116,17 @@ fn above(plot: &Plot) -> f64 {
 
 /// Height of labels and title of the horizontal axis.
 fn below(plot: &Plot) -> f64 {
-    let labels = if matches!(&plot.x.marks, Marks::At(ticks) if ticks.is_empty()) { 0.0 } else { LINE };
+    let labels = if has_labels(plot) { LINE } else { 0.0 };
     let title = if plot.x.title.is_empty() { 0.0 } else { LINE };
     BELOW + labels * lines(plot) as f64 + title
+}
+
+/// Whether the horizontal axis has labels: those of several plots stand below the lowest.
+fn has_labels(plot: &Plot) -> bool {
+    match &plot.x.marks {
+        Marks::Round(_) => true,
+        Marks::At(ticks) | Marks::Names(ticks) => ticks.iter().any(|tick| !tick.text.is_empty()),
+    }
 }
 
 /// Lines of the labels of the horizontal axis.
