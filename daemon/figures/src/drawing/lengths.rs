@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use peernet_statistics::number::fixed;
 
 use super::histogram::{Bins, range};
-use crate::look::{Fill, INK, LINE_STRONG, Rgb, Stage, Style, stage};
+use crate::look::{Fill, INK, Rgb, Stage, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Path, Plot, Strip, Unit};
 use crate::scale::Scale;
 use peernet_analysis::order::Ordered;
@@ -126,7 +126,7 @@ pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
 
 /// Bars of the values along one axis; `place` makes corners of where a bin begins and ends and how high it is.
 fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
-    let style = Style::area("bin f-total", Fill::of(LINE_STRONG.light));
+    let style = Style::total().bin();
     let bar = |bins: &Bins, number: usize| {
         let (from, to) = bins.bin(number);
         let height = bins.counts[number] as f64 / bins.highest().max(1) as f64;

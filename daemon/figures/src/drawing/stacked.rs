@@ -19,6 +19,10 @@ const MANY: usize = 16;
 const MOST_UPRIGHT: usize = 6;
 /// What is beside the bars of an upright plot, points.
 const MARGIN: f64 = 39.0;
+/// What is beside lying bars and their names, points; most of the width that names take; and what parts a sum from its bar.
+const BESIDE: f64 = 16.0;
+const NAMES: f64 = 0.4;
+const AFTER: f64 = 4.5;
 /// Share of a bar's room that the bar takes, and its largest share of the plot.
 const THICK: f64 = 0.6;
 const WIDEST: f64 = 0.19;
@@ -139,8 +143,7 @@ impl Stacked {
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(self.unit.axis(values).with_grid(), names);
         plot.height = Height::Points(count * if self.bars.len() > MANY { CLOSE } else { ROW });
-        plot.free =
-            self.bars.iter().map(|bar| width(&bar.words(&self.unit), SMALL)).fold(0.0, f64::max) + 3.0;
+        plot.free = self.free(values);
         for (number, bar) in self.bars.iter().enumerate() {
             let (items, end) = self.bar(bar, values, (place(number), THICK / count / 2.0), Direction::Level);
             plot.items.extend(items);
@@ -149,6 +152,17 @@ impl Stacked {
                 .push(Item::Text(Label::new(at, bar.words(&self.unit), TextStyle::MARK).shifted(0.4, 0.36)));
         }
         plot
+    }
+
+    /// Points at the right of lying bars that their sums need: as few as every bar leaves room for.
+    fn free(&self, values: Scale) -> f64 {
+        let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
+        let across = WIDTH - BESIDE - names.min(WIDTH * NAMES);
+        let plot = |bar: &Bar| {
+            let sum = width(&bar.words(&self.unit), SMALL) + AFTER;
+            (across - sum) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
+        };
+        across - self.bars.iter().map(plot).fold(across, f64::min)
     }
 
     /// A bar with its error bar, about a place across; and where it ends, as shown.

@@ -192,6 +192,8 @@ impl TextStyle {
 pub struct Series {
     /// Ink or a grey.
     pub colour: Rgb,
+    /// Ground of its areas.
+    pub ground: Rgb,
     /// Its points.
     pub mark: Mark,
     /// Of its line, and of its points and areas.
@@ -207,8 +209,14 @@ pub fn series(number: usize) -> Series {
         ["g-series-3", "f-series-3"],
         ["g-series-4", "f-series-4"],
     ];
+    const GROUNDS: [Rgb; 4] = [Rgb::hex(0xb4_b8be), Rgb::hex(0xe6_e9ed), Rgb::hex(0x8d_96a3), WHITE];
     let number = number % GREYS.len();
-    Series { colour: GREYS[number], mark: Mark::ALL[number], classes: CLASSES[number] }
+    Series {
+        colour: GREYS[number],
+        ground: GROUNDS[number],
+        mark: Mark::ALL[number],
+        classes: CLASSES[number],
+    }
 }
 
 impl Series {
@@ -225,6 +233,6 @@ impl Series {
     /// Its area: a tint with an edge.
     pub fn shape(&self) -> Style {
         let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
-        Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.colour.tint(0.3))) }
+        Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.ground)) }
     }
 }

@@ -125,11 +125,13 @@ impl Distribution {
     /// The lines of quantiles with their labels above the plot, and how many lines of text those take.
     fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
         let (from, to) = self.ends();
+        // One value alone has no spread.
+        let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
         let mut ends: Vec<(usize, f64)> = Vec::new();
         let mut placed = Vec::new();
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
-            let words = format!("{name} {}", self.unit.words(*value, to - from));
+            let words = format!("{name} {}", self.unit.words(*value, spread));
             let wide = (width(&words, 1.0) + 3.0 * ASIDE) / self.ems;
             let anchor = match *name {
                 "median" if x > wide => Anchor::End,

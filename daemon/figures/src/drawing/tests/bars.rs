@@ -64,6 +64,7 @@ fn odd_values_are_drawn_too() {
         let figure = histogram(millis(values.clone()));
         let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
+        assert!(texts(&svg).iter().all(|text| text.chars().count() < 40), "{:?}", texts(&svg));
         assert!(!has(&svg, "1.5"), "iterations are whole: {:?}", texts(&svg));
         assert_on_paper(&svg);
     }

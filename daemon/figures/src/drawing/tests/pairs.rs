@@ -114,9 +114,7 @@ fn points_that_have_room_are_drawn_and_no_count_lies_on_one() {
     let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
     let svg = figure.svg();
     assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));
-    // The points of the first sides have a tint of ink.
-    let discs =
-        Elements::of(&svg, "circle").with("fill", &series(0).colour.tint(0.3).to_string()).numbers("cy");
+    let discs = Elements::of(&svg, "circle").with("fill", &series(0).ground.to_string()).numbers("cy");
     assert_eq!(discs.len(), 31 + 30, "{discs:?}");
     let second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
     assert!(height(&svg, "+1") <= second - 1.8, "{} {second}", height(&svg, "+1"));
