@@ -101,7 +101,7 @@ impl Lengths {
 }
 
 fn known(name: &str) -> Option<Stage> {
-    Some(stage(name)).filter(|stage| !stage.name.is_empty())
+    Some(stage(name)).filter(Stage::has_colour)
 }
 
 /// Points counted into cells: one path of rectangles for each shade from 0 to 1, the lightest first. One point is seen, and ten times

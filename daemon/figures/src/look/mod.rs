@@ -16,7 +16,7 @@ pub use colour::{
 };
 pub use hatch::Hatch;
 pub use mark::Mark;
-pub use stage::{LATENESS, NETWORK, STAGES, Stage, TOTAL, UNATTRIBUTED, stage};
+pub use stage::{LATENESS, STAGES, Stage, UNATTRIBUTED, stage};
 pub use style::{Fill, Series, Stroke, Style, TextStyle, series};
 
 pub(crate) use hatch::lines;

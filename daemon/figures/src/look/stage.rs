@@ -1,17 +1,17 @@
 //! The stages: one table of names, classes, colours and hatches for every figure and page.
 
-use super::colour::{Rgb, Token, WHITE};
+use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
-use super::style::{Fill, Style};
+use super::style::{Fill, Style, TextStyle};
 
 /// What `total` holds beyond its stages.
 pub const UNATTRIBUTED: &str = "unattributed";
 /// From the intended start of an iteration to the real one: a named part of what is unattributed.
 pub const LATENESS: &str = "lateness";
-/// Both directions of the network together, where the clocks cannot tell them apart.
-pub const NETWORK: &str = "network";
-/// Sum of all stages.
-pub const TOTAL: &str = "total";
+/// Class of both directions of the network together, where the clocks cannot tell them apart.
+const NETWORK: &str = "network";
+/// Class of what is no stage but all of them.
+const TOTAL: &str = "total";
 
 /// How a stage looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +75,16 @@ pub const STAGES: [Stage; 13] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
+/// What is no stage and has a look on pages: parts of stages, both directions together, totals. Its names are those of events.
+const PARTS: [Stage; 6] = [
+    Stage { name: "capture", class: "capture", ..STAGES[0] },
+    Stage { name: "transform", class: "transform", ..STAGES[0] },
+    Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },
+    Stage { name: "upload + download + unattributed", class: NETWORK, ..STAGES[3] },
+    Stage { line: Some(INK.light), ..dark(TOTAL, LINE_STRONG, Hatch::Plain) },
+    Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
+];
+
 /// A stage of a user's own.
 const OTHER: Stage = Stage {
     name: "",
@@ -85,12 +95,38 @@ const OTHER: Stage = Stage {
     line: None,
 };
 
-/// Returns how a stage looks. One of a user's own is quiet ink.
+/// Returns how a stage, a part of one or a total looks. One of a user's own is quiet ink.
 pub fn stage(name: &str) -> Stage {
-    STAGES.iter().copied().find(|stage| stage.name == name).unwrap_or(OTHER)
+    STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }
 
 impl Stage {
+    /// Whether it is a stage of [`STAGES`], which alone have colours of their own.
+    pub fn has_colour(&self) -> bool {
+        STAGES.iter().any(|stage| stage.name == self.name)
+    }
+
+    /// Text on its area.
+    pub fn text(&self) -> TextStyle {
+        let (class, colour) = match self.class {
+            "sensing" => ("o-sensing", ON_PALE),
+            "capture" => ("o-capture", ON_PALE),
+            "transform" => ("o-transform", ON_PALE),
+            "encode" => ("o-encode", ON_PALE),
+            "queue" => ("o-queue", ON_PALE),
+            "upload" => ("o-upload", ON_PALE),
+            NETWORK => ("o-network", ON_PALE),
+            "preprocessing" => ("o-preprocessing", ON_PALE),
+            "inference" => ("o-inference", ON_DARK),
+            "postprocessing" => ("o-postprocessing", ON_PALE),
+            "download" => ("o-download", ON_DARK),
+            "actuation" => ("o-actuation", ON_DARK),
+            UNATTRIBUTED => ("o-unattributed", ON_PALE),
+            _ => ("o-other", ON_DARK),
+        };
+        TextStyle { class, colour, halo: false }
+    }
+
     /// Its area in a stack.
     pub fn area(&self) -> Style {
         let hatch = match self.edge {
@@ -169,5 +205,24 @@ mod tests {
     #[test]
     fn an_unknown_stage_has_no_colour() {
         assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
+        let classes = ["capture", "upload + download", "total", "stages-total"].map(|name| stage(name).class);
+        assert_eq!(classes, ["capture", "network", "total", "total"]);
+        let has_colour =
+            ["lateness", "upload", "total", "a stage of one's own"].map(|name| stage(name).has_colour());
+        assert_eq!(has_colour, [true, true, false, false]);
+    }
+
+    #[test]
+    fn text_holds_on_its_stage() {
+        for stage in STAGES {
+            let contrast = stage.text().colour.contrast(stage.colour.light);
+            assert!(contrast >= 4.5, "{}: {contrast}", stage.name);
+            let rule = format!(".{}", stage.text().class);
+            assert!(
+                include_str!("../../../../web/assets/css/pictures.css").contains(&rule)
+                    || include_str!("../../../../web/assets/css/tokens.css").contains(&rule),
+                "{rule}"
+            );
+        }
     }
 }

@@ -72,7 +72,7 @@ fn notes(rows: &Rows, columns: &[&str], values: &Ordered) -> Vec<String> {
 /// A stage has its colour and a mark; a total is ink.
 fn curve(name: &str, values: Ordered, number: usize) -> CumulativeCurve {
     let look = look(name);
-    let (line, mark) = if look.name.is_empty() {
+    let (line, mark) = if !look.has_colour() {
         (Style::line("strong", INK.light, STRONG), (Mark::Cross, Style::line("strong", INK.light, LINE)))
     } else {
         (look.line(LINE), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
