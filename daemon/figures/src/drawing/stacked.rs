@@ -6,7 +6,7 @@ use super::stack::{Direction, Stack};
 use crate::look::{Style, TextStyle, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
-use crate::sheet::file::{SMALL, TEXT, WIDTH};
+use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
 use crate::text::width;
 
 /// Height of a lying bar with its room, points.
@@ -19,9 +19,8 @@ const MANY: usize = 16;
 const MOST_UPRIGHT: usize = 6;
 /// What is beside the bars of an upright plot, points.
 const MARGIN: f64 = 39.0;
-/// What is beside lying bars and their names, points; most of the width that names take; and what parts a sum from its bar.
+/// What is beside lying bars and their names, and what parts a sum from its bar, points.
 const BESIDE: f64 = 16.0;
-const NAMES: f64 = 0.4;
 const AFTER: f64 = 4.5;
 /// Share of a bar's room that the bar takes, and its largest share of the plot.
 const THICK: f64 = 0.6;
@@ -157,7 +156,7 @@ impl Stacked {
     /// Points at the right of lying bars that their sums need: as few as every bar leaves room for.
     fn free(&self, values: Scale) -> f64 {
         let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
-        let across = WIDTH - BESIDE - names.min(WIDTH * NAMES);
+        let across = WIDTH - BESIDE - names.min(MOST_NAME);
         let plot = |bar: &Bar| {
             let sum = width(&bar.words(&self.unit), SMALL) + AFTER;
             (across - sum) / values.at(bar.range().1 * self.unit.per_si).max(0.1)

@@ -13,8 +13,10 @@ const BELOW: f64 = 3.0;
 const BETWEEN: f64 = 5.0;
 /// Least distance of the marks of a vertical axis, so that their labels are apart, points.
 const APART: f64 = 12.0;
-/// Most of the width that names at a vertical axis take.
-const NAMES: f64 = 0.4;
+/// Most points that names at a vertical axis take.
+pub const MOST_NAME: f64 = WIDTH * 0.47;
+/// Names that are closer to each other than this have small type, points.
+const CLOSE: f64 = 12.0;
 /// A plot is never lower, points.
 const LOWEST: f64 = 30.0;
 
@@ -144,10 +146,10 @@ pub(super) fn rows(plot: &Plot, height: f64) -> Vec<Tick> {
 
 /// Type size of the labels of the vertical axis.
 pub(super) fn row_size(plot: &Plot) -> f64 {
-    match (&plot.y.marks, plot.height) {
-        (Marks::Names(ticks), Height::Points(height)) if height < ticks.len() as f64 * 12.0 => SMALL,
-        _ => TEXT,
-    }
+    let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
+    let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * CLOSE);
+    let is_long = ticks.iter().any(|tick| width(&tick.text, TEXT) > MOST_NAME);
+    if is_close || is_long { SMALL } else { TEXT }
 }
 
 /// Width of the labels of the vertical axis with what parts them from it.
@@ -155,6 +157,6 @@ fn gutter(plot: &Plot) -> f64 {
     let size = row_size(plot);
     let ticks = rows(plot, if let Height::Points(points) = plot.height { points } else { HEIGHT / 2.0 });
     let widest = ticks.iter().map(|tick| width(&tick.text, size)).fold(0.0, f64::max);
-    let most = if matches!(plot.y.marks, Marks::Names(_)) { WIDTH * NAMES } else { f64::INFINITY };
+    let most = if matches!(plot.y.marks, Marks::Names(_)) { MOST_NAME } else { f64::INFINITY };
     if ticks.is_empty() { 0.0 } else { widest.min(most) + GAP }
 }
