@@ -14,8 +14,8 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// What each is written as.
-const ENDINGS: [&str; 4] = ["png", "svg", "pdf", "txt"];
+/// What each is written as: a text as well, whose name says that it is a figure's.
+const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Figures of which there is one.
 const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
 /// Figures of which there may be several, numbered from the second on.
@@ -33,7 +33,7 @@ pub fn figure_files(dir: &Path) -> Vec<String> {
 }
 
 fn is_figure(name: &str, columns: &[String]) -> bool {
-    let Some((stem, ending)) = name.rsplit_once('.') else { return false };
+    let Some(stem) = ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { return false };
     let is_numbered = || {
         let number = NUMBERED.iter().find_map(|figure| stem.strip_prefix(figure));
         number.is_some_and(|rest| {
@@ -44,11 +44,10 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         let column = stem.strip_suffix("-histogram").or_else(|| stem.strip_suffix("-cumulative"));
         column.is_some_and(|column| columns.iter().any(|known| known == column))
     };
-    ENDINGS.contains(&ending)
-        && (SINGLE.contains(&stem)
-            || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
-            || is_numbered()
-            || is_column())
+    SINGLE.contains(&stem)
+        || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
+        || is_numbered()
+        || is_column()
 }
 
 /// The columns of rows, each of which may have a histogram; none where there are no rows.
@@ -70,7 +69,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
         let figures = [
-            "cumulative.txt",
+            "cumulative-caption.txt",
             "download-time.svg",
             "paired.svg",
             "payload-latency-3.png",
@@ -81,7 +80,14 @@ mod tests {
             "users-2.svg",
             "users.png",
         ];
-        let others = ["my-histogram.png", "stacked.csv", "stacked-old.png", "users-photo.png", "notes.txt"];
+        let others = [
+            "my-histogram.png",
+            "stacked.csv",
+            "users.txt",
+            "stacked-old.png",
+            "users-photo.png",
+            "notes.txt",
+        ];
         for name in figures.iter().chain(&others) {
             std::fs::write(folder.path().join(name), "").expect("writable");
         }

@@ -11,7 +11,7 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
 use peernet_analysis::fit::rate;
 
-/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `.txt` into a folder that is there; returns what was written.
+/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into a folder that is there; returns what was written.
 /// Figures of nothing are left out.
 ///
 /// # Errors
@@ -155,11 +155,11 @@ mod tests {
                 "latency.png",
                 "latency.svg",
                 "latency.pdf",
-                "latency.txt",
+                "latency-caption.txt",
                 "throughput.png",
                 "throughput.svg",
                 "throughput.pdf",
-                "throughput.txt"
+                "throughput-caption.txt"
             ]
         );
         for (name, texts) in [
@@ -171,7 +171,7 @@ mod tests {
                 assert!(svg.contains(text), "{name} lacks {text}");
             }
         }
-        for name in ["latency.txt", "throughput.txt"] {
+        for name in ["latency-caption.txt", "throughput-caption.txt"] {
             let words = std::fs::read_to_string(folder.path().join(name)).expect("written");
             assert!(words.contains("clock bounds"), "{words}");
         }

@@ -46,11 +46,11 @@ const FILES: [&str; 11] = [
     "latency.png",
     "latency.svg",
     "latency.pdf",
-    "latency.txt",
+    "latency-caption.txt",
     "throughput.png",
     "throughput.svg",
     "throughput.pdf",
-    "throughput.txt",
+    "throughput-caption.txt",
 ];
 
 struct Plant {

@@ -219,5 +219,5 @@ pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
 /// Style of the line and of the points.
 fn look(series: &Series) -> (Style, Style) {
     let stage = stage(series.stage);
-    (stage.line(LINE).dashed(series.mark.dash()), stage.mark())
+    (stage.line(LINE).dashed(series.mark.dash()).with("fit"), stage.mark())
 }

@@ -125,6 +125,11 @@ impl Style {
         Self::line("halo", WHITE, 2.0)
     }
 
+    /// A narrower rim, about lines over bars.
+    pub fn rim() -> Self {
+        Self::line("cut", WHITE, 1.8)
+    }
+
     /// A whisker.
     pub fn whisker() -> Self {
         Self::line("whisk2", INK.light, 0.75)

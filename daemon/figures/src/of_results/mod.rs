@@ -127,9 +127,9 @@ pub enum PlotError {
 }
 
 /// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its
-/// `series` into a folder, each as `.png`, `.svg`, `.pdf` and, with all that is to be said of it, `.txt`; returns what was written. A
-/// run that sent nothing over a network has histograms of sensing and inference alone; one of which there are no values at all says
-/// so. A run without any total has neither `cumulative` nor `series`.
+/// `series` into a folder, each as `.png`, `.svg`, `.pdf` and, with all that is to be said of it, `-caption.txt`; returns what was
+/// written. A run that sent nothing over a network has histograms of sensing and inference alone; one of which there are no values at
+/// all says so. A run without any total has neither `cumulative` nor `series`.
 ///
 /// # Errors
 /// When a file cannot be written.

@@ -74,7 +74,7 @@ fn names(files: &[PathBuf]) -> Vec<String> {
 
 /// Names of the files of a figure.
 fn written_as(stem: &str) -> Vec<String> {
-    ["png", "svg", "pdf", "txt"].map(|ending| format!("{stem}.{ending}")).to_vec()
+    [".png", ".svg", ".pdf", "-caption.txt"].map(|ending| format!("{stem}{ending}")).to_vec()
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn a_run_has_the_six_published_histograms() {
     for text in ["Upload time · robot → cloud · n = 54", "median 11.0 ms"] {
         assert!(svg.contains(text), "{text}: {svg}");
     }
-    let words = std::fs::read_to_string(folder.path().join("upload-time.txt")).expect("read");
+    let words = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
     assert!(words.contains("n = 54 · left out: 5 warm-up, 1 without an answer"), "{words}");
     assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
     let timed = run_with_total(20.0);

@@ -24,8 +24,8 @@ const HEADER: usize = 8 + 25;
 /// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
 /// a picture without it at the resolution of a screen.
 const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// What each figure is written as.
-pub const ENDINGS: [&str; 4] = ["png", "svg", "pdf", "txt"];
+/// What each figure is written as: endings of its name. The text says that it is a figure's, because tables have the same names.
+pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// A figure that could not be turned into another format.
 #[derive(Debug, thiserror::Error)]
@@ -128,12 +128,12 @@ impl Exported {
     }
 }
 
-/// Writes a figure into a folder as `STEM.png`, `.svg`, `.pdf` and, with all that is to be said of it, `.txt`.
+/// Writes a figure into a folder as `STEM.png`, `STEM.svg`, `STEM.pdf` and, with all that is to be said of it, `STEM-caption.txt`.
 ///
 /// # Errors
 /// When it cannot be drawn or a file not be written.
 pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4], WriteError> {
-    let files = ENDINGS.map(|ending| folder.join(format!("{stem}.{ending}")));
+    let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
     let svg = file::svg(figure);
     write_file(&files[1], svg.as_bytes())?;
     let exported = Exported::of(&svg).map_err(WriteError::at(&files[0]))?;

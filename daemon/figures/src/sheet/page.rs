@@ -123,7 +123,7 @@ pub fn legend(keys: &[Key], class: &str) -> String {
 }
 
 fn unit(axis: &crate::plot::Axis) -> String {
-    let scale = if axis.scale.is_logarithmic() { "logarithmic" } else { "" };
+    let scale = if axis.scale.is_logarithmic() { "log" } else { "" };
     [&*axis.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
 }
 

@@ -149,7 +149,7 @@ impl Distribution {
         for (name, x, words, anchor, row) in placed {
             let aside = if anchor == Anchor::End { -ASIDE } else { ASIDE };
             let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
-            items.push(Item::line(bottom, top, Style::halo()));
+            items.push(Item::line(bottom, top, Style::rim()));
             items.push(Item::line(bottom, top, Style::quantile(name)));
             let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
             items.push(Item::Text(label.shifted(aside, -FIRST - LINE * row as f64)));

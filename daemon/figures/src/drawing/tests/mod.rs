@@ -2,6 +2,7 @@
 
 mod bars;
 mod over_time;
+mod pages;
 mod pairs;
 mod points;
 mod sharing;
