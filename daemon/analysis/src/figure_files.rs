@@ -19,7 +19,7 @@ const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Figures of which there is one.
 const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
 /// Figures of which there may be several, numbered from the second on.
-const NUMBERED: [&str; 3] = ["payload-latency", "payload-throughput", "users"];
+const NUMBERED: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
 /// Bytes of the longest header that is read.
 const LONGEST_HEADER: u64 = 1 << 20;
 
@@ -77,6 +77,7 @@ mod tests {
             "stacked.png",
             "total-cumulative.pdf",
             "total-histogram.png",
+            "totals-2.pdf",
             "users-2.svg",
             "users.png",
         ];

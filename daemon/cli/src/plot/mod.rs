@@ -50,6 +50,8 @@ enum Kind {
     Cumulative,
     /// Of all runs: what the stages add up to, a bar for each configuration.
     Stacked,
+    /// Of all runs: the share of iterations up to each total, a curve for each configuration.
+    Totals,
     /// Of all runs: top-1 accuracy of each configuration against its latency.
     Accuracy,
     /// Of all runs: each model's inference here and there.
@@ -71,6 +73,7 @@ impl Kind {
             Self::Histograms => vec![figures::Kind::Histograms],
             Self::Cumulative => vec![figures::Kind::Cumulative],
             Self::Stacked => vec![figures::Kind::Stacked],
+            Self::Totals => vec![figures::Kind::Totals],
             Self::Accuracy => vec![figures::Kind::Accuracy],
             Self::Paired => vec![figures::Kind::Paired],
             Self::Payload => vec![figures::Kind::Payload],

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Loaded ─┬─ histograms, cumulative, length, series   of each run
-//!         └─ stacked, accuracy, paired, payload, users   of all together
+//!         └─ stacked, totals, accuracy, paired, payload, users   of all together
 //! ```
 //!
 //! What figures look like is the business of [`crate::drawing`].
@@ -18,6 +18,7 @@ mod paired;
 mod payload;
 mod series;
 mod stacked;
+mod totals;
 mod users;
 mod written;
 
@@ -44,6 +45,8 @@ pub enum Kind {
     Length,
     /// What the stages of each configuration add up to.
     Stacked,
+    /// Share of iterations up to each total, of each configuration.
+    Totals,
     /// Accuracy of each configuration against its latency.
     Accuracy,
     /// A model's latency here and there.
@@ -56,12 +59,13 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind: those of single runs first.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Histograms,
         Self::Cumulative,
         Self::Series,
         Self::Length,
         Self::Stacked,
+        Self::Totals,
         Self::Accuracy,
         Self::Paired,
         Self::Payload,
@@ -76,6 +80,7 @@ impl Kind {
             Self::Series => "series",
             Self::Length => "length",
             Self::Stacked => "stacked",
+            Self::Totals => "totals",
             Self::Accuracy => "accuracy",
             Self::Paired => "paired",
             Self::Payload => "payload",
@@ -96,7 +101,9 @@ impl Kind {
     /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
-            Self::Stacked | Self::Accuracy => configured::Configured::of(runs).groups.len() > 1,
+            Self::Stacked | Self::Totals | Self::Accuracy => {
+                configured::Configured::of(runs).groups.len() > 1
+            }
             Self::Paired => runs.len() > 1,
             Self::Users => users::have_curves(runs),
             Self::Histograms | Self::Cumulative | Self::Series | Self::Length | Self::Payload => {
@@ -141,7 +148,7 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     Ok(written::write(&drawings, folder)?.files)
 }
 
-/// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
+/// Draws what several runs have together, as far as there is something to show: `stacked`, `totals` and `accuracy` of several
 /// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
 ///
 /// # Errors
@@ -172,6 +179,7 @@ pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Re
         Kind::Series => series::drawings(&first.record, &first.rows),
         Kind::Length => length::drawings(first, columns),
         Kind::Stacked => stacked::drawings(runs),
+        Kind::Totals => totals::drawings(runs),
         Kind::Accuracy => accuracy::drawings(runs),
         Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
         Kind::Payload => payload::drawings(runs),

@@ -225,6 +225,36 @@ fn one_configuration_is_not_compared_without_being_asked() {
 }
 
 #[test]
+fn totals_of_configurations_are_curves_four_to_a_picture() {
+    let timed = |model: &str, total: f64| {
+        let record = placed(model, "local", 1.0).record;
+        Loaded { record, ..run_with_total(total) }
+    };
+    let runs = ["s", "m", "l", "xl", "xxl"].map(|model| timed(model, 20.0));
+    let drawings = totals::drawings(&runs).expect("there are totals");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["totals", "totals-2"]
+    );
+    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    assert_eq!(figure.curves.iter().map(|curve| curve.values.len()).collect::<Vec<_>>(), [94; 4]);
+    assert_eq!(figure.notes[..2], ["n = 94 each", "configurations: model, where · measured total"]);
+    assert!(totals::drawings(&[remote(4)]).is_err(), "all is warm-up");
+}
+
+#[test]
+fn a_run_has_curves_of_its_total_and_its_longest_stages() {
+    let run = run_with_total(20.0);
+    let drawings = cumulative::drawings(&run.record, &run.rows, None).expect("there is a total");
+    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    let names: Vec<&str> = figure.curves.iter().map(|curve| curve.name.as_str()).collect();
+    assert_eq!(names, ["total", "sensing", "upload"]);
+    let one = cumulative::drawings(&run.record, &run.rows, Some("upload")).expect("there are values");
+    assert_eq!((one.len(), one[0].stem.as_str()), (1, "upload-cumulative"));
+    assert!(cumulative::drawings(&run.record, &run.rows, Some("nonsense")).is_err());
+}
+
+#[test]
 fn models_are_paired_by_where_they_ran() {
     let runs = [
         placed("s", "remote", 4.0),

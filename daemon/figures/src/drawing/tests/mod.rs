@@ -1,6 +1,7 @@
 //! Figures as drawn: what stands in the SVG, and where.
 
 mod bars;
+mod curves;
 mod over_time;
 mod pages;
 mod pairs;
