@@ -14,12 +14,12 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// What each is written as.
-const ENDINGS: [&str; 2] = ["png", "svg"];
+/// What each is written as: a text as well, whose name says that it is a figure's.
+const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Figures of which there is one.
-const SINGLE: [&str; 5] = ["series", "length", "stacked", "accuracy", "paired"];
+const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
 /// Figures of which there may be several, numbered from the second on.
-const NUMBERED: [&str; 3] = ["payload-latency", "payload-throughput", "users"];
+const NUMBERED: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
 /// Bytes of the longest header that is read.
 const LONGEST_HEADER: u64 = 1 << 20;
 
@@ -33,7 +33,7 @@ pub fn figure_files(dir: &Path) -> Vec<String> {
 }
 
 fn is_figure(name: &str, columns: &[String]) -> bool {
-    let Some((stem, ending)) = name.rsplit_once('.') else { return false };
+    let Some(stem) = ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { return false };
     let is_numbered = || {
         let number = NUMBERED.iter().find_map(|figure| stem.strip_prefix(figure));
         number.is_some_and(|rest| {
@@ -41,14 +41,13 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         })
     };
     let is_column = || {
-        let column = stem.strip_suffix("-histogram");
+        let column = stem.strip_suffix("-histogram").or_else(|| stem.strip_suffix("-cumulative"));
         column.is_some_and(|column| columns.iter().any(|known| known == column))
     };
-    ENDINGS.contains(&ending)
-        && (SINGLE.contains(&stem)
-            || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
-            || is_numbered()
-            || is_column())
+    SINGLE.contains(&stem)
+        || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
+        || is_numbered()
+        || is_column()
 }
 
 /// The columns of rows, each of which may have a histogram; none where there are no rows.
@@ -70,15 +69,26 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
         let figures = [
+            "cumulative-caption.txt",
             "download-time.svg",
             "paired.svg",
             "payload-latency-3.png",
+            "stacked.pdf",
             "stacked.png",
+            "total-cumulative.pdf",
             "total-histogram.png",
+            "totals-2.pdf",
             "users-2.svg",
             "users.png",
         ];
-        let others = ["my-histogram.png", "stacked.pdf", "stacked-old.png", "users-photo.png", "notes.txt"];
+        let others = [
+            "my-histogram.png",
+            "stacked.csv",
+            "users.txt",
+            "stacked-old.png",
+            "users-photo.png",
+            "notes.txt",
+        ];
         for name in figures.iter().chain(&others) {
             std::fs::write(folder.path().join(name), "").expect("writable");
         }

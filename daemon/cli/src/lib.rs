@@ -67,7 +67,7 @@ enum Command {
     Run(run::Arguments),
     /// Put runs side by side: the paper's table, and how far differences between two runs are known.
     Compare(compare::Arguments),
-    /// Draw figures of results, as PNG and SVG.
+    /// Draw figures of results, as PNG, SVG and PDF.
     Plot(plot::Arguments),
     /// Compute the one-way delays of a stored run again, with what was learnt of the clocks after it.
     Recompute(recompute::Arguments),

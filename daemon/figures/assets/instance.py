@@ -11,8 +11,9 @@ from fontTools import subset
 from fontTools.ttLib import TTFont
 from fontTools.varLib import instancer
 
-TEXT = [*range(0x20, 0x7F), *range(0xA0, 0x100), 0x202F]
-SIGNS = [ord(sign) for sign in "–—‘’“”…→−≈≤≥∞Δμσ"]
+TEXT = [*range(0x20, 0x7F), *range(0xA0, 0x180), 0x2009, 0x202F]
+SIGNS = [ord(sign) for sign in "‐‑–—‘’‚“”„•…′″€←↑→↓−∕≈≠≤≥∞ΔΩμσ‰"]
+FAMILY = "Inter"
 
 
 def main() -> None:
@@ -31,6 +32,11 @@ def main() -> None:
     subsetter.populate(unicodes=TEXT + SIGNS)
     font = TTFont(plain)
     subsetter.subset(font)
+    # A file names the family that readers have installed.
+    for number in (1, 4, 16):
+        if font["name"].getDebugName(number):
+            font["name"].setName(FAMILY, number, 3, 1, 0x409)
+    font["name"].setName(FAMILY, 6, 3, 1, 0x409)
     target = here / "inter.ttf"
     font.save(target)
     print(target, target.stat().st_size, "bytes")

@@ -1,4 +1,4 @@
-//! Figures: what `peernet-analysis` found, drawn as SVG and PNG.
+//! Figures: what `peernet-analysis` found, drawn for pages and files.
 //!
 //! ```text
 //! Loaded, Loaded, … ── of_results ─────┐
@@ -9,8 +9,14 @@
 //! like.
 
 pub mod drawing;
+pub mod look;
 mod of_calibration;
 mod of_results;
+pub mod plot;
+pub mod scale;
+pub mod sheet;
+pub mod svg;
+pub mod text;
 
 pub use of_calibration::draw_calibration;
 pub use of_results::{Columns, Kind, MissingData, PlotError, Written, draw, of_experiment, of_run};

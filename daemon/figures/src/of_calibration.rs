@@ -4,13 +4,15 @@ use std::path::{Path, PathBuf};
 
 use peernet_statistics::number::{self, mean_std, throughput_between, throughput_with};
 
-use crate::drawing::{DOWNLOAD, Figure, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
+use crate::drawing::{Parts, Scaling, Series, Unit, Value};
+use crate::look::Mark;
+use crate::sheet::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
 use peernet_analysis::fit::rate;
 
-/// Draws `latency` and `throughput` of a study as `.png` and `.svg` into a folder that is there; returns what was written. Figures of
-/// nothing are left out.
+/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into a folder that is there; returns what was written.
+/// Figures of nothing are left out.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -18,7 +20,7 @@ pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, Wr
     let mut written = Vec::new();
     for (stem, figure) in [("latency", latency(study)), ("throughput", throughput(study))] {
         if let Some(figure) = figure {
-            written.extend(figure.write(folder, stem)?);
+            written.extend(export::write(&figure.figure(), folder, stem)?);
         }
     }
     Ok(written)
@@ -88,11 +90,11 @@ fn scaling(
     name: &dyn Fn(&DirectionStudy) -> Option<String>,
     line: &dyn Fn(&DirectionStudy) -> Option<(f64, f64)>,
 ) -> Option<Scaling> {
-    let looks = [(UPLOAD, Mark::Disc), (DOWNLOAD, Mark::Triangle)];
+    let looks = [("upload", Mark::Disc), ("download", Mark::Triangle)];
     let title = format!("{} against size", unit.title.split(',').next().unwrap_or_default());
-    let series = study.directions().into_iter().zip(looks).map(|(direction, (colour, mark))| Series {
+    let series = study.directions().into_iter().zip(looks).map(|(direction, (stage, mark))| Series {
         name: name(direction).unwrap_or_else(|| direction.name().to_owned()),
-        colour,
+        stage,
         mark,
         values: direction.sizes.iter().filter_map(value).collect(),
         line: line(direction),
@@ -147,15 +149,31 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let written = draw_calibration(&study(), folder.path()).expect("writable");
         let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
-        assert_eq!(names, ["latency.png", "latency.svg", "throughput.png", "throughput.svg"]);
+        assert_eq!(
+            names,
+            [
+                "latency.png",
+                "latency.svg",
+                "latency.pdf",
+                "latency-caption.txt",
+                "throughput.png",
+                "throughput.svg",
+                "throughput.pdf",
+                "throughput-caption.txt"
+            ]
+        );
         for (name, texts) in [
-            ("latency.svg", ["One-way delay, ms", "Size on the wire", "1 kB", "clock bounds", "upload:"]),
-            ("throughput.svg", ["Throughput, MB/s", "Size on the wire", "1 MB", "clock bounds", "download:"]),
+            ("latency.svg", ["One-way delay, ms", "Size on the wire", "1 kB", "upload:"]),
+            ("throughput.svg", ["Throughput, MB/s", "Size on the wire", "1 MB", "download:"]),
         ] {
             let svg = std::fs::read_to_string(folder.path().join(name)).expect("written");
-            for text in texts.iter().chain(&["#D55E00", "#AE5485"]) {
+            for text in texts.iter().chain(&["#d55e00", "#ae5485"]) {
                 assert!(svg.contains(text), "{name} lacks {text}");
             }
+        }
+        for name in ["latency-caption.txt", "throughput-caption.txt"] {
+            let words = std::fs::read_to_string(folder.path().join(name)).expect("written");
+            assert!(words.contains("clock bounds"), "{words}");
         }
         for name in ["latency.png", "throughput.png"] {
             let picture = image::open(folder.path().join(name)).expect("a picture").to_rgb8();

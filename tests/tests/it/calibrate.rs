@@ -39,14 +39,18 @@ limit = { iterations = 100 }
 "#;
 
 /// Files of a calibration.
-const FILES: [&str; 7] = [
+const FILES: [&str; 11] = [
     "samples.csv",
     "summary.csv",
     "calibration.json",
     "latency.png",
     "latency.svg",
+    "latency.pdf",
+    "latency-caption.txt",
     "throughput.png",
     "throughput.svg",
+    "throughput.pdf",
+    "throughput-caption.txt",
 ];
 
 struct Plant {

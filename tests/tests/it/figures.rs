@@ -31,10 +31,11 @@ fn the_published_figures_stand_beside_published_results() {
         assert!(done.log.contains(&format!("{stem}.svg")), "{}", done.log);
     }
     let upload = read(&site.folder().join("all/small/upload-time.svg"));
-    assert!(
-        upload.contains("n = 200 · left out: 5 warm-up") && upload.contains("1 beyond 18.7 ms →"),
-        "{upload}"
-    );
+    assert!(upload.contains("n = 200") && upload.contains("1 beyond 18.7 ms →"), "{upload}");
+    let words = read(&site.folder().join("all/small/upload-time-caption.txt"));
+    assert!(words.contains("n = 200 · left out: 5 warm-up"), "{words}");
+    let pdf = std::fs::read(site.folder().join("all/small/upload-time.pdf")).expect("written");
+    assert!(pdf.starts_with(b"%PDF"));
 }
 
 #[test]

@@ -31,7 +31,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv along the horizontal axis: the length for --kind length (else tokens, or download-bytes); for
-    /// --kind histograms the one column to draw.
+    /// --kind histograms and --kind cumulative the one column to draw.
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
     /// Column of data.csv along the vertical axis, for --kind length and --kind paired: a latency (else inference).
@@ -46,8 +46,12 @@ enum Kind {
     All,
     /// Of each run: the six of the published program, sensing-time to download-throughput.
     Histograms,
+    /// Of each run: the share of iterations up to each latency, of the total and its longest stages.
+    Cumulative,
     /// Of all runs: what the stages add up to, a bar for each configuration.
     Stacked,
+    /// Of all runs: the share of iterations up to each total, a curve for each configuration.
+    Totals,
     /// Of all runs: top-1 accuracy of each configuration against its latency.
     Accuracy,
     /// Of all runs: each model's inference here and there.
@@ -67,7 +71,9 @@ impl Kind {
         match self {
             Self::All => figures::Kind::ALL.to_vec(),
             Self::Histograms => vec![figures::Kind::Histograms],
+            Self::Cumulative => vec![figures::Kind::Cumulative],
             Self::Stacked => vec![figures::Kind::Stacked],
+            Self::Totals => vec![figures::Kind::Totals],
             Self::Accuracy => vec![figures::Kind::Accuracy],
             Self::Paired => vec![figures::Kind::Paired],
             Self::Payload => vec![figures::Kind::Payload],
@@ -147,10 +153,10 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     match arguments.kind {
         Kind::Length => Ok(()),
         Kind::Paired if arguments.x.is_none() => Ok(()),
-        Kind::Histograms if arguments.y.is_none() => Ok(()),
+        Kind::Histograms | Kind::Cumulative if arguments.y.is_none() => Ok(()),
         _ if arguments.x.is_none() && arguments.y.is_none() => Ok(()),
         _ => usage(
-            "--x is for --kind length and --kind histograms, --y for --kind length and --kind paired: name the kind",
+            "--x is for --kind length, --kind histograms and --kind cumulative, --y for --kind length and --kind paired: name the kind",
         ),
     }
 }

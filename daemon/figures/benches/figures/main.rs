@@ -21,7 +21,7 @@ fn main() {
     timed("6 histograms, 10,005", &folder, &|folder| {
         figures::of_run(&run[0].record, &run[0].rows, folder).expect("writable")
     });
-    for kind in [Kind::Series, Kind::Length] {
+    for kind in [Kind::Cumulative, Kind::Series, Kind::Length] {
         timed(&format!("{}, 10,005", kind.name()), &folder, &|folder| drawn(kind, &run, folder));
     }
     println!("more than before: {:.1} MiB", (peak_kib() - begun) as f64 / 1024.0);
@@ -41,7 +41,7 @@ fn main() {
     timed("6 histograms, 100,000", &of, &|folder| {
         figures::of_run(&long[0].record, &long[0].rows, folder).expect("writable")
     });
-    for kind in [Kind::Series, Kind::Length] {
+    for kind in [Kind::Cumulative, Kind::Series, Kind::Length] {
         timed(&format!("{}, 100,000", kind.name()), &of, &|folder| drawn(kind, &long, folder));
     }
 }

@@ -1,28 +1,32 @@
 //! Two quantities of each iteration against each other, with the distribution of each beside: response length and
 //! latency.
 
-use peernet_statistics::number::fixed;
-use plotters::element::{Circle, Rectangle};
-use plotters::prelude::DrawingBackend;
-use plotters::style::{Color, RGBColor};
-
 use std::collections::BTreeMap;
 
-use super::histogram::{Bins, nothing, range};
-use super::kit::{Axis, Drawn, Figure, Frame, Header, INK, Paper, SIZE, Unit};
+use peernet_statistics::number::fixed;
+
+use super::histogram::{Bins, range};
+use crate::look::{Fill, INK, Rgb, Stage, Style, stage};
+use crate::plot::{At, Axis, Figure, Item, Path, Plot, Strip, Unit};
+use crate::scale::Scale;
 use peernet_analysis::order::Ordered;
 
 /// From how many points on they are counted into cells.
 const MANY: usize = 1500;
-/// Side of a cell, pixels.
-const CELL: i32 = 12;
-/// Room for a distribution beside the plot, pixels.
-const MARGIN: i32 = 190;
-/// Between plot and distribution.
-const GAP: i32 = 14;
+/// Cells across and upwards: a cell is about 1.8 points wide and high in a file.
+const CELLS: (f64, f64) = (108.0, 60.0);
+/// Shades of cells.
+const SHADES: f64 = 14.0;
+/// Room for a distribution beside the plot, points.
+const MARGIN: f64 = 26.0;
+/// What is there is seen, points.
+const SEEN: f64 = 0.45;
+/// Diameter of a point, points.
+const DOT: f64 = 2.4;
 /// An axis begins at zero unless the smallest value is above this share of the largest.
 const CLOSE: f64 = 0.75;
-const COLOUR: RGBColor = RGBColor(0x0b, 0x47, 0x96);
+/// Room on both sides of values that lie far from zero, of their range.
+const ROOM: f64 = 0.05;
 
 /// Points with both marginal histograms.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +37,8 @@ pub struct Lengths {
     pub x: Unit,
     /// The vertical axis.
     pub y: Unit,
+    /// The stage whose colour the points have: that of the vertical axis; ink for what is no stage.
+    pub stage: String,
     /// One for each iteration, SI units; what is not finite is left out.
     pub points: Vec<(f64, f64)>,
     /// How many there are, what is left out and so on.
@@ -45,50 +51,93 @@ impl Lengths {
         finite.map(of).collect()
     }
 
-    /// The points that the axes hold, as shown.
-    fn inside<'a>(&'a self, frame: &'a Frame) -> impl Iterator<Item = (f64, f64)> + 'a {
+    /// The places of the points that the axes hold.
+    fn inside<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
         let shown = |(x, y): &(f64, f64)| (x * self.x.per_si, y * self.y.per_si);
-        self.points.iter().map(shown).filter(|(x, y)| frame.x.has(*x) && frame.y.has(*y))
+        let inside =
+            self.points.iter().map(shown).filter(|(x, y)| plot.x.scale.has(*x) && plot.y.scale.has(*y));
+        inside.map(|(x, y)| (plot.x.scale.at(x), plot.up(y)))
     }
 
-    fn draw_points<DB: DrawingBackend>(&self, paper: &Paper<DB>, frame: &Frame) -> Drawn<DB> {
-        let places = self.inside(frame).map(|(x, y)| (frame.x.at(x), frame.y.at(y)));
+    fn colour(&self) -> Rgb {
+        known(&self.stage).map_or(INK.light, |stage| stage.line_colour())
+    }
+
+    fn class(&self) -> &'static str {
+        known(&self.stage).map_or("ink", |stage| stage.class)
+    }
+
+    fn points(&self, plot: &Plot) -> Vec<Item> {
+        let (colour, class) = (self.colour(), self.class());
         if self.points.len() <= MANY {
-            for place in places {
-                paper.draw(&Circle::new(place, 9, COLOUR.mix(0.5).filled()))?;
-            }
-            return Ok(());
+            let style = Style::line(format!("dots d-{class}"), colour.tint(0.62), DOT);
+            return vec![Item::path(Path::dots(self.inside(plot)), style)];
         }
-        let mut cells: BTreeMap<(i32, i32), u32> = BTreeMap::new();
-        for (x, y) in places {
-            *cells.entry((x.div_euclid(CELL), y.div_euclid(CELL))).or_default() += 1;
-        }
-        let most = f64::from(cells.values().copied().max().unwrap_or(1)).ln_1p();
-        for ((column, row), count) in cells {
-            // One point is seen, and ten times as many are a step darker, however many there are.
-            let shade = 0.18 + 0.82 * f64::from(count).ln_1p() / most;
-            let corner = (column * CELL, row * CELL);
-            let cell = [corner, (corner.0 + CELL, corner.1 + CELL)];
-            paper.draw(&Rectangle::new(cell, COLOUR.mix(shade).filled()))?;
-        }
-        Ok(())
+        let style = Style::area(format!("f-{class}"), Fill::of(colour));
+        let shades = cells(self.inside(plot)).into_iter();
+        shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))).collect()
     }
 
-    /// Bars of the values along one axis, in a strip from `base` on to `base + MARGIN`.
-    fn draw_margin<DB: DrawingBackend>(
-        paper: &Paper<DB>,
-        values: &Ordered,
-        place: impl Fn(f64, f64, i32) -> [(i32, i32); 2],
-    ) -> Drawn<DB> {
-        let Some(bins) = Bins::of(values) else { return Ok(()) };
-        let highest = bins.highest().max(1) as f64;
-        for (number, count) in bins.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let (from, to) = bins.bin(number);
-            let length = ((*count as f64 / highest * f64::from(MARGIN)) as i32).max(3);
-            paper.draw(&Rectangle::new(place(from, to, length), INK.mix(0.55).filled()))?;
-        }
-        Ok(())
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let (xs, ys) = (self.along(|(x, _)| *x), self.along(|(_, y)| *y));
+        let plot = range(&xs).zip(range(&ys)).map(|(across, up)| {
+            let (x, y) = (axis(&self.x, across), axis(&self.y, up));
+            let mut plot = Plot::new(x.with_grid(), y.with_grid());
+            plot.items = self.points(&plot);
+            let beyond = self.points.len() - self.inside(&plot).count();
+            plot.remark = (beyond > 0).then(|| format!("{} beyond the axes", fixed(beyond as f64, 0)));
+            let of_x = |value: f64| plot.x.scale.at(value * self.x.per_si);
+            let of_y = |value: f64| plot.up(value * self.y.per_si);
+            let above =
+                margin(&xs, |from, to, high| [At::new(of_x(from), 1.0 - high), At::new(of_x(to), 1.0)]);
+            let beside = margin(&ys, |from, to, wide| [At::new(0.0, of_y(from)), At::new(wide, of_y(to))]);
+            (plot.above, plot.beside) = (Some(above), Some(beside));
+            plot
+        });
+        let (title, notes) = (self.title.clone(), self.notes.clone());
+        Figure { title, notes, plots: plot.into_iter().collect(), ..Figure::default() }
     }
+}
+
+fn known(name: &str) -> Option<Stage> {
+    Some(stage(name)).filter(Stage::has_colour)
+}
+
+/// Points counted into cells: one path of rectangles for each shade from 0 to 1, the lightest first. One point is seen, and ten times
+/// as many are a step darker, however many there are.
+pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
+    let (columns, rows) = CELLS;
+    let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for (x, y) in points {
+        let cell = ((x * columns).min(columns - 1.0) as u32, (y * rows).min(rows - 1.0) as u32);
+        *counts.entry(cell).or_default() += 1;
+    }
+    let most = f64::from(counts.values().copied().max().unwrap_or(1)).ln_1p();
+    let mut shades: BTreeMap<u32, Vec<[(f64, f64); 2]>> = BTreeMap::new();
+    for ((column, row), count) in counts {
+        let shade = (f64::from(count).ln_1p() / most * SHADES).round() as u32;
+        let corner = |column: u32, row: u32| (f64::from(column) / columns, f64::from(row) / rows);
+        shades.entry(shade).or_default().push([corner(column, row), corner(column + 1, row + 1)]);
+    }
+    let shade = |shade: u32| 0.18 + 0.82 * f64::from(shade) / SHADES;
+    shades.into_iter().map(|(step, cells)| (shade(step), Path::rects(cells))).collect()
+}
+
+/// Bars of the values along one axis; `place` makes corners of where a bin begins and ends and how high it is.
+fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
+    let style = Style::total().bin();
+    let bar = |bins: &Bins, number: usize| {
+        let (from, to) = bins.bin(number);
+        let height = bins.counts[number] as f64 / bins.highest().max(1) as f64;
+        let [from, to] = place(from, to, height);
+        Item::Rect { from, to, least: (SEEN, SEEN), style: style.clone() }
+    };
+    let bars = |bins: Bins| -> Vec<Item> {
+        let filled = (0..bins.counts.len()).filter(|number| bins.counts[*number] > 0);
+        filled.map(|number| bar(&bins, number)).collect()
+    };
+    Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: MARGIN }
 }
 
 /// Whether an axis from zero would squeeze all values between these into a corner.
@@ -96,43 +145,12 @@ pub fn would_squeeze(lo: f64, hi: f64) -> bool {
     hi > lo && lo > hi * CLOSE
 }
 
-fn axis((lo, hi): (f64, f64), per_si: f64, pixels: (i32, i32)) -> Axis {
-    let (lo, hi) = (lo * per_si, hi * per_si);
-    let room = (hi - lo) * 0.05;
-    if would_squeeze(lo, hi) {
-        Axis::linear((lo - room, hi + room), pixels)
+fn axis(unit: &Unit, (lo, hi): (f64, f64)) -> Axis {
+    let (lo, hi) = (lo * unit.per_si, hi * unit.per_si);
+    let room = (hi - lo) * ROOM;
+    unit.axis(if would_squeeze(lo, hi) {
+        Scale::linear((lo - room, hi + room))
     } else {
-        Axis::from_zero((lo, hi), pixels)
-    }
-}
-
-impl Figure for Lengths {
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let header = Header { title: self.title.clone(), keys: Vec::new(), notes: self.notes.clone() };
-        let top = header.draw(paper)?;
-        let (xs, ys) = (self.along(|(x, _)| *x), self.along(|(_, y)| *y));
-        let Some((across, up)) = range(&xs).zip(range(&ys)) else { return nothing(paper, top) };
-        let y = Frame::below(top + MARGIN + GAP, SIZE.1 as i32, |pixels| axis(up, self.y.per_si, pixels));
-        let (left, right) = Frame::beside(&y, SIZE.0 as i32);
-        let x = axis(across, self.x.per_si, (left, right - MARGIN - GAP));
-        let frame = Frame { x, y };
-        frame.draw_y(paper, (&self.y.title, MARGIN + GAP))?;
-        frame.draw_upright_grid(paper)?;
-        self.draw_points(paper, &frame)?;
-        let beyond = self.points.len() - self.inside(&frame).count();
-        if beyond > 0 {
-            let remark = format!("{} beyond the axes", fixed(beyond as f64, 0));
-            frame.remark(paper, (&remark, MARGIN + GAP))?;
-        }
-        frame.draw_x(paper, &self.x.title, |tick| tick.text.clone())?;
-        let (base, side) = (y.pixels.1 - GAP, x.pixels.1 + GAP);
-        Self::draw_margin(paper, &xs, |from, to, length| {
-            let (from, to) = (x.at(from * self.x.per_si), x.at(to * self.x.per_si));
-            [(from + 1, base - length), ((to - 1).max(from + 3), base)]
-        })?;
-        Self::draw_margin(paper, &ys, |from, to, length| {
-            let (from, to) = (y.at(from * self.y.per_si), y.at(to * self.y.per_si));
-            [(side, to + 1), (side + length, (from - 1).max(to + 3))]
-        })
-    }
+        Scale::from_zero((lo, hi))
+    })
 }

@@ -1,29 +1,31 @@
-//! Figures: one drawing, as SVG and as PNG, legible at the width of one column.
+//! Kinds of figures: how each lays out what the analysis found.
 //!
-//! No system font is needed: the PNG's text is drawn with the font in `assets/`, and the SVG's stays text. What differs
-//! by colour differs by mark, dash or hatch as well.
+//! Every kind is a value with a method `figure` (or `plot`, or `items`) that makes a layout of `crate::plot`; both sheets draw it.
+//! What differs by colour differs by mark, dash or hatch as well. [`Distribution`], [`Stack`], [`cells`] and [`scaling_line`] are for
+//! pages too.
 
 mod accuracy;
 mod course;
+mod cumulative;
 mod histogram;
-mod kit;
 mod lengths;
 mod paired;
 mod scaling;
 mod sharing;
+mod stack;
 mod stacked;
-mod stage;
 
+pub use crate::plot::Unit;
 pub use accuracy::{Accuracy, Score};
 pub use course::{Course, Line};
-pub use histogram::{Bins, Histogram};
-pub use kit::{DOWNLOAD, Drawn, Figure, FigureError, Fill, Hatch, INK, Mark, Paper, UPLOAD, Unit};
-pub use lengths::{Lengths, would_squeeze};
+pub use cumulative::{Cumulative, CumulativeCurve};
+pub use histogram::{Bins, Distribution, Histogram, View};
+pub use lengths::{Lengths, cells, would_squeeze};
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
-pub use scaling::{Parts, Scaling, Series, Value};
+pub use scaling::{Parts, Scaling, Series, Value, line as scaling_line};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
+pub use stack::{Direction, Stack};
 pub use stacked::{Bar, Stacked};
-pub use stage::{UNATTRIBUTED, stage_fill, stage_line};
 
 #[cfg(test)]
 mod tests;

@@ -1,20 +1,29 @@
 //! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
 
 use peernet_statistics::number::bytes;
-use plotters::element::{PathElement, Rectangle};
-use plotters::prelude::DrawingBackend;
-use plotters::style::{Color, RGBColor, ShapeStyle};
 
-use super::kit::{Axis, Drawn, Figure, Frame, Header, Key, Mark, Paper, SIZE, Swatch, Unit};
+use crate::look::{Fill, Mark, Style, stage};
+use crate::plot::{At, Figure, Item, Key, Path, Plot, Swatch, Unit};
+use crate::scale::Scale;
 
-/// Half the distance between two series at one size.
-const APART: i32 = 13;
-/// Half the width of a bar.
-const BAR: i32 = 9;
-/// Half the width of a whisker's cap.
-const CAP: i32 = 11;
+/// Half the distance between two series at one size, points.
+const APART: f64 = 2.0;
+/// Half the width of a bar, points.
+const BAR: f64 = 1.35;
+/// Half the width of a whisker's cap, points.
+const CAP: f64 = 1.7;
+/// Width of the plot in a file, about, points.
+const ACROSS: f64 = 220.0;
+/// Radius of a point, and width of lines, points.
+const RADIUS: f64 = 1.9;
+const LINE: f64 = 0.75;
+const WHISKER: f64 = 0.45;
+/// Points of a line that is drawn: on logarithmic axes a straight line is a curve.
+const STEPS: u32 = 60;
 /// Room beyond the values at each end: this power of the range, but at least so much.
 const ROOM: (f64, f64) = (0.06, 1.15);
+/// The same on both sides of the sizes.
+const SIDES: f64 = 1.4;
 /// A level line so many times above or below all values would squeeze them: it is left out, and a note says so.
 const FAR: f64 = 20.0;
 
@@ -34,10 +43,10 @@ pub struct Value {
 /// One series.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// What it is, for the key.
+    /// What it is, for the legend.
     pub name: String,
-    /// Its colour.
-    pub colour: RGBColor,
+    /// The stage whose colour it has: `upload` or `download`.
+    pub stage: &'static str,
     /// Its mark.
     pub mark: Mark,
     /// A point per size.
@@ -67,7 +76,7 @@ pub struct Parts {
 /// A figure of series over size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scaling {
-    /// What is shown; nothing where it is empty.
+    /// What is shown.
     pub title: String,
     /// What stands along the vertical axis.
     pub unit: Unit,
@@ -104,9 +113,12 @@ impl Scaling {
         Some((height, height <= high * FAR && height >= low / FAR))
     }
 
+    fn is_far(&self, series: &Series) -> bool {
+        self.level(series).is_some_and(|(_, is_near)| !is_near)
+    }
+
     /// What is seen in the picture, and what is not.
     fn explained(&self) -> Vec<String> {
-        let far = |series: &Series| self.level(series).is_some_and(|(_, is_near)| !is_near);
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {
             parts.push("bar: 5th to 95th percentile".to_owned());
@@ -114,14 +126,14 @@ impl Scaling {
         if self.values().any(|value| value.whisker().is_some()) {
             parts.push(format!("whisker: {}", self.parts.whisker));
         }
-        if self.series.iter().any(|series| series.line.is_some() && !far(series)) {
+        if self.series.iter().any(|series| series.line.is_some() && !self.is_far(series)) {
             parts.push(format!("line: {}", self.parts.line));
         }
         let mut notes = vec![parts.join(" · ")];
         let beyond: Vec<&str> = self
             .series
             .iter()
-            .filter(|series| far(series))
+            .filter(|series| self.is_far(series))
             .map(|series| series.name.split(':').next().unwrap_or_default())
             .collect();
         if !beyond.is_empty() {
@@ -132,79 +144,80 @@ impl Scaling {
     }
 
     /// Axes that hold all values and level lines; `None` when there is no value above zero.
-    fn frame(&self, header: i32) -> Option<Frame> {
+    fn axes(&self) -> Option<Plot> {
         let sizes = self.values().map(|value| (value.bytes, value.bytes));
         let (small, large) = sizes.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))?;
         let levels = self.series.iter().filter_map(|series| self.level(series)).filter(|(_, near)| *near);
         let (low, high) = levels.fold(self.heights()?, |(lo, hi), (level, _)| (lo.min(level), hi.max(level)));
         let room = (high / low).powf(ROOM.0).max(ROOM.1);
-        let shown = (low * self.unit.per_si / room, high * self.unit.per_si * room);
-        let y = Frame::below(header, SIZE.1 as i32, |pixels| Axis::logarithmic(shown, pixels));
-        let x = Axis::logarithmic((small / 1.4, large * 1.4), Frame::beside(&y, SIZE.0 as i32));
-        Some(Frame { x, y })
+        let up = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
+        let sizes = Scale::logarithmic((small / SIDES, large * SIDES));
+        let sizes = crate::plot::Axis::new(sizes, "Size on the wire", "");
+        Some(Plot::new(sizes.labelled(|tick| bytes(tick.value).plain()), self.unit.axis(up).with_grid()))
     }
 
-    fn draw_series<DB: DrawingBackend>(
-        &self,
-        paper: &Paper<DB>,
-        Frame { x, y }: &Frame,
-        (series, aside): (&Series, i32),
-    ) -> Drawn<DB> {
-        let show = |value: f64| value * self.unit.per_si;
-        let colour = series.colour;
-        let is_far = self.level(series).is_some_and(|(_, is_near)| !is_near);
-        if let Some((intercept, slope)) = series.line.filter(|_| !is_far) {
-            let (left, right) = x.pixels;
-            let line: Vec<(i32, i32)> = if slope == 0.0 {
-                vec![(left, y.at(show(intercept))), (right, y.at(show(intercept)))]
-            } else {
-                let values = x.along(60).map(|bytes| (bytes, show(intercept + slope * bytes)));
-                let inside = values.filter(|(_, value)| y.has(*value));
-                // Aside like its points, so that they lie on it where they should.
-                let points = inside.map(|(bytes, value)| (x.at(bytes) + aside, y.at(value)));
-                points.filter(|(at, _)| (left..=right).contains(at)).collect()
-            };
-            series.mark.draw_line(paper, line, colour)?;
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let key = |series: &Series| {
+            let (line, mark) = look(series);
+            Key::new(Swatch::Curve(line, series.mark, mark), series.name.clone())
+        };
+        let plots = self.axes().map(|mut plot| {
+            let middle = self.series.len() as f64 - 1.0;
+            for (index, series) in self.series.iter().enumerate() {
+                let items = self.series_items(&plot, series, APART * (2.0 * index as f64 - middle));
+                plot.items.extend(items);
+            }
+            plot
+        });
+        Figure {
+            title: self.title.clone(),
+            legend: self.series.iter().map(key).collect(),
+            notes: self.explained(),
+            plots: plots.into_iter().collect(),
+            ..Figure::default()
         }
+    }
+
+    fn series_items(&self, plot: &Plot, series: &Series, aside: f64) -> Vec<Item> {
+        let show = |value: f64| value * self.unit.per_si;
+        let (line_style, mark_style) = look(series);
+        let mut items = Vec::new();
+        if let Some((intercept, slope)) = series.line.filter(|_| !self.is_far(series)) {
+            let line = line(plot, |bytes| show(intercept + slope * bytes));
+            // Aside like its points, so that they lie on it where they should.
+            let aside = if slope == 0.0 { 0.0 } else { aside };
+            items.push(Item::path(line.within(aside / ACROSS).aside(aside), line_style));
+        }
+        let colour = stage(series.stage).line_colour();
+        let bar = Style::area("bar", Fill::of(colour.tint(0.35)));
+        let whisker = Style::line("whisk2", colour, WHISKER);
         for value in series.values.iter().filter(|value| value.value > 0.0) {
-            let at = x.at(value.bytes) + aside;
-            let height = |value: f64| y.at(show(value));
+            let at = |height: f64| plot.at(value.bytes, show(height)).aside(aside, 0.0);
             if let Some((lo, hi)) = value.spread {
-                let bar = [(at - BAR, height(hi)), (at + BAR, height(lo))];
-                paper.draw(&Rectangle::new(bar, colour.mix(0.35).filled()))?;
+                items.push(Item::rect(at(lo).aside(-BAR, 0.0), at(hi).aside(BAR, 0.0), bar.clone()));
             }
             if let Some((lo, hi)) = value.whisker() {
-                let (below, above) = (height(lo), hi.map_or(y.pixels.1, height));
-                let whisker: ShapeStyle = colour.stroke_width(3);
-                paper.draw(&PathElement::new([(at, below), (at, above)], whisker))?;
+                let above = hi.map_or(At { y: 0.0, ..at(lo) }, at);
                 // A whisker that leaves the plot has no cap.
-                let ends =
-                    [(show(lo) >= y.values.0, below), (hi.is_some_and(|hi| show(hi) <= y.values.1), above)];
-                for (_, end) in ends.into_iter().filter(|(inside, _)| *inside) {
-                    paper.draw(&PathElement::new([(at - CAP, end), (at + CAP, end)], whisker))?;
-                }
+                let caps = [plot.y.scale.has(show(lo)), hi.is_some_and(|hi| plot.y.scale.has(show(hi)))];
+                items.extend(Item::whisker([at(lo), above], caps, CAP, &whisker));
             }
-            series.mark.draw(paper, (at, height(value.value)), colour)?;
+            items.push(Item::mark(at(value.value), series.mark, RADIUS, mark_style.clone()));
         }
-        Ok(())
+        items
     }
 }
 
-impl Figure for Scaling {
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let key = |series: &Series| Key::new(Swatch::Curve(series.colour, series.mark), series.name.clone());
-        let header = Header {
-            title: self.title.clone(),
-            keys: self.series.iter().map(key).collect(),
-            notes: self.explained(),
-        };
-        let Some(frame) = self.frame(header.draw(paper)?) else { return Ok(()) };
-        frame.draw_y(paper, (&self.unit.title, 0))?;
-        frame.draw_x(paper, "Size on the wire", |tick| bytes(tick.value).plain())?;
-        let middle = self.series.len() as i32 - 1;
-        for (index, series) in self.series.iter().enumerate() {
-            self.draw_series(paper, &frame, (series, APART * (2 * index as i32 - middle)))?;
-        }
-        Ok(())
-    }
+/// A function of the horizontal axis as far as it lies in the plot.
+pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
+    let values = plot.x.scale.along(STEPS).map(|x| (x, of(x)));
+    let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
+    Path::line(inside)
+}
+
+/// Style of the line and of the points.
+fn look(series: &Series) -> (Style, Style) {
+    let stage = stage(series.stage);
+    (stage.line(LINE).dashed(series.mark.dash()).with("fit"), stage.mark())
 }

@@ -1,23 +1,24 @@
 //! How latency grows with the number of edges that share one cloud, and how evenly they are served.
 
 use peernet_statistics::number::fixed;
-use plotters::element::PathElement;
-use plotters::prelude::DrawingBackend;
-use plotters::style::{Color, RGBColor};
 
-use super::histogram::nothing;
-use super::kit::{Axis, Drawn, Figure, Frame, Header, Key, Mark, Paper, SERIES, SIZE, Swatch, Tick, Unit};
+use crate::look::{Style, series};
+use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Unit};
+use crate::scale::{Scale, Tick};
 
 /// Most curves that can be told apart.
-pub const MOST_CURVES: usize = SERIES.len();
-/// Half the distance between two curves at one number of edges, pixels.
-const APART: i32 = 13;
-/// Half the width of a whisker's cap, and of the dash of a single edge.
-const CAP: i32 = 11;
-const DASH: i32 = 18;
-/// Height of the panel of fairness, and what lies between it and the plot above.
-const PANEL: i32 = 190;
-const BETWEEN: i32 = 116;
+pub const MOST_CURVES: usize = 4;
+/// Half the distance between two curves at one number of edges, points.
+const APART: f64 = 2.0;
+/// Half the width of a whisker's cap, and of the dash of a single edge, points.
+const CAP: f64 = 1.7;
+const DASH: f64 = 2.7;
+/// Radius of a point, and width of lines, points.
+const RADIUS: f64 = 1.9;
+const LINE: f64 = 0.75;
+const WHISKER: f64 = 0.45;
+/// Height of the plot of fairness, points.
+const FAIRNESS: f64 = 28.5;
 /// From this ratio of the most to the fewest edges on, their axis is logarithmic; from that of latencies theirs.
 const WIDE_EDGES: f64 = 8.0;
 const WIDE: f64 = 12.0;
@@ -40,7 +41,7 @@ pub struct Sharing {
 /// One configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingCurve {
-    /// For the key; nothing where it is empty.
+    /// For the legend; nothing where it is empty.
     pub name: String,
     /// The fewest edges first.
     pub points: Vec<SharingPoint>,
@@ -78,12 +79,16 @@ impl Sharing {
         self.points().any(|point| point.fairness.is_some())
     }
 
-    fn header(&self) -> Header {
+    fn legend(&self) -> Vec<Key> {
         let named = self.curves.iter().enumerate().filter(|(_, curve)| !curve.name.is_empty());
         let key = |(number, curve): (usize, &SharingCurve)| {
-            let (colour, mark) = look(number);
-            Key::new(Swatch::Curve(colour, mark), curve.name.clone())
+            let look = series(number);
+            Key::new(Swatch::Curve(look.line(LINE), look.mark, look.marks()), curve.name.clone())
         };
+        named.map(key).collect()
+    }
+
+    fn notes(&self) -> Vec<String> {
         let mut parts = vec!["mark: median"];
         if self.points().any(|point| point.p95.is_some()) {
             parts.push("whisker: to the 95th percentile");
@@ -91,21 +96,25 @@ impl Sharing {
         if self.points().any(|point| point.each.len() > 1) {
             parts.push("dash: one edge’s median");
         }
-        let notes = std::iter::once(parts.join(" · ")).chain(self.notes.iter().cloned());
-        Header { title: self.title.clone(), keys: named.map(key).collect(), notes: notes.collect() }
+        std::iter::once(parts.join(" · ")).chain(self.notes.iter().cloned()).collect()
     }
 
     /// Whole edges, marked where they were measured.
-    fn across(&self, pixels: (i32, i32)) -> Option<Axis> {
+    fn across(&self) -> Option<Axis> {
         let edges = self.edges();
         let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);
-        Some(if many >= few * WIDE_EDGES {
+        let scale = if many >= few * WIDE_EDGES {
             let room = (many / few).powf(ROOM);
-            Axis::logarithmic((few / room, many * room), pixels)
+            Scale::logarithmic((few / room, many * room))
         } else {
             let room = ((many - few) * ROOM).max(0.5);
-            Axis::linear((few - room, many + room), pixels)
-        })
+            Scale::linear((few - room, many + room))
+        };
+        let tick = |edges: usize| {
+            let value = edges as f64;
+            Tick { value, at: scale.at(value), text: fixed(value, 0) }
+        };
+        Some(Axis::new(scale, "Edges at once", "").marked(Marks::At(edges.into_iter().map(tick).collect())))
     }
 
     /// From the lowest to the highest that is known, as shown.
@@ -118,93 +127,89 @@ impl Sharing {
         self.points().map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    fn draw_curve<DB: DrawingBackend>(
-        &self,
-        paper: &Paper<DB>,
-        frame: &Frame,
-        (number, curve): (usize, &SharingCurve),
-    ) -> Drawn<DB> {
-        let (colour, mark) = look(number);
-        let across = |point: &SharingPoint| frame.x.at(point.edges as f64) + self.aside(number);
-        let up = |value: f64| frame.y.at(value * self.unit.per_si);
-        let shown = || curve.points.iter().filter(|point| point.median.is_finite());
-        for point in shown() {
-            let at = across(point);
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let plots =
+            self.latencies().zip(self.across()).map(|(latencies, across)| self.plots(latencies, across));
+        Figure {
+            title: self.title.clone(),
+            legend: self.legend(),
+            notes: self.notes(),
+            plots: plots.unwrap_or_default(),
+            ..Figure::default()
+        }
+    }
+
+    fn plots(&self, (low, high): (f64, f64), across: Axis) -> Vec<Plot> {
+        let up = if low > 0.0 && high > low * WIDE {
+            let room = (high / low).powf(ROOM);
+            Scale::logarithmic((low / room, high * room))
+        } else {
+            Scale::from_zero((0.0, high))
+        };
+        let mut latency = Plot::new(across.clone(), self.unit.axis(up).with_grid());
+        for (number, curve) in self.curves.iter().enumerate() {
+            let items = self.curve(&latency, number, curve);
+            latency.items.extend(items);
+        }
+        if !self.has_fairness() {
+            return vec![latency];
+        }
+        let shares = Scale::linear((0.0, 1.0));
+        let index = Axis::new(shares, "Fairness of answers/s (Jain’s index)", "").with_grid();
+        let mut fairness = Plot::new(across, index);
+        fairness.height = Height::Points(FAIRNESS);
+        for (number, curve) in self.curves.iter().enumerate() {
+            let known = curve.points.iter().filter(|point| point.median.is_finite());
+            let known = known.filter_map(|point| Some((point.edges as f64, point.fairness?)));
+            let items = self.line(&fairness, number, known.collect());
+            fairness.items.extend(items);
+        }
+        // The numbers of edges stand below both.
+        latency.x.title.clear();
+        if let Marks::At(ticks) = &mut latency.x.marks {
+            ticks.iter_mut().for_each(|tick| tick.text.clear());
+        }
+        vec![latency, fairness]
+    }
+
+    fn curve(&self, plot: &Plot, number: usize, curve: &SharingCurve) -> Vec<Item> {
+        let look = series(number);
+        let (dash, whisker) =
+            (Style::line("faint", look.colour.tint(0.5), LINE), Style::line("whisk2", look.colour, WHISKER));
+        let known = || curve.points.iter().filter(|point| point.median.is_finite());
+        let mut items = Vec::new();
+        for point in known() {
+            let at = |value: f64| {
+                plot.at(point.edges as f64, value * self.unit.per_si).aside(self.aside(number), 0.0)
+            };
             for value in point.each.iter().filter(|value| value.is_finite() && point.each.len() > 1) {
-                let dash = [(at - DASH, up(*value)), (at + DASH, up(*value))];
-                paper.draw(&PathElement::new(dash, colour.mix(0.45).stroke_width(5)))?;
+                items.push(Item::line(
+                    at(*value).aside(-DASH, 0.0),
+                    at(*value).aside(DASH, 0.0),
+                    dash.clone(),
+                ));
             }
             if let Some(late) = point.p95.filter(|late| late.is_finite()) {
-                let pen = colour.stroke_width(3);
-                paper.draw(&PathElement::new([(at, up(point.median)), (at, up(late))], pen))?;
-                paper.draw(&PathElement::new([(at - CAP, up(late)), (at + CAP, up(late))], pen))?;
+                items.extend(Item::whisker([at(point.median), at(late)], [false, true], CAP, &whisker));
             }
         }
-        mark.draw_curve(paper, shown().map(|point| (across(point), up(point.median))).collect(), colour)
+        let medians = known().map(|point| (point.edges as f64, point.median * self.unit.per_si));
+        items.extend(self.line(plot, number, medians.collect()));
+        items
     }
 
-    fn draw_fairness<DB: DrawingBackend>(&self, paper: &Paper<DB>, frame: &Frame) -> Drawn<DB> {
-        for (number, curve) in self.curves.iter().enumerate() {
-            let (colour, mark) = look(number);
-            let points = curve.points.iter().filter(|point| point.median.is_finite());
-            let points = points.filter_map(|point| {
-                Some((frame.x.at(point.edges as f64) + self.aside(number), frame.y.at(point.fairness?)))
-            });
-            mark.draw_curve(paper, points.collect(), colour)?;
-        }
-        Ok(())
+    /// A curve through some values, with its marks.
+    fn line(&self, plot: &Plot, number: usize, values: Vec<(f64, f64)>) -> Vec<Item> {
+        let (look, aside) = (series(number), self.aside(number));
+        let places: Vec<_> = values.into_iter().map(|(x, y)| plot.at(x, y)).collect();
+        let line = Path::line(places.iter().map(|at| Some((at.x, at.y)))).aside(aside);
+        let line = (places.len() > 1).then(|| Item::path(line, look.line(LINE)));
+        let marks = places.iter().map(|at| Item::mark(at.aside(aside, 0.0), look.mark, RADIUS, look.marks()));
+        line.into_iter().chain(marks).collect()
     }
 
-    fn aside(&self, number: usize) -> i32 {
-        APART * (2 * number as i32 - (self.curves.len() as i32 - 1))
-    }
-}
-
-fn up((low, high): (f64, f64), pixels: (i32, i32)) -> Axis {
-    if low > 0.0 && high > low * WIDE {
-        let room = (high / low).powf(ROOM);
-        Axis::logarithmic((low / room, high * room), pixels)
-    } else {
-        Axis::from_zero((0.0, high), pixels)
-    }
-}
-
-fn look(number: usize) -> (RGBColor, Mark) {
-    (SERIES[number % MOST_CURVES], Mark::ALL[number % MOST_CURVES])
-}
-
-impl Figure for Sharing {
-    fn size(&self) -> (u32, u32) {
-        let panel = if self.has_fairness() { PANEL + BETWEEN } else { 0 };
-        (SIZE.0, SIZE.1 + panel as u32)
-    }
-
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let top = self.header().draw(paper)?;
-        let Some(latencies) = self.latencies() else { return nothing(paper, top) };
-        let up = Frame::below(top, SIZE.1 as i32, |pixels| up(latencies, pixels));
-        let base = up.pixels.0 + BETWEEN + PANEL;
-        let fair = self.has_fairness().then(|| Axis::linear((0.0, 1.0), (base, base - PANEL)));
-        let begins = |axis: &Axis| Frame::beside(axis, SIZE.0 as i32).0;
-        let left = begins(&up).max(fair.as_ref().map_or(0, begins));
-        let Some(x) = self.across((left, Frame::beside(&up, SIZE.0 as i32).1)) else { return Ok(()) };
-        let count = |edges: usize| Tick { value: edges as f64, text: fixed(edges as f64, 0) };
-        let ticks: Vec<Tick> = self.edges().into_iter().map(count).collect();
-        let frame = Frame { x, y: up };
-        frame.draw_y(paper, (&self.unit.title, 0))?;
-        for (number, curve) in self.curves.iter().enumerate() {
-            self.draw_curve(paper, &frame, (number, curve))?;
-        }
-        let lowest = match fair {
-            None => frame,
-            Some(fair) => {
-                let panel = Frame { x, y: fair };
-                frame.draw_base(paper, &ticks)?;
-                panel.draw_y(paper, ("Fairness of answers/s (Jain’s index)", 0))?;
-                self.draw_fairness(paper, &panel)?;
-                panel
-            }
-        };
-        lowest.draw_x_at(paper, "Edges at once", &ticks)
+    fn aside(&self, number: usize) -> f64 {
+        APART * (2.0 * number as f64 - (self.curves.len() as f64 - 1.0))
     }
 }

@@ -1,34 +1,34 @@
 //! What the stages of several configurations add up to: a bar each, with how much their sum varies.
 
 use peernet_statistics::number::fixed;
-use plotters::element::PathElement;
-use plotters::prelude::DrawingBackend;
-use plotters::style::text_anchor::{HPos, VPos};
-use plotters::style::{Color, WHITE};
 
-use super::histogram::nothing;
-use super::kit::{
-    Axis, Drawn, Figure, Frame, Header, INK, Key, Paper, SIZE, SMALL, Swatch, TEXT, Unit, fill,
-    shorten_apart, style, text, text_on_ground, width,
-};
-use super::stage::stage_fill;
+use super::stack::{Direction, Stack};
+use crate::look::{Style, TextStyle, stage};
+use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
+use crate::scale::{Scale, Tick};
+use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
+use crate::text::width;
 
-/// Height of a lying bar with its room, pixels.
-const ROW: i32 = 96;
+/// Height of a lying bar with its room, points.
+const ROW: f64 = 14.4;
 /// The same where there are many: sixty are a page.
-const CLOSE: i32 = 64;
+const CLOSE: f64 = 10.0;
 /// From how many bars on they stand closer.
 const MANY: usize = 16;
 /// Most bars that stand upright: their labels stand below.
 const MOST_UPRIGHT: usize = 6;
-/// Height of the words above an upright bar, pixels.
-const WORDS: i32 = SMALL + 20;
-/// What of a part is seen however little it is, pixels.
-const THIN: i32 = 4;
-/// Width of the line between two parts, pixels.
-const PARTING: u32 = 3;
-/// Half the width of an error bar's cap.
-const CAP: i32 = 12;
+/// What is beside the bars of an upright plot, points.
+const MARGIN: f64 = 39.0;
+/// What is beside lying bars and their names, and what parts a sum from its bar, points.
+const BESIDE: f64 = 16.0;
+const AFTER: f64 = 4.5;
+/// Share of a bar's room that the bar takes, and its largest share of the plot.
+const THICK: f64 = 0.6;
+const WIDEST: f64 = 0.19;
+/// Share of the plot's height that the words above the tallest bar take.
+const WORDS: f64 = 0.12;
+/// Half the width of an error bar's cap, points.
+const CAP: f64 = 1.8;
 
 /// Bars of stages.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,38 +58,6 @@ pub struct Bar {
     pub std: Option<f64>,
 }
 
-/// Where bars lie: along the axis of values and across it.
-struct Places {
-    values: Axis,
-    upright: bool,
-}
-
-impl Places {
-    /// The rectangle between two values and two places across, left upper corner first.
-    fn area(&self, (from, to): (f64, f64), (near, far): (i32, i32)) -> [(i32, i32); 2] {
-        let (from, to) = (self.values.at(from), self.values.at(to));
-        let (low, high) = (from.min(to), from.max(to));
-        if self.upright { [(near, low), (far, high)] } else { [(low, near), (high, far)] }
-    }
-
-    /// How far an area reaches along the axis of values, pixels.
-    fn extent(&self, [low, high]: [(i32, i32); 2]) -> i32 {
-        if self.upright { high.1 - low.1 } else { high.0 - low.0 }
-    }
-
-    /// The area, or one that can be seen if it cannot.
-    fn at_least(&self, extent: i32, area: [(i32, i32); 2]) -> [(i32, i32); 2] {
-        let [low, high] = area;
-        let lack = (extent - self.extent(area)).max(0);
-        if self.upright { [(low.0, low.1 - lack), high] } else { [low, (high.0 + lack, high.1)] }
-    }
-
-    fn point(&self, value: f64, across: i32) -> (i32, i32) {
-        let at = self.values.at(value);
-        if self.upright { (across, at) } else { (at, across) }
-    }
-}
-
 impl Bar {
     /// From where to where it reaches, its error bar included.
     fn range(&self) -> (f64, f64) {
@@ -112,26 +80,12 @@ impl Bar {
 impl Stacked {
     /// Few bars with short labels stand upright.
     fn is_upright(&self) -> bool {
-        let room = (SIZE.0 as i32 - 260) / self.bars.len().max(1) as i32 - 20;
-        let fits = |words: &str, height: i32| width(words, height) <= room;
+        let room = (WIDTH - MARGIN) / self.bars.len().max(1) as f64 - 3.0;
+        let fits = |words: &str, size: f64| width(words, size) <= room;
         self.bars.len() <= MOST_UPRIGHT
             && self.bars.iter().all(|bar| {
                 bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.words(&self.unit), SMALL)
             })
-    }
-
-    /// The labels' lines below upright bars.
-    fn lines(&self) -> i32 {
-        self.bars.iter().map(|bar| bar.label.split(", ").count()).max().unwrap_or(1) as i32
-    }
-
-    fn row(&self) -> i32 {
-        if self.bars.len() > MANY { CLOSE } else { ROW }
-    }
-
-    fn header(&self) -> Header {
-        let keys = self.stages.iter().map(|stage| Key::new(Swatch::Area(stage_fill(stage)), stage.clone()));
-        Header { title: self.title.clone(), keys: keys.collect(), notes: self.notes.clone() }
     }
 
     fn range(&self) -> (f64, f64) {
@@ -140,118 +94,98 @@ impl Stacked {
         (lo * self.unit.per_si, hi * self.unit.per_si)
     }
 
-    fn draw_bar<DB: DrawingBackend>(
-        &self,
-        paper: &Paper<DB>,
-        places: &Places,
-        (bar, middle, half): (&Bar, i32, i32),
-    ) -> Drawn<DB, (i32, i32)> {
-        let shown = |value: f64| value * self.unit.per_si;
-        let across = (middle - half, middle + half);
-        let (mut below, mut above) = (0.0, 0.0);
-        for (stage, mean) in self.stages.iter().zip(&bar.means).filter(|(_, mean)| **mean != 0.0) {
-            let end = if *mean < 0.0 { &mut below } else { &mut above };
-            let from = *end;
-            *end += mean;
-            let area = places.area((shown(from), shown(*end)), across);
-            fill(paper, places.at_least(THIN, area), stage_fill(stage))?;
-            // Parts are parted, so that neighbours of one grey do not run together.
-            if from != 0.0 && places.extent(area) > 2 * THIN {
-                let edge = [places.point(shown(from), across.0), places.point(shown(from), across.1)];
-                paper.draw(&PathElement::new(edge, WHITE.stroke_width(PARTING)))?;
-            }
-        }
-        let total = bar.total;
-        let mut end = total.max(above);
-        if let Some(std) = bar.std.filter(|std| *std > 0.0) {
-            let (lo, hi) = (shown(total - std), shown(total + std));
-            end = end.max(total + std);
-            for (colour, wide) in [(WHITE, 13), (INK, 5)] {
-                let style = colour.stroke_width(wide);
-                let stem = [places.point(lo, middle), places.point(hi, middle)];
-                paper.draw(&PathElement::new(stem, style))?;
-                for value in [lo, hi].into_iter().filter(|value| places.values.has(*value)) {
-                    let cap = [places.point(value, middle - CAP), places.point(value, middle + CAP)];
-                    paper.draw(&PathElement::new(cap, style))?;
-                }
-            }
-        }
-        Ok(places.point(shown(end), middle))
-    }
-
-    fn draw_upright<DB: DrawingBackend>(&self, paper: &Paper<DB>, top: i32) -> Drawn<DB> {
-        let extra = (self.lines() - 1) * TEXT;
-        let (wide, high) = paper.dim_in_pixel();
-        let (low, above) = self.range();
-        // The words above the tallest bar are below the axis' title.
-        let values = Frame::below(top, high as i32 - extra + 40, |(bottom, top)| {
-            let plot = f64::from(bottom - top).max(f64::from(2 * WORDS));
-            let room = (above - low) * f64::from(WORDS) / (plot - f64::from(WORDS));
-            Axis::from_zero((low, above + room), (bottom, top))
-        });
-        let pixels = Frame::beside(&values, wide as i32);
-        let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y: values };
-        frame.draw_y(paper, (&self.unit.title, 0))?;
-        let places = Places { values, upright: true };
-        let step = (pixels.1 - pixels.0) / self.bars.len().max(1) as i32;
-        for (number, bar) in self.bars.iter().enumerate() {
-            let middle = pixels.0 + step * number as i32 + step / 2;
-            let (x, y) = self.draw_bar(paper, &places, (bar, middle, (step * 3 / 10).min(140)))?;
-            let look = style(SMALL, INK, HPos::Center, VPos::Bottom);
-            text_on_ground(paper, &bar.words(&self.unit), (x, y - 14), look)?;
-            for (line, words) in bar.label.split(", ").enumerate() {
-                let at = (middle, values.pixels.0 + 24 + TEXT * line as i32);
-                let look = style(TEXT, INK, HPos::Center, VPos::Top);
-                text(paper, words.to_owned(), at, look)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn draw_lying<DB: DrawingBackend>(&self, paper: &Paper<DB>, top: i32) -> Drawn<DB> {
-        let (wide, row) = (paper.dim_in_pixel().0 as i32, self.row());
-        let height = if row == CLOSE { SMALL } else { TEXT };
-        let widest = |words: &dyn Fn(&Bar) -> String, height: i32| {
-            self.bars.iter().map(|bar| width(&words(bar), height)).max().unwrap_or_default()
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let key = |name: &String| Key::new(Swatch::Area(stage(name).area()), name.clone());
+        let plots = match self.is_upright() {
+            _ if self.bars.is_empty() => Vec::new(),
+            true => vec![self.upright()],
+            false => vec![self.lying()],
         };
-        let room = widest(&|bar| bar.label.clone(), height).min(wide * 2 / 5);
-        let sums = widest(&|bar| bar.words(&self.unit), SMALL);
-        let values = Axis::from_zero(self.range(), (40 + room + 24, wide - 60 - sums));
-        let bottom = top + 10 + row * self.bars.len() as i32;
-        // No axis of values goes upward here: rows do.
-        let frame = Frame { x: values, y: Axis::linear((0.0, 1.0), (bottom + 6, top)) };
-        frame.draw_upright_grid(paper)?;
-        let places = Places { values, upright: false };
-        let labels: Vec<&str> = self.bars.iter().map(|bar| bar.label.as_str()).collect();
-        let labels = shorten_apart(&labels, height, room);
-        for (number, (bar, label)) in self.bars.iter().zip(labels).enumerate() {
-            let middle = top + 10 + row * number as i32 + row / 2;
-            let look = style(height, INK, HPos::Left, VPos::Center);
-            text(paper, label, (40, middle), look)?;
-            let (x, y) = self.draw_bar(paper, &places, (bar, middle, row * 3 / 10))?;
-            let look = style(SMALL, INK, HPos::Left, VPos::Center);
-            text_on_ground(paper, &bar.words(&self.unit), (x + 18, y), look)?;
-        }
-        frame.draw_x(paper, &self.unit.title, |tick| tick.text.clone())
-    }
-}
-
-impl Figure for Stacked {
-    fn size(&self) -> (u32, u32) {
-        if self.bars.is_empty() || self.is_upright() {
-            return SIZE;
-        }
-        let header = self.header().height(SIZE.0 as i32);
-        let height = header + self.row() * self.bars.len() as i32 + 200;
-        (SIZE.0, height.max(0) as u32)
+        let legend = self.stages.iter().map(key).collect();
+        Figure { title: self.title.clone(), legend, notes: self.notes.clone(), plots, ..Figure::default() }
     }
 
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let top = self.header().draw(paper)?;
-        match self.is_upright() {
-            _ if self.bars.is_empty() => nothing(paper, top),
-            true => self.draw_upright(paper, top),
-            false => self.draw_lying(paper, top),
+    fn upright(&self) -> Plot {
+        let (low, high) = self.range();
+        let values = Scale::from_zero((low, high + (high - low) * WORDS));
+        let count = self.bars.len() as f64;
+        let place = |number: usize| (number as f64 + 0.5) / count;
+        let names = self.bars.iter().enumerate().map(|(number, bar)| Tick {
+            value: 0.0,
+            at: place(number),
+            text: bar.label.replace(", ", "\n"),
+        });
+        let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
+        let mut plot = Plot::new(names, self.unit.axis(values).with_grid());
+        let half = (THICK / count / 2.0).min(WIDEST / 2.0);
+        for (number, bar) in self.bars.iter().enumerate() {
+            let (items, end) = self.bar(bar, values, (place(number), half), Direction::Upright);
+            plot.items.extend(items);
+            let label = Label::new(
+                Direction::Upright.at(values.at(end), place(number)),
+                bar.words(&self.unit),
+                TextStyle::MARK,
+            );
+            plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, -0.35)));
         }
+        plot
+    }
+
+    fn lying(&self) -> Plot {
+        let values = Scale::from_zero(self.range());
+        let count = self.bars.len() as f64;
+        let place = |number: usize| (number as f64 + 0.5) / count;
+        let names = self.bars.iter().enumerate();
+        let names =
+            names.map(|(number, bar)| Tick { value: 0.0, at: 1.0 - place(number), text: bar.label.clone() });
+        let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
+        let mut plot = Plot::new(self.unit.axis(values).with_grid(), names);
+        plot.height = Height::Points(count * if self.bars.len() > MANY { CLOSE } else { ROW });
+        plot.free = self.free(values);
+        for (number, bar) in self.bars.iter().enumerate() {
+            let (items, end) = self.bar(bar, values, (place(number), THICK / count / 2.0), Direction::Level);
+            plot.items.extend(items);
+            let at = Direction::Level.at(values.at(end), place(number));
+            plot.items
+                .push(Item::Text(Label::new(at, bar.words(&self.unit), TextStyle::MARK).shifted(0.4, 0.36)));
+        }
+        plot
+    }
+
+    /// Points at the right of lying bars that their sums need: as few as every bar leaves room for.
+    fn free(&self, values: Scale) -> f64 {
+        let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
+        let across = WIDTH - BESIDE - names.min(MOST_NAME);
+        let plot = |bar: &Bar| {
+            let sum = width(&bar.words(&self.unit), SMALL) + AFTER;
+            (across - sum) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
+        };
+        across - self.bars.iter().map(plot).fold(across, f64::min)
+    }
+
+    /// A bar with its error bar, about a place across; and where it ends, as shown.
+    fn bar(
+        &self,
+        bar: &Bar,
+        values: Scale,
+        (middle, half): (f64, f64),
+        direction: Direction,
+    ) -> (Vec<Item>, f64) {
+        let shown = |value: f64| value * self.unit.per_si;
+        let parts = self.stages.iter().map(String::as_str).zip(bar.means.iter().map(|mean| shown(*mean)));
+        let stack = Stack { parts: parts.collect(), scale: values };
+        let mut items = stack.items((middle - half, middle + half), direction);
+        let mut end = shown(bar.total).max(stack.end());
+        if let Some(std) = bar.std.map(shown).filter(|std| *std > 0.0) {
+            let total = shown(bar.total);
+            end = end.max(total + std);
+            let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
+            let caps = [total - std, total + std].map(|value| values.has(value));
+            for style in [Style::halo(), Style::whisker()] {
+                items.extend(direction.whisker(ends, caps, CAP, &style));
+            }
+        }
+        (items, end)
     }
 }

@@ -17,7 +17,8 @@ impl<'a> Configured<'a> {
         let Configurations { axes, labels } = Configurations::of(runs);
         let mut groups: Vec<(String, Vec<&Loaded>)> = Vec::new();
         for (labels, run) in labels.iter().zip(runs) {
-            let label = labels.join(", ");
+            let parts = axes.iter().zip(labels).map(|(axis, value)| readable(axis, value));
+            let label = parts.collect::<Vec<_>>().join(", ");
             match groups.iter_mut().find(|(other, _)| *other == label) {
                 Some((_, runs)) => runs.push(run),
                 None => groups.push((label, vec![run])),
@@ -27,7 +28,29 @@ impl<'a> Configured<'a> {
     }
 }
 
+/// Returns the value of an axis as it reads without the axis' name: `no resize` instead of `no`, `edges 4` instead of `4`.
+fn readable(axis: &str, value: &str) -> String {
+    match value {
+        "yes" | "true" | "on" => axis.to_owned(),
+        "no" | "none" | "false" | "off" => format!("no {axis}"),
+        number if number.parse::<f64>().is_ok() => format!("{axis} {number}"),
+        name => name.to_owned(),
+    }
+}
+
 /// Their rows that count.
 pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_reads_without_the_name_of_its_axis() {
+        let read = |axis, value| readable(axis, value);
+        assert_eq!([read("resize", "no"), read("resize", "yes")], ["no resize", "resize"]);
+        assert_eq!([read("edges", "4"), read("network", "LAN")], ["edges 4", "LAN"]);
+    }
 }

@@ -6,7 +6,7 @@ use peernet_stream::PlacementKind;
 use super::columns::{account, heading, titled, too_large, unit, values};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
-use crate::drawing::{Fill, Hatch, Histogram, stage_fill};
+use crate::drawing::Histogram;
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::Ordered;
@@ -46,12 +46,10 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
     notes.extend(too_large(rows.iter(), &[column]));
     notes.extend(clocks(rows, column));
     notes.extend(impossible(column, &values));
-    // Bars stand side by side: a hatch would only blur them.
-    let fill = stage_fill(column.trim_end_matches("-throughput"));
     Histogram {
         title: titled(what, &record.title),
         unit: unit(&record.units, column, what),
-        fill: Fill::dark(fill.colour, Hatch::Plain),
+        stage: column.to_owned(),
         values,
         notes,
     }

@@ -34,6 +34,7 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
         title: titled(&format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")), &run.record.title),
         x: unit(&run.record.units, &x, &heading(&x)),
         y: unit(&run.record.units, &y, &heading(&y)),
+        stage: y.clone(),
         notes: std::iter::once(account(&run.rows.iter(), points.len()))
             .chain(too_large(run.rows.iter(), &[x.as_str(), y.as_str()]))
             .collect(),

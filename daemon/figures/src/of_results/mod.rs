@@ -1,8 +1,8 @@
 //! Results as figures: which of them a run or an experiment has, and under which names they are written.
 //!
 //! ```text
-//! Loaded ─┬─ histograms, length, series      of each run
-//!         └─ stacked, accuracy, paired, payload, users   of all together
+//! Loaded ─┬─ histograms, cumulative, length, series   of each run
+//!         └─ stacked, totals, accuracy, paired, payload, users   of all together
 //! ```
 //!
 //! What figures look like is the business of [`crate::drawing`].
@@ -10,6 +10,7 @@
 mod accuracy;
 mod columns;
 mod configured;
+mod cumulative;
 mod histograms;
 mod length;
 mod missing_data;
@@ -17,6 +18,7 @@ mod paired;
 mod payload;
 mod series;
 mod stacked;
+mod totals;
 mod users;
 mod written;
 
@@ -35,12 +37,16 @@ use peernet_analysis::rows::Rows;
 pub enum Kind {
     /// The six histograms of the published program.
     Histograms,
+    /// Share of iterations up to each latency, of the total and its longest stages.
+    Cumulative,
     /// Stages over time.
     Series,
     /// Response length against latency.
     Length,
     /// What the stages of each configuration add up to.
     Stacked,
+    /// Share of iterations up to each total, of each configuration.
+    Totals,
     /// Accuracy of each configuration against its latency.
     Accuracy,
     /// A model's latency here and there.
@@ -53,11 +59,13 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind: those of single runs first.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Histograms,
+        Self::Cumulative,
         Self::Series,
         Self::Length,
         Self::Stacked,
+        Self::Totals,
         Self::Accuracy,
         Self::Paired,
         Self::Payload,
@@ -68,9 +76,11 @@ impl Kind {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Histograms => "histograms",
+            Self::Cumulative => "cumulative",
             Self::Series => "series",
             Self::Length => "length",
             Self::Stacked => "stacked",
+            Self::Totals => "totals",
             Self::Accuracy => "accuracy",
             Self::Paired => "paired",
             Self::Payload => "payload",
@@ -80,7 +90,7 @@ impl Kind {
 
     /// Whether each run has one of its own.
     pub const fn is_of_one_run(self) -> bool {
-        matches!(self, Self::Histograms | Self::Series | Self::Length)
+        matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
     /// Whether results of every kind have it, so that whoever draws all that there is misses it.
@@ -91,10 +101,14 @@ impl Kind {
     /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
-            Self::Stacked | Self::Accuracy => configured::Configured::of(runs).groups.len() > 1,
+            Self::Stacked | Self::Totals | Self::Accuracy => {
+                configured::Configured::of(runs).groups.len() > 1
+            }
             Self::Paired => runs.len() > 1,
             Self::Users => users::have_curves(runs),
-            Self::Histograms | Self::Series | Self::Length | Self::Payload => !runs.is_empty(),
+            Self::Histograms | Self::Cumulative | Self::Series | Self::Length | Self::Payload => {
+                !runs.is_empty()
+            }
         }
     }
 }
@@ -102,7 +116,7 @@ impl Kind {
 /// The columns that were asked for; else each kind takes its own.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// The horizontal axis: the column of a histogram, the length of a response.
+    /// The horizontal axis: the column of a histogram or of a cumulative distribution, the length of a response.
     pub x: Option<String>,
     /// The vertical axis: a latency.
     pub y: Option<String>,
@@ -119,21 +133,22 @@ pub enum PlotError {
     Write(#[from] WriteError),
 }
 
-/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, and its `series` as `.png` and
-/// `.svg` into a folder; returns what was written. A run that sent nothing over a network has histograms of
-/// sensing and inference alone; one of which there are no values at all says so. A run without any total has no
-/// `series`.
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its
+/// `series` into a folder, each as `.png`, `.svg`, `.pdf` and, with all that is to be said of it, `-caption.txt`; returns what was
+/// written. A run that sent nothing over a network has histograms of sensing and inference alone; one of which there are no values at
+/// all says so. A run without any total has neither `cumulative` nor `series`.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::published(record, rows);
     // Without a total there is no course of it.
+    drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
     Ok(written::write(&drawings, folder)?.files)
 }
 
-/// Draws what several runs have together, as far as there is something to show: `stacked` and `accuracy` of several
+/// Draws what several runs have together, as far as there is something to show: `stacked`, `totals` and `accuracy` of several
 /// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
 ///
 /// # Errors
@@ -160,9 +175,11 @@ pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Re
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
     let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
+        Kind::Cumulative => cumulative::drawings(&first.record, &first.rows, columns.x.as_deref()),
         Kind::Series => series::drawings(&first.record, &first.rows),
         Kind::Length => length::drawings(first, columns),
         Kind::Stacked => stacked::drawings(runs),
+        Kind::Totals => totals::drawings(runs),
         Kind::Accuracy => accuracy::drawings(runs),
         Kind::Paired => paired::drawings(runs, columns.y.as_deref()),
         Kind::Payload => payload::drawings(runs),

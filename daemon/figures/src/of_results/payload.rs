@@ -7,7 +7,8 @@ use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_wit
 use super::columns::{is_drawable, left_out, titled, too_large};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
-use crate::drawing::{DOWNLOAD, Mark, Parts, Scaling, Series, UPLOAD, Unit, Value};
+use crate::drawing::{Parts, Scaling, Series, Unit, Value};
+use crate::look::Mark;
 use peernet_analysis::compare::Configurations;
 use peernet_analysis::fit::{Fit, Point, Weighted, least_squares, rate};
 use peernet_analysis::loaded::Loaded;
@@ -208,13 +209,12 @@ impl Way {
         Self { name, fit: fit(&sizes), sizes, unknown }
     }
 
-    fn series(&self, number: usize, name: String, value: &dyn Fn(&Size) -> Option<Value>) -> Series {
-        let looks = [("upload", UPLOAD, Mark::Disc), ("download", DOWNLOAD, Mark::Triangle)];
-        let look = looks.into_iter().find(|(name, ..)| *name == self.name).unwrap_or(looks[number % 2]);
+    fn series(&self, name: String, value: &dyn Fn(&Size) -> Option<Value>) -> Series {
+        let mark = if self.name == "upload" { Mark::Disc } else { Mark::Triangle };
         Series {
             name,
-            colour: look.1,
-            mark: look.2,
+            stage: self.name,
+            mark,
             values: self.sizes.iter().filter_map(value).collect(),
             line: None,
         }
@@ -277,7 +277,7 @@ fn latency(study: &Study) -> Scaling {
             bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
         })
     };
-    let series = study.ways.iter().enumerate().map(|(number, way)| {
+    let series = study.ways.iter().map(|way| {
         let name = match (way.fit, way.growing()) {
             (_, Some(Fit { intercept, .. })) => {
                 let least = mean_std(intercept.value, intercept.margin());
@@ -293,7 +293,7 @@ fn latency(study: &Study) -> Scaling {
             (None, None) => way.name.to_owned(),
         };
         let line = way.growing().map(|fit| (fit.intercept.value, fit.slope.value));
-        Series { line, ..way.series(number, name, &value) }
+        Series { line, ..way.series(name, &value) }
     });
     Scaling {
         title: titled("One-way delay against payload", &study.whose),
@@ -315,12 +315,12 @@ fn throughput(study: &Study) -> Scaling {
             bounds,
         })
     };
-    let series = study.ways.iter().enumerate().map(|(number, way)| {
+    let series = study.ways.iter().map(|way| {
         let name = way.rate().map_or_else(
             || way.name.to_owned(),
             |(rate, margin)| format!("{}: {} MB/s", way.name, throughput_with(rate, margin)),
         );
-        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(number, name, &value) }
+        Series { line: way.rate().map(|(rate, _)| (rate, 0.0)), ..way.series(name, &value) }
     });
     Scaling {
         title: titled("Throughput against payload", &study.whose),

@@ -5,7 +5,7 @@ use peernet_logger::{Name, stage};
 use super::columns::{account, is_drawable, titled, too_large};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
-use crate::drawing::{Course, INK, Line, Unit, stage_line};
+use crate::drawing::{Course, Line, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
@@ -18,15 +18,14 @@ const ITERATION: &str = "Iteration";
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x, time) = times(rows);
     let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
-    let line = |column: &str, colour| {
+    let line = |column: &str| {
         let values = answered().filter_map(|row| Some((time(row), row.value(column)?)));
         Line {
             name: column.to_owned(),
-            colour,
             values: values.filter(|(at, value)| is_drawable(*at) && is_drawable(*value)).collect(),
         }
     };
-    let total = ["total", "stages-total"].map(|column| line(column, INK));
+    let total = ["total", "stages-total"].map(line);
     let total = total.into_iter().find(|line| !line.values.is_empty());
     let unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
     let unanswered = unanswered.filter(|at| is_drawable(*at)).collect();
@@ -41,7 +40,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     stages.sort_by(|a, b| b.0.total_cmp(&a.0));
     let shorter = stages.split_off(STAGES.min(stages.len()));
     stages.sort_by_key(|(_, place, _)| *place);
-    let stages = stages.iter().map(|(_, _, name)| line(name, stage_line(name)));
+    let stages = stages.iter().map(|(_, _, name)| line(name));
     let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
     let course = Course {
         title: titled("Latency over time", &record.title),

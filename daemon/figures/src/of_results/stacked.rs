@@ -8,7 +8,8 @@ use super::columns::{account, is_drawable, too_large};
 use super::configured::{Configured, counted};
 use super::missing_data::MissingData;
 use super::written::{Drawing, Shown};
-use crate::drawing::{Bar, Stacked, UNATTRIBUTED, Unit};
+use crate::drawing::{Bar, Stacked, Unit};
+use crate::look::UNATTRIBUTED;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::{LATENESS, RowRef};
 

@@ -7,7 +7,7 @@ mod missing;
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::drawing::{Hatch, UNATTRIBUTED};
+use crate::look::UNATTRIBUTED;
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
 use written::Shown;
@@ -72,26 +72,29 @@ fn names(files: &[PathBuf]) -> Vec<String> {
     files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
 }
 
+/// Names of the files of a figure.
+fn written_as(stem: &str) -> Vec<String> {
+    [".png", ".svg", ".pdf", "-caption.txt"].map(|ending| format!("{stem}{ending}")).to_vec()
+}
+
 #[test]
 fn a_run_has_the_six_published_histograms() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = remote(60);
     let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
-    let published = peernet_analysis::figure_files::HISTOGRAMS
-        .map(|(stem, ..)| [format!("{stem}.png"), format!("{stem}.svg")])
-        .concat();
+    let published = peernet_analysis::figure_files::HISTOGRAMS.map(|(stem, ..)| written_as(stem)).concat();
     assert_eq!(names(&files), published, "throughputs that were not measured say so; there is no total");
     assert!(files.iter().all(|file| file.is_file()));
     let svg = std::fs::read_to_string(folder.path().join("upload-time.svg")).expect("read");
-    for text in
-        ["Upload time · robot → cloud", "n = 54 · left out: 5 warm-up, 1 without an answer", "median 11.0 ms"]
-    {
+    for text in ["Upload time · robot → cloud · n = 54", "median 11.0 ms"] {
         assert!(svg.contains(text), "{text}: {svg}");
     }
-    assert!(std::fs::read_to_string(&files[11]).expect("read").contains("no values"));
+    let words = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
+    assert!(words.contains("n = 54 · left out: 5 warm-up, 1 without an answer"), "{words}");
+    assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
     let timed = run_with_total(20.0);
     let files = of_run(&timed.record, &timed.rows, folder.path()).expect("written");
-    assert_eq!(names(&files)[12..], ["series.png", "series.svg"]);
+    assert_eq!(names(&files)[24..], [written_as("cumulative"), written_as("series")].concat());
 }
 
 fn run_with_total(total: f64) -> Loaded {
@@ -120,7 +123,7 @@ fn any_column_can_be_a_histogram() {
         (stem.as_str(), histogram.unit.title.as_str()),
         ("gripper-force-histogram", "Gripper force, as logged")
     );
-    assert_eq!((histogram.values.len(), histogram.fill.hatch), (54, Hatch::Plain));
+    assert_eq!((histogram.values.len(), histogram.stage.as_str()), (54, "gripper-force"));
     assert!(
         histograms::drawings(&run, Some("nonsense"))
             .is_err_and(|missing| missing.to_string().contains("nonsense"))
@@ -218,7 +221,37 @@ fn one_configuration_is_not_compared_without_being_asked() {
     repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
     assert_eq!(of_experiment(&repeat, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
     let asked = draw(Kind::Stacked, &repeat, &Columns::default(), folder.path()).expect("asked for");
-    assert_eq!(names(&asked.files), ["stacked.png", "stacked.svg"]);
+    assert_eq!(names(&asked.files), written_as("stacked"));
+}
+
+#[test]
+fn totals_of_configurations_are_curves_four_to_a_picture() {
+    let timed = |model: &str, total: f64| {
+        let record = placed(model, "local", 1.0).record;
+        Loaded { record, ..run_with_total(total) }
+    };
+    let runs = ["s", "m", "l", "xl", "xxl"].map(|model| timed(model, 20.0));
+    let drawings = totals::drawings(&runs).expect("there are totals");
+    assert_eq!(
+        drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
+        ["totals", "totals-2"]
+    );
+    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    assert_eq!(figure.curves.iter().map(|curve| curve.values.len()).collect::<Vec<_>>(), [94; 4]);
+    assert_eq!(figure.notes[..2], ["n = 94 each", "configurations: model, where · measured total"]);
+    assert!(totals::drawings(&[remote(4)]).is_err(), "all is warm-up");
+}
+
+#[test]
+fn a_run_has_curves_of_its_total_and_its_longest_stages() {
+    let run = run_with_total(20.0);
+    let drawings = cumulative::drawings(&run.record, &run.rows, None).expect("there is a total");
+    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    let names: Vec<&str> = figure.curves.iter().map(|curve| curve.name.as_str()).collect();
+    assert_eq!(names, ["total", "sensing", "upload"]);
+    let one = cumulative::drawings(&run.record, &run.rows, Some("upload")).expect("there are values");
+    assert_eq!((one.len(), one[0].stem.as_str()), (1, "upload-cumulative"));
+    assert!(cumulative::drawings(&run.record, &run.rows, Some("nonsense")).is_err());
 }
 
 #[test]
@@ -323,7 +356,7 @@ fn edges_at_once_are_a_curve_for_each_model() {
     assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");
     let folder = tempfile::tempdir().expect("a folder");
     let files = of_experiment(&runs.concat(), folder.path()).expect("written");
-    assert!(names(&files).ends_with(&["users.png".to_owned(), "users.svg".to_owned()]), "{files:?}");
+    assert!(names(&files).ends_with(&written_as("users")), "{files:?}");
     let alone = of_experiment(&runs[0], folder.path()).expect("written");
     assert!(!names(&alone).contains(&"users.png".to_owned()), "one number of edges is no curve: {alone:?}");
     assert!(users::drawings(&runs[1]).is_err_and(|missing| missing.to_string().contains("experiment.users")));
@@ -395,7 +428,7 @@ fn an_experiment_has_what_its_data_allow() {
     let folder = tempfile::tempdir().expect("a folder");
     let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];
     let files = of_experiment(&runs, folder.path()).expect("written");
-    assert_eq!(names(&files), ["stacked.png", "stacked.svg", "paired.png", "paired.svg"]);
+    assert_eq!(names(&files), [written_as("stacked"), written_as("paired")].concat());
     assert_eq!(of_experiment(&[], folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
     let missing = folder.path().join("missing");
     let error = draw(Kind::Payload, &runs, &Columns::default(), &missing).expect_err("nothing was sent");

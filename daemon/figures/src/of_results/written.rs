@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::drawing::{Accuracy, Course, Figure, Histogram, Lengths, Paired, Scaling, Sharing, Stacked};
+use crate::drawing::{Accuracy, Course, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked};
+use crate::plot::Figure;
+use crate::sheet::export;
 use peernet_analysis::WriteError;
 
 /// A figure and the name of its files.
@@ -17,7 +19,7 @@ pub(super) struct Drawing {
 /// Figures that were written.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Written {
-    /// The files, two for each figure.
+    /// The files, four for each figure: PNG, SVG, PDF and its text.
     pub files: Vec<PathBuf>,
     /// Which whole parts of the results are in none of them, and why, as in their notes: `stacked: left out: …`.
     pub missing: Vec<String>,
@@ -28,6 +30,7 @@ pub struct Written {
 pub(super) enum Shown {
     Histogram(Histogram),
     Course(Course),
+    Cumulative(Cumulative),
     Lengths(Lengths),
     Stacked(Stacked),
     Paired(Paired),
@@ -45,16 +48,17 @@ impl Drawing {
         Self { missing, ..self }
     }
 
-    fn write(&self, folder: &Path) -> Result<[PathBuf; 2], WriteError> {
+    fn figure(&self) -> Figure {
         match &self.shown {
-            Shown::Histogram(figure) => figure.write(folder, &self.stem),
-            Shown::Course(figure) => figure.write(folder, &self.stem),
-            Shown::Lengths(figure) => figure.write(folder, &self.stem),
-            Shown::Stacked(figure) => figure.write(folder, &self.stem),
-            Shown::Paired(figure) => figure.write(folder, &self.stem),
-            Shown::Scaling(figure) => figure.write(folder, &self.stem),
-            Shown::Accuracy(figure) => figure.write(folder, &self.stem),
-            Shown::Sharing(figure) => figure.write(folder, &self.stem),
+            Shown::Histogram(shown) => shown.figure(),
+            Shown::Course(shown) => shown.figure(),
+            Shown::Cumulative(shown) => shown.figure(),
+            Shown::Lengths(shown) => shown.figure(),
+            Shown::Stacked(shown) => shown.figure(),
+            Shown::Paired(shown) => shown.figure(),
+            Shown::Scaling(shown) => shown.figure(),
+            Shown::Accuracy(shown) => shown.figure(),
+            Shown::Sharing(shown) => shown.figure(),
         }
     }
 }
@@ -65,7 +69,7 @@ pub(super) fn write(drawings: &[Drawing], folder: &Path) -> Result<Written, Writ
     }
     let mut written = Written::default();
     for drawing in drawings {
-        written.files.extend(drawing.write(folder)?);
+        written.files.extend(export::write(&drawing.figure(), folder, &drawing.stem)?);
         written.missing.extend(drawing.missing.iter().map(|missing| format!("{}: {missing}", drawing.stem)));
     }
     Ok(written)

@@ -1,27 +1,26 @@
 //! How often answers are right against how long they take.
 
-mod key;
 mod numbers;
 
-use plotters::element::{Circle, PathElement};
-use plotters::prelude::DrawingBackend;
-use plotters::style::{Color, RGBColor, WHITE};
+use peernet_statistics::number::{fixed, significant};
 
-use super::histogram::nothing;
-use super::kit::{Axis, Drawn, Figure, Frame, Header, Paper, SIZE, TEXT, Unit, width};
+use crate::look::{Fill, INK, Mark, Style, WHITE};
+use crate::plot::{At, Axis, Figure, Item, Plot, Table, Unit};
+use crate::scale::Scale;
+use crate::sheet::file;
 use peernet_analysis::accuracy;
 
-/// Half the width of a whisker's cap, pixels.
-const CAP: i32 = 9;
-/// Radius of a point, with the rim that parts it from its neighbours.
-const RADIUS: i32 = 14;
+/// Half the width of a whisker's cap, points.
+const CAP: f64 = 1.4;
+/// Radius of a point, with the rim that parts it from its neighbours, points.
+const RADIUS: f64 = 2.1;
+const RIM: f64 = 0.4;
 /// From this ratio of the largest to the smallest latency on, the axis is logarithmic.
 const WIDE: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
 const ROOM: f64 = 2.0;
 /// Whiskers across lie on one another where their accuracies differ by less than this share of the axis.
 const SAME: f64 = 0.03;
-const COLOUR: RGBColor = RGBColor(0x0b, 0x47, 0x96);
 
 /// One configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,11 +63,11 @@ pub struct Accuracy {
     pub notes: Vec<String>,
 }
 
-/// A point on paper: itself, how far up and down its interval goes, where its 95th percentile is.
+/// A point: itself, how far up and down its interval goes, where its 95th percentile is. Shares of the plot.
 struct Spot {
-    at: (i32, i32),
-    interval: (i32, i32),
-    p95: Option<i32>,
+    at: At,
+    interval: (f64, f64),
+    p95: Option<f64>,
 }
 
 impl Accuracy {
@@ -96,14 +95,13 @@ impl Accuracy {
         shown.iter().enumerate().all(alone) && self.shown().any(|(score, _)| score.late().is_some())
     }
 
-    fn header(&self) -> Header {
+    fn notes(&self) -> Vec<String> {
         let across = if self.has_whiskers() { " · across: to the 95th percentile" } else { "" };
         let parts = format!("point: median · upright: 95 % interval (Wilson){across}");
-        let notes = std::iter::once(parts).chain(self.notes.iter().cloned());
-        Header { title: self.title.clone(), keys: Vec::new(), notes: notes.collect() }
+        std::iter::once(parts).chain(self.notes.iter().cloned()).collect()
     }
 
-    fn frame(&self, header: i32) -> Option<Frame> {
+    fn axes(&self) -> Option<Plot> {
         let (low, high) = self.heights()?;
         let late = |score: &Score| score.late().filter(|_| self.has_whiskers()).unwrap_or(score.median);
         let (fast, slow) = self
@@ -112,27 +110,62 @@ impl Accuracy {
             .reduce(join)?;
         // So little beyond 100 that it is not marked: points at the end are whole.
         let edge = (high - low).max(1.0) * 0.04;
-        let shares = ((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge));
-        let y = Frame::below(header, SIZE.1 as i32, |pixels| Axis::linear(shares, pixels));
-        let pixels = Frame::beside(&y, SIZE.0 as i32);
-        let x = if slow > fast * WIDE {
+        let shares = Scale::linear(((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge)));
+        let across = if slow > fast * WIDE {
             let room = (slow / fast).powf(0.08);
-            Axis::logarithmic((fast / room, slow * room), pixels)
+            Scale::logarithmic((fast / room, slow * room))
         } else {
-            Axis::from_zero((0.0, slow * 1.04), pixels)
+            Scale::from_zero((0.0, slow * 1.04))
         };
-        Some(Frame { x, y })
+        let up = Axis::new(shares, "Top-1 accuracy, %", "%");
+        Some(Plot::new(self.unit.axis(across).with_grid(), up.with_grid()))
     }
 
-    fn spots(&self, frame: &Frame) -> Vec<Spot> {
-        let across = |value: f64| frame.x.at(value * self.unit.per_si);
+    fn spots(&self, plot: &Plot) -> Vec<Spot> {
+        let across = |value: f64| plot.x.scale.at(value * self.unit.per_si);
         let has_whiskers = self.has_whiskers();
         let spot = |(score, [low, share, high]): (&Score, [f64; 3])| Spot {
-            at: (across(score.median), frame.y.at(share)),
-            interval: (frame.y.at(low), frame.y.at(high)),
+            at: plot.at(score.median * self.unit.per_si, share),
+            interval: (plot.up(low), plot.up(high)),
             p95: score.late().filter(|_| has_whiskers).map(across),
         };
         self.shown().map(spot).collect()
+    }
+
+    /// What the numbers stand for.
+    fn table(&self) -> Table {
+        let has_late = self.shown().any(|(score, _)| score.late().is_some());
+        let show = |value: f64| significant(value * self.unit.per_si);
+        let cells = |[accuracy, median, late]: [String; 3]| {
+            [accuracy, median].into_iter().chain(has_late.then_some(late)).collect::<Vec<_>>()
+        };
+        let symbol = &self.unit.symbol;
+        let titles = cells(["accuracy, %".to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
+        let lines = self.shown().map(|(score, [_, share, _])| {
+            let late = score.late().map_or_else(|| "—".to_owned(), show);
+            (score.label.clone(), cells([fixed(share, 1), show(score.median), late]))
+        });
+        Table { titles, lines: lines.collect() }
+    }
+
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let mut figure = Figure {
+            title: self.title.clone(),
+            notes: self.notes(),
+            plots: self.axes().into_iter().collect(),
+            table: self.table(),
+            ..Figure::default()
+        };
+        let areas = file::areas(&figure);
+        if let (Some(plot), Some(area)) = (figure.plots.first_mut(), areas.first()) {
+            let spots = self.spots(plot);
+            let mut items: Vec<Item> = spots.iter().flat_map(Spot::whiskers).collect();
+            items.extend(numbers::items(area, &spots, &plot.y.title));
+            items.extend(spots.iter().flat_map(Spot::point));
+            plot.items = items;
+        }
+        figure
     }
 }
 
@@ -141,40 +174,24 @@ fn join((lo, hi): (f64, f64), (a, b): (f64, f64)) -> (f64, f64) {
 }
 
 impl Spot {
-    fn draw_whiskers<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let ((x, y), pen) = (self.at, COLOUR.mix(0.5).stroke_width(3));
+    fn whiskers(&self) -> Vec<Item> {
+        let pen = Style::line("whisk2", INK.light.tint(0.55), 0.45);
         let (bottom, top) = self.interval;
-        paper.draw(&PathElement::new([(x, bottom), (x, top)], pen))?;
-        for end in [bottom, top] {
-            paper.draw(&PathElement::new([(x - CAP, end), (x + CAP, end)], pen))?;
+        let ends = [bottom, top].map(|y| At { y, ..self.at });
+        let mut items = Item::whisker(ends, [true; 2], CAP, &pen);
+        if let Some(late) = self.p95 {
+            let late = At { x: late, ..self.at };
+            items.push(Item::line(self.at, late, pen.clone()));
+            items.push(Item::line(late.aside(0.0, -CAP), late.aside(0.0, CAP), pen));
         }
-        let Some(late) = self.p95 else { return Ok(()) };
-        paper.draw(&PathElement::new([(x, y), (late, y)], pen))?;
-        paper.draw(&PathElement::new([(late, y - CAP), (late, y + CAP)], pen))
+        items
     }
 
-    fn draw_point<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        paper.draw(&Circle::new(self.at, RADIUS, WHITE.filled()))?;
-        paper.draw(&Circle::new(self.at, RADIUS - 3, COLOUR.filled()))
-    }
-}
-
-impl Figure for Accuracy {
-    fn size(&self) -> (u32, u32) {
-        (SIZE.0, SIZE.1 + self.key_height() as u32)
-    }
-
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let top = self.header().draw(paper)?;
-        let Some(frame) = self.frame(top) else { return nothing(paper, top) };
-        let title = "Top-1 accuracy, %";
-        frame.draw_y(paper, (title, 0))?;
-        frame.draw_upright_grid(paper)?;
-        frame.draw_x(paper, &self.unit.title, |tick| tick.text.clone())?;
-        let spots = self.spots(&frame);
-        spots.iter().try_for_each(|spot| spot.draw_whiskers(paper))?;
-        numbers::draw(paper, &frame, (&spots, width(title, TEXT)))?;
-        spots.iter().try_for_each(|spot| spot.draw_point(paper))?;
-        self.draw_key(paper, SIZE.1 as i32)
+    fn point(&self) -> [Item; 2] {
+        let rim = Style::area("rim", Fill::of(WHITE));
+        [
+            Item::mark(self.at, Mark::Disc, RADIUS, rim),
+            Item::mark(self.at, Mark::Disc, RADIUS - RIM, Style::ink()),
+        ]
     }
 }

@@ -3,21 +3,21 @@
 mod columns;
 
 use peernet_statistics::number::fixed;
-use plotters::element::{Circle, DashedPathElement, PathElement, Polygon, Rectangle};
-use plotters::prelude::DrawingBackend;
-use plotters::style::{Color, RGBColor, ShapeStyle};
 
-use super::histogram::{nothing, range};
-use super::kit::{
-    AXIS, Axis, Drawn, Figure, Fill, Frame, GRID, Hatch, Header, Key, Mark, Paper, SHADE, SIZE, Swatch, Unit,
-};
+use super::histogram::range;
+use crate::look::{INK, Mark, Style, stage};
+use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
+use crate::scale::Scale;
 use columns::{Column, columns};
 use peernet_analysis::order::Ordered;
 
-/// Width of a column, pixels.
-const COLUMN: i32 = 5;
-/// Height of the rail that holds what had no answer.
-const RAIL: i32 = 46;
+/// Columns that a line has at most.
+const COLUMNS: usize = 290;
+/// Height of the rail that holds what had no answer, points.
+const RAIL: f64 = 6.0;
+/// Half the width of a cross on the rail, and of a mark on a line, points.
+const CROSS: f64 = 1.7;
+const RADIUS: f64 = 1.7;
 /// How many marks a line has at most.
 const MARKS: usize = 7;
 /// Between the marks of so many lines there is room.
@@ -26,7 +26,8 @@ const STAGES: usize = 4;
 const GAP: f64 = 12.0;
 /// From how many episodes on their borders would be all that is seen.
 const MOST_BORDERS: usize = 30;
-const LOST: RGBColor = RGBColor(0x9b, 0x16, 0x20);
+/// Least width of a stretch of warm-up, points.
+const SEEN: f64 = 0.6;
 
 /// Latencies over time. SI units; times are those of the horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,7 +40,7 @@ pub struct Course {
     pub is_counted: bool,
     /// The vertical axis.
     pub unit: Unit,
-    /// What is shown whole: the range of each column of pixels, and its median.
+    /// What is shown whole: the range of each column, and its median.
     pub total: Line,
     /// What is shown beneath as medians.
     pub stages: Vec<Line>,
@@ -56,10 +57,8 @@ pub struct Course {
 /// A quantity over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// Its name.
+    /// The stage, or `total`.
     pub name: String,
-    /// Its colour.
-    pub colour: RGBColor,
     /// Time and value.
     pub values: Vec<(f64, f64)>,
 }
@@ -90,136 +89,134 @@ impl Course {
         !self.episodes.is_empty() && self.episodes.len() <= MOST_BORDERS
     }
 
-    fn header(&self) -> Header {
-        let mut keys = vec![Key::new(
-            Swatch::Line(self.total.colour, false),
-            format!("{} (band: range)", self.total.name),
-        )];
-        let stages = self.stages.iter().enumerate();
-        keys.extend(stages.map(|(number, line)| {
-            Key::new(Swatch::Mark(line.colour, Mark::ALL[number % 4]), line.name.clone())
-        }));
+    fn legend(&self) -> Vec<Key> {
+        let total = Swatch::Line(Style::line("strong", INK.light, 0.75));
+        let mut keys = vec![Key::new(total, format!("{} (band: range)", self.total.name))];
+        let stages = self.stages.iter().enumerate().map(|(number, line)| {
+            let look = stage(&line.name);
+            Key::new(Swatch::Curve(look.line(0.9), mark(number), look.mark()), line.name.clone())
+        });
+        keys.extend(stages);
         if !self.warm_up.is_empty() {
-            let shade = Fill::pale(SHADE, AXIS, Hatch::Plain);
-            keys.push(Key::new(Swatch::Area(shade), "warm-up"));
+            keys.push(Key::new(Swatch::Area(Style::shade()), "warm-up"));
         }
         if !self.unanswered.is_empty() {
             let text = format!("no answer ({})", fixed(self.unanswered.len() as f64, 0));
-            keys.push(Key::new(Swatch::Mark(LOST, Mark::Cross), text));
+            keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::lost()), text));
         }
         if self.has_borders() {
-            keys.push(Key::new(Swatch::Line(AXIS, true), "new episode"));
+            keys.push(Key::new(Swatch::Line(Style::border()), "new episode"));
         }
-        Header { title: self.title.clone(), keys, notes: self.notes.clone() }
+        keys
     }
 
-    fn draw_ground<DB: DrawingBackend>(&self, paper: &Paper<DB>, frame: &Frame) -> Drawn<DB> {
-        let (bottom, top) = frame.y.pixels;
-        for (from, to) in &self.warm_up {
-            let from = frame.x.at(*from);
-            let area = [(from, top), (frame.x.at(*to).max(from + 4), bottom)];
-            paper.draw(&Rectangle::new(area, SHADE.filled()))?;
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let plots = self.times().zip(self.shown()).map(|(times, shown)| self.plot(times, shown));
+        let (title, notes) = (self.title.clone(), self.notes.clone());
+        Figure {
+            title,
+            legend: self.legend(),
+            notes,
+            plots: plots.into_iter().collect(),
+            ..Figure::default()
         }
-        for at in self.episodes.iter().filter(|_| self.has_borders()) {
-            let line = [(frame.x.at(*at), bottom), (frame.x.at(*at), top)];
-            paper.draw(&DashedPathElement::new(line, 10, 10, AXIS.stroke_width(3)))?;
-        }
-        Ok(())
     }
 
-    fn draw_line<DB: DrawingBackend>(
-        &self,
-        paper: &Paper<DB>,
-        frame: &Frame,
-        (line, mark): (&Line, Option<Mark>),
-    ) -> Drawn<DB> {
-        let (left, right) = frame.x.pixels;
-        let count = ((right - left) / COLUMN).max(1) as usize;
-        let columns = columns(&line.values, frame.x.values, count);
-        let y = |value: f64| frame.y.at(value * self.unit.per_si);
-        let x = |column: &Column| left + COLUMN * column.number as i32 + COLUMN / 2;
+    fn plot(&self, times: (f64, f64), shown: (f64, f64)) -> Plot {
+        let x = Scale::linear(times);
+        let x = Axis::new(if self.is_counted { x.whole() } else { x }, self.x.clone(), "");
+        let up = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
+        let mut plot = Plot::new(x, self.unit.axis(up).with_grid());
+        let mut items = self.ground(&plot);
+        items.extend(self.line(&plot, &self.total, None));
+        for (number, line) in self.stages.iter().enumerate() {
+            items.extend(self.line(&plot, line, Some(number)));
+        }
+        plot.items = items;
+        plot.above = self.rail(&plot);
+        plot.remark = self.remark(up.ends().1);
+        plot
+    }
+
+    fn ground(&self, plot: &Plot) -> Vec<Item> {
+        let x = |at: f64| plot.x.scale.at(at);
+        let warm_up = self.warm_up.iter().map(|(from, to)| Item::Rect {
+            from: At::new(x(*from), 0.0),
+            to: At::new(x(*to), 1.0),
+            least: (SEEN, 0.0),
+            style: Style::shade(),
+        });
+        let borders = self.episodes.iter().filter(|_| self.has_borders());
+        let borders =
+            borders.map(|at| Item::line(At::new(x(*at), 1.0), At::new(x(*at), 0.0), Style::border()));
+        warm_up.chain(borders).collect()
+    }
+
+    /// A line of medians; that of the total, which is no stage of a number, has a band of its range.
+    fn line(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
+        let columns = columns(&line.values, plot.x.scale.ends(), COLUMNS);
+        let x = |column: &Column| (column.number as f64 + 0.5) / COLUMNS as f64;
+        let y = |value: f64| plot.up(value * self.unit.per_si);
         let steps: Ordered =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
         // Few values are far from each other, and no gap is between them.
         let gap = (4.0 * steps.median().unwrap_or_default()).max(GAP);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
-        if mark.is_none() {
-            for piece in pieces() {
-                let upper = piece.iter().map(|column| (x(column), y(column.max) - 1));
-                let lower = piece.iter().rev().map(|column| (x(column), y(column.min) + 1));
-                let outline: Vec<(i32, i32)> = upper.chain(lower).collect();
-                paper.draw(&Polygon::new(outline, line.colour.mix(0.28).filled()))?;
-            }
-        }
-        let pen: ShapeStyle = line.colour.stroke_width(if mark.is_none() { 4 } else { 6 });
-        for piece in pieces() {
-            if let [one] = piece {
-                paper.draw(&Circle::new((x(one), y(one.median)), 7, line.colour.filled()))?;
-                continue;
-            }
-            let path: Vec<(i32, i32)> = piece.iter().map(|column| (x(column), y(column.median))).collect();
-            paper.draw(&PathElement::new(path, pen))?;
-        }
-        let Some((mark, aside)) = mark.zip(self.stages.iter().position(|other| other == line)) else {
-            return Ok(());
+        let medians = pieces()
+            .flat_map(|piece| piece.iter().map(|column| Some((x(column), y(column.median)))).chain([None]));
+        let medians = Path::line(medians);
+        let Some(number) = number else {
+            let band = pieces().flat_map(|piece| {
+                piece.iter().map(|column| Some((x(column), y(column.max), y(column.min)))).chain([None])
+            });
+            let median = Style::line("strong", INK.light, 0.6);
+            return vec![Item::path(Path::band(band), Style::band()), Item::path(medians, median)];
         };
+        let look = stage(&line.name);
+        let mut items = vec![Item::path(medians, look.line(0.9))];
         // Aside from those of other stages, so that none hides another.
-        let apart = (count / MARKS).max(1);
-        for column in columns.chunk_by(|a, b| a.number / apart == b.number / apart) {
-            if let Some(column) = column.get(column.len() * (aside + 1) / (STAGES + 1)) {
-                mark.draw(paper, (x(column), y(column.median)), line.colour)?;
+        let apart = (COLUMNS / MARKS).max(1);
+        for group in columns.chunk_by(|a, b| a.number / apart == b.number / apart) {
+            if let Some(column) = group.get(group.len() * (number + 1) / (STAGES + 1)) {
+                items.push(Item::mark(
+                    At::new(x(column), y(column.median)),
+                    mark(number),
+                    RADIUS,
+                    look.mark(),
+                ));
             }
         }
-        Ok(())
+        items
     }
 
-    fn draw_unanswered<DB: DrawingBackend>(&self, paper: &Paper<DB>, frame: &Frame) -> Drawn<DB> {
+    /// What had no answer, above the plot.
+    fn rail(&self, plot: &Plot) -> Option<Strip> {
         if self.unanswered.is_empty() {
-            return Ok(());
+            return None;
         }
-        let y = frame.y.pixels.1 - RAIL / 2;
-        let rail = [(frame.x.pixels.0, y), (frame.x.pixels.1, y)];
-        paper.draw(&PathElement::new(rail, GRID.stroke_width(3)))?;
+        let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
         // Those that would lie on one another are one.
-        let mut places: Vec<i32> = self.unanswered.iter().map(|at| frame.x.at(*at) / COLUMN).collect();
+        let place = |at: &f64| (plot.x.scale.at(*at) * COLUMNS as f64) as usize;
+        let mut places: Vec<usize> = self.unanswered.iter().map(place).collect();
         places.sort_unstable();
         places.dedup();
-        for place in places {
-            Mark::Cross.draw(paper, (place * COLUMN, y), LOST)?;
-        }
-        Ok(())
+        let cross = |place: usize| {
+            Item::mark(At::new(place as f64 / COLUMNS as f64, 0.5), Mark::Cross, CROSS, Style::lost())
+        };
+        items.extend(places.into_iter().map(cross));
+        Some(Strip { items, size: RAIL })
     }
 
-    /// `12 beyond 90 ms ↑`: how many iterations leave the plot.
-    fn remark(&self, frame: &Frame) -> Option<String> {
-        let most = frame.y.values.1 / self.unit.per_si;
+    /// `12 beyond 90 ms`: how many iterations leave the plot.
+    fn remark(&self, end: f64) -> Option<String> {
+        let most = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > most).count();
         let count = fixed(beyond as f64, 0);
         (beyond > 0).then(|| format!("{count} beyond {}", self.unit.words(most, 0.0)))
     }
 }
 
-impl Figure for Course {
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let top = self.header().draw(paper)?;
-        let Some((times, shown)) = self.times().zip(self.shown()) else { return nothing(paper, top) };
-        let range = (shown.0 * self.unit.per_si, shown.1 * self.unit.per_si);
-        // Between the title of the vertical axis and the plot.
-        let rail = if self.unanswered.is_empty() { 0 } else { RAIL };
-        let y = Frame::below(top + rail, SIZE.1 as i32, |pixels| Axis::from_zero(range, pixels));
-        let x = Axis::linear(times, Frame::beside(&y, SIZE.0 as i32));
-        let x = if self.is_counted { x.whole() } else { x };
-        let frame = Frame { x, y };
-        self.draw_ground(paper, &frame)?;
-        frame.draw_y(paper, (&self.unit.title, rail))?;
-        self.draw_line(paper, &frame, (&self.total, None))?;
-        for (number, line) in self.stages.iter().enumerate() {
-            self.draw_line(paper, &frame, (line, Some(Mark::ALL[number % 4])))?;
-        }
-        self.draw_unanswered(paper, &frame)?;
-        if let Some(remark) = self.remark(&frame) {
-            frame.remark(paper, (&remark, rail))?;
-        }
-        frame.draw_x(paper, &self.x, |tick| tick.text.clone())
-    }
+fn mark(number: usize) -> Mark {
+    Mark::ALL[number % Mark::ALL.len()]
 }

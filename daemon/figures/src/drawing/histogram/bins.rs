@@ -64,10 +64,14 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
+    /// Where a bin begins, and the one before it ends.
+    pub fn edge(&self, number: usize) -> f64 {
+        self.from + self.width * number as f64
+    }
+
     /// Where a bin begins and ends.
     pub fn bin(&self, number: usize) -> (f64, f64) {
-        let edge = |number: usize| self.from + self.width * number as f64;
-        (edge(number), edge(number + 1))
+        (self.edge(number), self.edge(number + 1))
     }
 
     /// How many values are in the fullest bin.

@@ -1,22 +1,31 @@
 //! One quantity here and there: the same model on the robot and in the cloud, side by side.
 
 mod density;
-mod violin;
 
 use peernet_statistics::number::{counted, fixed, significant};
-use plotters::element::Rectangle;
-use plotters::prelude::DrawingBackend;
-use plotters::style::text_anchor::{HPos, VPos};
-use plotters::style::{Color, WHITE};
 
-use super::histogram::{nothing, range};
-use super::kit::{
-    Axis, Drawn, Figure, Frame, Header, INK, Key, Mark, Paper, QUIET, SERIES, SIZE, SMALL, Swatch, TEXT,
-    Unit, shorten_apart, style, text, width,
-};
+use super::histogram::range;
+use crate::look::{Fill, INK_2, Style, TextStyle, WHITE, series};
+use crate::plot::{Anchor, At, Axis, Figure, Item, Key, Label, Marks, Path, Plot, Swatch, Unit};
+use crate::scale::{Scale, Tick};
+use crate::sheet::file::{SMALL, TEXT};
+use crate::text::{shorten_apart, width};
 use density::density;
 use peernet_analysis::order::Ordered;
 
+/// Width of the plot in a file, about, points.
+const ACROSS: f64 = 213.0;
+/// Half the width of the bar of the middle half, and of the rim about it, points.
+const BAR: f64 = 1.2;
+const RIM: f64 = 0.5;
+/// Radius of a point, points.
+const RADIUS: f64 = 1.8;
+/// Half the width of a shape at most, as a share of the plot.
+const WIDEST: f64 = 0.09;
+/// Room above the largest value, of the range.
+const ABOVE: f64 = 0.12;
+/// From the plot to the baseline of the counts, points.
+const COUNT: f64 = 9.5;
 /// Up to how many values each is drawn.
 const MOST_POINTS: usize = 60;
 /// Room for single points above the axis' range, below what is written there.
@@ -24,7 +33,7 @@ const NEAR: f64 = 1.05;
 /// From this ratio of the largest to the smallest median on, the axis is logarithmic.
 const WIDE: f64 = 30.0;
 /// Most sides that can be told apart.
-pub const MOST_SIDES: usize = SERIES.len();
+pub const MOST_SIDES: usize = 4;
 /// Most groups that a column has room for.
 pub const MOST_GROUPS: usize = 12;
 
@@ -62,9 +71,8 @@ impl Group {
 }
 
 impl Paired {
-    fn header(&self) -> Header {
-        let looks = SERIES.into_iter().zip(Mark::ALL);
-        let key = |(name, (colour, mark)): (&String, _)| Key::new(Swatch::Shape(colour, mark), name.clone());
+    /// How the figure is to be read.
+    fn reading(&self) -> Vec<String> {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {
             let counts = || self.groups.iter().flat_map(|group| &group.values).map(Ordered::len);
@@ -89,13 +97,13 @@ impl Paired {
         if below > 0 {
             notes.push(format!("smaller than shown: {}", counted(below as u64, "value")));
         }
-        Header { title: self.title.clone(), keys: self.sides.iter().zip(looks).map(key).collect(), notes }
+        notes
     }
 
     /// Whether the count of each distribution has room below it.
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
-        let room = (SIZE.0 as i32 - 260) * 9 / 10 / (self.groups.len() * sides).max(1) as i32 - 12;
+        let room = ACROSS * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
         let all = self.groups.iter().flat_map(|group| &group.values);
         all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
     }
@@ -143,61 +151,52 @@ impl Paired {
         lowest.map_or(0, count)
     }
 
-    fn draw_one<DB: DrawingBackend>(
-        &self,
-        paper: &Paper<DB>,
-        frame: &Frame,
-        (values, side, middle, half): (&Ordered, usize, i32, i32),
-    ) -> Drawn<DB> {
-        let (colour, mark) = (SERIES[side % MOST_SIDES], Mark::ALL[side % MOST_SIDES]);
-        let y = |value: f64| frame.y.at(value * self.unit.per_si);
-        let Some((lo, hi)) = range(values) else { return Ok(()) };
+    fn one(&self, plot: &Plot, values: &Ordered, side: usize, (middle, half): (f64, f64)) -> Vec<Item> {
+        let look = series(side);
+        let y = |value: f64| plot.up(value * self.unit.per_si);
+        let Some((lo, hi)) = range(values) else { return Vec::new() };
         let highest = self.highest(values);
         let hill = if self.is_wide() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
-        let wide = |dense: f64| (f64::from(half) * dense).round() as i32;
-        let mut places: Vec<(i32, i32)> =
-            hill.iter().map(|(value, dense)| (y(*value), wide(*dense))).collect();
-        // Several places of one row of pixels are its widest one.
-        places.dedup_by(|next, kept| {
-            let same = next.0 == kept.0;
-            kept.1 = if same { kept.1.max(next.1) } else { kept.1 };
-            same
-        });
-        if places.len() > 1 && values.len() > MOST_POINTS {
-            violin::draw(paper, &places, middle, colour)?;
+        let mut items = Vec::new();
+        if hill.len() > 1 && values.len() > MOST_POINTS {
+            let edge =
+                |sign: f64| hill.iter().map(move |(value, dense)| (middle + sign * half * dense, y(*value)));
+            let outline: Vec<(f64, f64)> =
+                edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
+            items.push(Item::path(Path::polygon(outline), look.shape()));
         } else {
             let lowest = self.shown().map_or(lo, |(lowest, _)| lowest);
             let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
-            let shown = values.values().iter().filter(is_shown);
-            for (number, value) in shown.enumerate() {
+            for (number, value) in values.values().iter().filter(is_shown).enumerate() {
                 // Spread evenly to the sides, so that each is seen; the same every time.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
-                let at = (middle + (aside * f64::from(half)) as i32, y(*value));
-                mark.draw(paper, at, colour)?;
+                let at = At::new(middle + aside * half, y(*value));
+                items.push(Item::mark(at, look.mark, RADIUS, look.shape()));
             }
         }
         if values.len() >= 4
             && let Some((low, high)) = values.quantile(0.25).zip(values.quantile(0.75))
         {
-            let bar = [(middle - 9, y(high)), (middle + 9, y(low))];
-            paper.draw(&Rectangle::new(
-                [(bar[0].0 - 4, bar[0].1 - 4), (bar[1].0 + 4, bar[1].1 + 4)],
-                WHITE.filled(),
-            ))?;
-            paper.draw(&Rectangle::new(bar, colour.filled()))?;
+            let bar = |grow: f64, style: Style| {
+                let (from, to) = (At::new(middle, y(high)), At::new(middle, y(low)));
+                Item::rect(from.aside(-BAR - grow, -grow), to.aside(BAR + grow, grow), style)
+            };
+            items.push(bar(RIM, Style::area("rim", Fill::of(WHITE))));
+            items.push(bar(0.0, Style::area("quartiles", Fill::of(INK_2.light))));
         }
         if let Some(median) = values.median() {
-            let at = (middle, y(median));
-            mark.draw(paper, at, INK)?;
+            let at = At::new(middle, y(median));
+            items.push(Item::mark(at, look.mark, RADIUS + RIM, Style::area("rim", Fill::of(WHITE))));
+            items.push(Item::mark(at, look.mark, RADIUS, Style::ink()));
         }
         let above = self.beyond(values);
         if let Some(highest) = highest.filter(|_| above > 0) {
-            let look = style(SMALL, QUIET, HPos::Center, VPos::Bottom);
             // Clear of the highest point.
-            let at = (middle, y(highest) - 20);
-            text(paper, format!("+{}", fixed(above as f64, 0)), at, look)?;
+            let at = At::new(middle, y(highest)).aside(0.0, -3.0);
+            let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
+            items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
         }
-        Ok(())
+        items
     }
 }
 
@@ -213,47 +212,64 @@ fn n_of(values: &Ordered) -> String {
     format!("n = {}", fixed(values.len() as f64, 0))
 }
 
-impl Figure for Paired {
-    fn draw<DB: DrawingBackend>(&self, paper: &Paper<DB>) -> Drawn<DB> {
-        let top = self.header().draw(paper)?;
-        let Some((lo, hi)) = self.shown() else { return nothing(paper, top) };
+impl Paired {
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let key = |(number, name): (usize, &String)| {
+            let look = series(number);
+            Key::new(Swatch::Curve(look.shape(), look.mark, Style::ink()), name.clone())
+        };
+        Figure {
+            title: self.title.clone(),
+            legend: self.sides.iter().enumerate().map(key).collect(),
+            notes: self.reading(),
+            plots: self.shown().map(|shown| self.plot(shown)).into_iter().collect(),
+            ..Figure::default()
+        }
+    }
+
+    fn scale(&self, (lo, hi): (f64, f64)) -> Scale {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        let counts = if self.has_room_for_counts() { SMALL + 6 } else { 0 };
-        let y = Frame::below(top, SIZE.1 as i32 + 70 - counts, |pixels| {
-            if self.is_wide() {
-                // Room for the ratios above, as below.
-                let room = (hi / lo).powf(0.12);
-                Axis::logarithmic((lo / room.sqrt(), hi * room), pixels)
-            } else {
-                Axis::from_zero((lo, hi * 1.12), pixels)
-            }
-        });
-        let pixels = Frame::beside(&y, SIZE.0 as i32);
-        let frame = Frame { x: Axis::linear((0.0, 1.0), pixels), y };
-        frame.draw_y(paper, (&self.unit.title, 0))?;
-        let step = (pixels.1 - pixels.0) / self.groups.len().max(1) as i32;
-        let fit = self.groups.iter().all(|group| width(&group.name, TEXT) <= step - 12);
-        let height = if fit { TEXT } else { SMALL };
+        if self.is_wide() {
+            // Room for the ratios above, as below.
+            let room = (hi / lo).powf(ABOVE);
+            Scale::logarithmic((lo / room.sqrt(), hi * room))
+        } else {
+            Scale::from_zero((lo, hi * (1.0 + ABOVE)))
+        }
+    }
+
+    fn plot(&self, shown: (f64, f64)) -> Plot {
+        let step = 1.0 / self.groups.len().max(1) as f64;
+        let place = |number: usize| step * (number as f64 + 0.5);
         let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
-        let names = shorten_apart(&names, height, step - 12);
-        for (number, (group, name)) in self.groups.iter().zip(names).enumerate() {
-            let left = pixels.0 + step * number as i32;
-            let lane = step * 9 / 10 / group.values.len().max(1) as i32;
+        let names = shorten_apart(&names, TEXT, ACROSS * step - 1.8);
+        let counts = if self.has_room_for_counts() { "\u{a0}\n" } else { "" };
+        let ticks = names.into_iter().enumerate();
+        let ticks = ticks.map(|(number, name)| Tick {
+            value: 0.0,
+            at: place(number),
+            text: format!("{counts}{name}"),
+        });
+        let x = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(ticks.collect()));
+        let mut plot = Plot::new(x, self.unit.axis(self.scale(shown)).with_grid());
+        for (number, group) in self.groups.iter().enumerate() {
+            let lane = step * 0.9 / group.values.len().max(1) as f64;
             for (side, values) in group.values.iter().enumerate() {
-                let middle = left + step / 20 + lane * side as i32 + lane / 2;
-                self.draw_one(paper, &frame, (values, side, middle, (lane * 2 / 5).min(130)))?;
-                if counts > 0 && !values.is_empty() {
-                    let look = style(SMALL, QUIET, HPos::Center, VPos::Top);
-                    text(paper, n_of(values), (middle, y.pixels.0 + 18), look)?;
+                let middle = step * (number as f64 + 0.05) + lane * (side as f64 + 0.5);
+                let items = self.one(&plot, values, side, (middle, (lane * 0.4).min(WIDEST)));
+                plot.items.extend(items);
+                if !counts.is_empty() && !values.is_empty() {
+                    let at = At::new(middle, 1.0).aside(0.0, COUNT);
+                    let label = Label::new(at, n_of(values), TextStyle::AXIS).anchored(Anchor::Middle);
+                    plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }
             }
-            let at = (left + step / 2, y.pixels.0 + 24 + counts);
-            text(paper, name, at, style(height, INK, HPos::Center, VPos::Top))?;
             if let Some(ratio) = group.ratio() {
-                let at = (left + step / 2, y.pixels.1 + 4);
-                text(paper, ratio, at, style(SMALL, INK, HPos::Center, VPos::Top))?;
+                let label = Label::new(At::new(place(number), 0.0), ratio, TextStyle::MARK);
+                plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 1.0)));
             }
         }
-        Ok(())
+        plot
     }
 }

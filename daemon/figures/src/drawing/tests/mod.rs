@@ -1,7 +1,9 @@
 //! Figures as drawn: what stands in the SVG, and where.
 
 mod bars;
+mod curves;
 mod over_time;
+mod pages;
 mod pairs;
 mod points;
 mod sharing;
@@ -9,6 +11,10 @@ mod sharing;
 use std::collections::HashMap;
 
 use super::*;
+use crate::look::stage;
+use crate::plot::Figure;
+use crate::sheet::{export, file};
+use crate::text::{self, missing_glyph};
 use peernet_analysis::order::Ordered;
 
 /// The elements of a kind in an SVG: their attributes.
@@ -47,47 +53,105 @@ fn has(svg: &str, wanted: &str) -> bool {
     texts(svg).iter().any(|text| text == wanted)
 }
 
-fn colour(fill: Fill) -> String {
-    format!("#{:02x}{:02x}{:02x}", fill.colour.0, fill.colour.1, fill.colour.2)
+/// The value of `fill` of a stage.
+fn colour(name: &str) -> String {
+    stage(name).colour.light.to_string()
 }
+
+/// A kind's value, as drawn.
+trait Draw {
+    fn layout(&self) -> Figure;
+
+    fn svg(&self) -> String {
+        file::svg(&self.layout())
+    }
+
+    /// The text beside the figure.
+    fn words(&self) -> String {
+        self.layout().words()
+    }
+}
+
+macro_rules! draw {
+    ($($kind:ty),*) => {
+        $(impl Draw for $kind {
+            fn layout(&self) -> Figure {
+                self.figure()
+            }
+        })*
+    };
+}
+
+draw!(Accuracy, Course, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked);
 
 fn millis(values: impl IntoIterator<Item = f64>) -> Ordered {
     values.into_iter().map(|value| value / 1e3).collect()
 }
 
-/// No number of a figure is lost between the layout and the paper: all that is drawn lies on it.
-fn assert_on_paper(figure: &impl Figure, svg: &str) {
-    let (width, height) = figure.size();
-    for (tag, along, across) in [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y")] {
-        let elements = Elements::of(svg, tag);
-        let inside =
-            |values: Vec<f64>, most: u32| values.iter().all(|value| (0.0..=f64::from(most)).contains(value));
-        assert!(inside(elements.numbers(along), width), "{tag} {along} in {svg}");
-        assert!(inside(elements.numbers(across), height), "{tag} {across} in {svg}");
+/// Width and height of a picture, points.
+fn size(svg: &str) -> (f64, f64) {
+    let size = svg.split("viewBox=\"0 0 ").nth(1).and_then(|rest| rest.split('"').next()).expect("a size");
+    let (width, height) = size.split_once(' ').expect("two numbers");
+    (width.parse().expect("a number"), height.parse().expect("a number"))
+}
+
+/// No number of a figure is lost between the layout and the paper: all that is drawn lies on it, every text is whole, large enough
+/// and in the font.
+fn assert_on_paper(svg: &str) {
+    let (width, height) = size(svg);
+    for (tag, along, across) in
+        [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y"), ("line", "x1", "y1")]
+    {
+        let numbers = |attribute: &str| -> Vec<f64> {
+            let elements = Elements::of(svg, tag);
+            elements.0.iter().filter_map(|element| element.get(attribute)?.parse().ok()).collect()
+        };
+        let inside = |values: Vec<f64>, most: f64| values.iter().all(|value| (0.0..=most).contains(value));
+        assert!(inside(numbers(along), width), "{tag} {along} in {svg}");
+        assert!(inside(numbers(across), height), "{tag} {across} in {svg}");
     }
     assert!(Elements::of(svg, "rect").numbers("width").iter().all(|width| *width >= 0.0));
     assert!(Elements::of(svg, "rect").numbers("height").iter().all(|height| *height >= 0.0));
     assert!(!svg.contains("NaN") && !svg.contains("\"inf"), "{svg}");
+    let sizes = Elements::of(svg, "text").numbers("font-size");
+    assert!(sizes.iter().all(|size| *size >= 7.0), "{sizes:?}");
+    for (element, words) in Elements::of(svg, "text").0.iter().zip(texts(svg)) {
+        assert_eq!(missing_glyph(&words), None, "{words}");
+        let number = |name: &str| element[name].parse::<f64>().expect("a number");
+        let wide = text::width(
+            &words.replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">"),
+            number("font-size"),
+        );
+        let left = match element.get("text-anchor").map(String::as_str) {
+            Some("end") => number("x") - wide,
+            Some("middle") => number("x") - wide / 2.0,
+            _ => number("x"),
+        };
+        assert!(left >= -0.5 && left + wide <= width + 0.5, "{words} from {left} to {}", left + wide);
+    }
 }
 
 #[test]
-fn a_figure_is_as_wide_as_a_column_in_both_files() {
+fn a_figure_is_as_wide_as_a_column_in_all_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let figure = bars::histogram(millis((0..100).map(f64::from)));
-    let [png, svg] = figure.write(folder.path(), "some-time").expect("written");
+    let [png, svg, pdf, txt] = export::write(&figure.figure(), folder.path(), "some-time").expect("written");
     let bytes = std::fs::read(&png).expect("is there");
     let density = bytes.windows(4).position(|name| name == b"pHYs").expect("says how large its pixels are");
     let metre = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four"));
     let per_inch = [4, 8].map(|at| (f64::from(metre(density + at)) * 0.0254).round());
     assert_eq!((per_inch, bytes[density + 12]), ([480.0; 2], 1), "to the metre");
     let picture = image::open(&png).expect("a picture");
-    assert_eq!((picture.width(), picture.height()), figure.size());
+    assert_eq!((picture.width(), picture.height()), (1_680, 1_260));
     let svg = std::fs::read_to_string(svg).expect("read");
-    assert!(svg.starts_with("<svg width=\"3.5in\" height=\"2.625in\" viewBox=\"0 0 1680 1260\""), "{svg}");
+    let begin = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"3.5in\" height=\"2.625in\" viewBox=\"0 0 252 189\"";
+    assert!(svg.starts_with(begin), "{svg}");
     assert!(svg.contains("font-family=\"Inter, Helvetica, Arial, sans-serif\""), "{svg}");
+    assert!(std::fs::read(pdf).expect("read").starts_with(b"%PDF"));
+    assert!(std::fs::read_to_string(txt).expect("read").contains("Iterations against Upload time, ms"));
     let missing = folder.path().join("missing");
-    let error = figure.write(&missing, "some-time").expect_err("there is no such folder");
-    assert!(error.to_string().contains("some-time.png"), "{error}");
+    let error = export::write(&figure.figure(), &missing, "some-time").expect_err("there is no such folder");
+    assert!(error.to_string().contains("some-time"), "{error}");
 }
 
 #[test]
@@ -96,8 +160,28 @@ fn names_cannot_break_a_file() {
         title: "a\tb\n<c> & \u{1b}[2J\u{0}\u{7}".to_owned(),
         ..bars::histogram(millis([1.0, 2.0]))
     };
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     assert!(svg.contains("a b &lt;c&gt; &amp;  [2J"), "{svg}");
     assert!(!svg.chars().any(|char| char.is_control() && char != '\n'), "{svg}");
-    assert_on_paper(&figure, &svg);
+    assert_on_paper(&svg);
+}
+
+/// Every character that a text of a figure is made with has a glyph.
+#[test]
+fn the_font_has_every_sign_of_figures() {
+    for source in [
+        include_str!("../accuracy/mod.rs"),
+        include_str!("../course/mod.rs"),
+        include_str!("../cumulative.rs"),
+        include_str!("../histogram/distribution.rs"),
+        include_str!("../lengths.rs"),
+        include_str!("../paired/mod.rs"),
+        include_str!("../scaling.rs"),
+        include_str!("../sharing.rs"),
+        include_str!("../stacked.rs"),
+        include_str!("../../of_calibration.rs"),
+        include_str!("../../of_results/payload.rs"),
+    ] {
+        assert_eq!(source.lines().find_map(missing_glyph), None);
+    }
 }

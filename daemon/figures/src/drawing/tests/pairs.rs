@@ -1,6 +1,7 @@
 //! Distributions side by side, and points with their margins.
 
 use super::*;
+use crate::look::series;
 
 fn hill(middle: f64, count: u32) -> Ordered {
     millis((0..count).map(|i| middle * (1.0 + 0.4 * ((f64::from(i) + 0.5) / f64::from(count) - 0.5).powi(3))))
@@ -20,35 +21,29 @@ fn paired(groups: Vec<Vec<Ordered>>) -> Paired {
 #[test]
 fn many_values_are_a_shape_and_few_are_points() {
     let figure = paired(vec![vec![hill(50.0, 400), hill(20.0, 400)], vec![hill(90.0, 9), hill(30.0, 0)]]);
-    let svg = figure.svg().expect("drawn");
-    // Two shapes; triangles are polygons as well: the key's and the second median.
-    assert_eq!(Elements::of(&svg, "polygon").0.len(), 2 + 2, "{svg}");
-    // Nine points and their median; the key's and the other median.
-    assert_eq!(Elements::of(&svg, "circle").0.len(), 9 + 1 + 1 + 1, "{svg}");
-    for text in [
-        "2.50 ×",
-        "model-0",
-        "model-1",
-        "local",
-        "remote",
-        "Inference, ms",
-        "above a pair: median local ÷ remote",
-    ] {
+    let svg = figure.svg();
+    // Two shapes of hundreds of corners.
+    let shapes = Elements::of(&svg, "path").0.into_iter().filter(|path| path["d"].len() > 300);
+    assert_eq!(shapes.count(), 2, "{svg}");
+    // Nine points, the legend's, and two medians with their rims.
+    assert_eq!(Elements::of(&svg, "circle").0.len(), 9 + 1 + 2 * 2, "{svg}");
+    for text in ["2.50 ×", "model-0", "model-1", "local", "remote", "Inference, ms"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert_on_paper(&figure, &svg);
+    assert!(figure.words().contains("above a pair: median local ÷ remote"), "{}", figure.words());
+    assert_on_paper(&svg);
 }
 
 #[test]
 fn models_of_very_different_latency_share_a_logarithmic_axis() {
     let figure = paired(vec![vec![hill(0.5, 400), hill(0.2, 9)], vec![hill(9000.0, 400), hill(3000.0, 400)]]);
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     for text in ["Inference, ms (log scale)", "1", "10,000"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert_on_paper(&figure, &svg);
+    assert_on_paper(&svg);
     let zero = paired(vec![vec![millis([0.0, 1.0, 2.0]), hill(9000.0, 400)]]);
-    assert!(has(&zero.svg().expect("drawn"), "Inference, ms"), "zero has no logarithm");
+    assert!(has(&zero.svg(), "Inference, ms"), "zero has no logarithm");
 }
 
 #[test]
@@ -57,7 +52,7 @@ fn long_names_of_models_stay_apart() {
     for (group, size) in figure.groups.iter_mut().zip(["s", "m", "l", "x", "y", "z"]) {
         group.name = format!("efficientnet_v2_{size}_with_a_very_long_suffix_int8");
     }
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     for name in ["…s…", "…m…", "…z…"] {
         assert!(has(&svg, name), "{name} in {:?}", texts(&svg));
     }
@@ -70,12 +65,19 @@ fn a_shape_is_whole_however_narrow_its_hills_are() {
     let far: Ordered =
         millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
     let figure = paired(vec![vec![far]]);
-    let pixels = figure.pixels().expect("drawn");
-    let (width, height) = figure.size();
-    let row = width as usize * 3;
-    let blue = |row: &[u8]| row.chunks_exact(3).any(|pixel| pixel == [0x00, 0x72, 0xb2]);
-    // Below the key, whose sample has the colour as well.
-    let rows: Vec<usize> = (380..height as usize).filter(|y| blue(&pixels[y * row..(y + 1) * row])).collect();
+    let picture = export::Exported::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
+    let row = picture.width as usize * 3;
+    // About the middle line of the shape.
+    let area = file::areas(&figure.figure())[0];
+    let middle = (area.left + area.width / 2.0) / file::WIDTH;
+    let from = (middle * f64::from(picture.width)) as usize * 3;
+    let is_dark = |row: &[u8]| {
+        row[from - 60..from + 60].chunks_exact(3).any(|pixel| pixel.iter().all(|part| *part < 0xc8))
+    };
+    // Below the caption.
+    let rows: Vec<usize> = (250..picture.height as usize - 170)
+        .filter(|y| is_dark(&picture.rgb[y * row..(y + 1) * row]))
+        .collect();
     let (first, last) = (rows[0], rows[rows.len() - 1]);
     assert!(last - first > 400, "{first} {last}");
     assert_eq!(rows.len(), last - first + 1, "a row without the shape");
@@ -83,25 +85,25 @@ fn a_shape_is_whole_however_narrow_its_hills_are() {
 
 #[test]
 fn each_distribution_has_its_count() {
-    let svg = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]]).svg().expect("drawn");
+    let svg = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]]).svg();
     assert!(has(&svg, "n = 400") && has(&svg, "n = 9"), "{:?}", texts(&svg));
     let many = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]; 12]);
-    let svg = many.svg().expect("drawn");
-    assert!(has(&svg, "n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
-    assert_on_paper(&many, &svg);
+    let svg = many.svg();
+    assert!(many.words().contains("n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
+    assert_on_paper(&svg);
 }
 
 #[test]
 fn what_leaves_a_shape_is_counted() {
     let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
-    let svg = paired(vec![vec![hill(50.0, 400), late]]).svg().expect("drawn");
-    assert!(has(&svg, "+1"), "{:?}", texts(&svg));
-    assert!(has(&svg, "+ above: so many values are larger than shown"), "{:?}", texts(&svg));
+    let figure = paired(vec![vec![hill(50.0, 400), late]]);
+    assert!(has(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
+    assert!(figure.words().contains("+ above: so many values are larger than shown"), "{}", figure.words());
 }
 
 /// Height of a text.
 fn height(svg: &str, wanted: &str) -> f64 {
-    let element = svg.split("<text ").find(|element| element.contains(&format!("\n{wanted}\n")));
+    let element = svg.split("<text ").find(|element| element.contains(&format!(">{wanted}<")));
     let y = element.and_then(|element| element.split(" y=\"").nth(1)?.split('"').next());
     y.and_then(|y| y.parse().ok()).expect("the text")
 }
@@ -110,13 +112,12 @@ fn height(svg: &str, wanted: &str) -> f64 {
 fn points_that_have_room_are_drawn_and_no_count_lies_on_one() {
     let late = |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<Ordered>();
     let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));
-    // The key's two marks aside: the points of the first sides and two medians.
-    let discs = Elements::of(&svg, "circle").with("fill", "#0072B2").numbers("cy");
+    let discs = Elements::of(&svg, "circle").with("fill", &series(0).ground.to_string()).numbers("cy");
     assert_eq!(discs.len(), 31 + 30, "{discs:?}");
     let second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
-    assert!(height(&svg, "+1") <= second - 12.0, "{} {second}", height(&svg, "+1"));
+    assert!(height(&svg, "+1") <= second - 1.8, "{} {second}", height(&svg, "+1"));
 }
 
 #[test]
@@ -125,13 +126,13 @@ fn odd_pairs_are_drawn_too() {
         [vec![], vec![5.0], vec![5.0; 300], vec![-2.0, -1.0, 4.0], vec![f64::NAN, 3.0, f64::INFINITY]]
     {
         let figure = paired(vec![vec![millis(values.clone()), millis([])]]);
-        let svg = figure.svg().expect("drawn");
+        let svg = figure.svg();
         assert_eq!(
             has(&svg, "no values"),
             values.is_empty() || values.iter().any(|v| v.is_infinite()),
             "{values:?}"
         );
-        assert_on_paper(&figure, &svg);
+        assert_on_paper(&svg);
     }
 }
 
@@ -140,6 +141,7 @@ fn lengths(points: Vec<(f64, f64)>) -> Lengths {
         title: "Inference against tokens".to_owned(),
         x: Unit { title: "Tokens".to_owned(), symbol: "".into(), per_si: 1.0 },
         y: Unit::milliseconds("Inference"),
+        stage: "inference".to_owned(),
         points,
         notes: vec!["n = 3".to_owned()],
     }
@@ -148,23 +150,29 @@ fn lengths(points: Vec<(f64, f64)>) -> Lengths {
 #[test]
 fn points_have_a_distribution_on_both_sides() {
     let figure = lengths((0..100).map(|i| (f64::from(i), f64::from(i) * 2e-3)).collect());
-    let svg = figure.svg().expect("drawn");
-    let circles = Elements::of(&svg, "circle");
-    assert_eq!(circles.0.len(), 100);
-    let (x, y) = (circles.numbers("cx"), circles.numbers("cy"));
-    assert!((x[50] - f64::midpoint(x[0], x[99])).abs() < 10.0 && y[0] > y[99], "{svg}");
-    let bars = Elements::of(&svg, "rect").with("fill", "#14181F");
+    let svg = figure.svg();
+    let dots = Elements::of(&svg, "path").with("stroke-width", "2.4");
+    let places: Vec<(f64, f64)> = dots.0[0]["d"]
+        .split('M')
+        .skip(1)
+        .filter_map(|dot| dot.split('L').next()?.split_once(' '))
+        .map(|(x, y)| (x.parse().expect("a number"), y.parse().expect("a number")))
+        .collect();
+    assert_eq!(places.len(), 100);
+    assert!((places[50].0 - f64::midpoint(places[0].0, places[99].0)).abs() < 1.5, "{svg}");
+    assert!(places[0].1 > places[99].1, "{svg}");
+    let bars = Elements::of(&svg, "rect").with("fill", "#8a94a3");
     assert!(bars.0.len() >= 16, "{svg}");
     assert!(["Tokens", "Inference, ms"].iter().all(|text| has(&svg, text)));
-    assert_on_paper(&figure, &svg);
+    assert_on_paper(&svg);
 }
 
 #[test]
 fn a_hundred_thousand_points_are_a_small_file() {
     let point = |i: u32| (f64::from(i % 977), f64::from(i % 977) * 1e-3 + f64::from(i % 31) * 1e-3);
     let figure = lengths((0..100_000).map(point).collect());
-    let svg = figure.svg().expect("drawn");
-    assert!(Elements::of(&svg, "circle").0.is_empty() && svg.len() < 400_000, "{}", svg.len());
+    let svg = figure.svg();
+    assert!(svg.len() < 200_000, "{}", svg.len());
 }
 
 #[test]
@@ -173,10 +181,10 @@ fn odd_points_are_drawn_too() {
         [vec![], vec![(3.0, 4.0)], vec![(3.0, 4.0); 90], vec![(-3.0, f64::NAN), (1.0, -2.0), (2.0, 1.0)]]
     {
         let figure = lengths(points.clone());
-        let svg = figure.svg().expect("drawn");
+        let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), points.is_empty(), "{points:?}");
-        assert_on_paper(&figure, &svg);
+        assert_on_paper(&svg);
     }
     let far = (0..300).map(|i| (f64::from(i % 50), 0.1)).chain([(1e6, 0.1)]).collect();
-    assert!(has(&lengths(far).svg().expect("drawn"), "1 beyond the axes"));
+    assert!(has(&lengths(far).svg(), "1 beyond the axes"));
 }

@@ -1,6 +1,7 @@
 //! Values against size, and accuracy against latency.
 
 use super::*;
+use crate::look::Mark;
 
 fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
     let value = |bytes: f64| Value {
@@ -16,7 +17,7 @@ fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
         notes: Vec::new(),
         series: vec![Series {
             name: "upload: 7 MB/s".to_owned(),
-            colour: UPLOAD,
+            stage: "upload",
             mark: Mark::Disc,
             values: [1e3, 1e4, 1e5].map(value).to_vec(),
             line,
@@ -26,41 +27,37 @@ fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
 
 /// Heights of the series' level lines.
 fn levels(svg: &str) -> Vec<f64> {
-    let lines = Elements::of(svg, "polyline").with("stroke", "#D55E00").with("stroke-width", "5");
+    let lines = Elements::of(svg, "path").with("stroke", "#d55e00");
     let points = |line: &HashMap<String, String>| -> Vec<f64> {
-        line["points"].split_whitespace().filter_map(|point| point.split(',').nth(1)?.parse().ok()).collect()
+        line["d"].split(['M', 'L']).filter_map(|point| point.split(' ').nth(1)?.parse().ok()).collect()
     };
-    // The first is the key's.
-    lines.0.iter().skip(1).flat_map(points).collect()
+    lines.0.iter().flat_map(points).collect()
 }
 
 #[test]
 fn a_level_line_stands_at_its_height_or_not_at_all() {
     let figure = scaling(Some((1e9, 0.0)), None);
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").numbers("cy");
     // The key's disc, then a decade each; the line is a decade above the last.
     let decade = discs[2] - discs[3];
     let line = levels(&svg);
     assert!(
-        !line.is_empty() && line.iter().all(|y| (discs[3] - y - decade).abs() < 3.0),
+        !line.is_empty() && line.iter().all(|y| (discs[3] - y - decade).abs() < 0.5),
         "{discs:?} {line:?}"
     );
-    assert!(has(&svg, "point: size ÷ median delay · line: by slope"), "{:?}", texts(&svg));
-    assert_on_paper(&figure, &svg);
-    let far = scaling(Some((1e11, 0.0)), None).svg().expect("drawn");
-    assert!(levels(&far).is_empty());
-    for text in ["point: size ÷ median delay", "far beyond the axis and not drawn: the line of upload"] {
-        assert!(has(&far, text), "{text}: {:?}", texts(&far));
+    assert!(figure.words().contains("point: size ÷ median delay · line: by slope"), "{}", figure.words());
+    assert_on_paper(&svg);
+    let far = scaling(Some((1e11, 0.0)), None);
+    assert!(levels(&far.svg()).is_empty());
+    for text in ["point: size ÷ median delay\n", "far beyond the axis and not drawn: the line of upload"] {
+        assert!(far.words().contains(text), "{text}: {}", far.words());
     }
 }
 
 #[test]
 fn what_is_not_drawn_is_not_explained() {
-    let has_whisker = |share: f64| {
-        let svg = scaling(None, Some(share)).svg().expect("drawn");
-        texts(&svg).iter().any(|text| text.contains("whisker: by clock bounds"))
-    };
+    let has_whisker = |share: f64| scaling(None, Some(share)).words().contains("whisker: by clock bounds");
     assert!(has_whisker(0.2) && !has_whisker(0.0), "one clock has no bounds");
 }
 
@@ -81,13 +78,14 @@ fn accuracy(scores: Vec<Score>) -> Accuracy {
 fn each_configuration_is_a_numbered_point_with_its_figures_below() {
     let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 90, 100, 0.041)];
     let figure = accuracy(scores);
-    let svg = figure.svg().expect("drawn");
-    let discs = Elements::of(&svg, "circle").with("fill", "#0B4796");
+    let svg = figure.svg();
+    let discs = Elements::of(&svg, "circle").with("fill", "#14181f");
     let (x, y) = (discs.numbers("cx"), discs.numbers("cy"));
     assert_eq!(x.len(), 3, "{svg}");
     assert!(x[0] < x[1] && x[1] < x[2] && y[0] > y[1] && y[1] > y[2], "{x:?} {y:?}");
-    assert!(((y[1] - y[2]) - (y[0] - y[1])).abs() < 4.0, "evenly: {y:?}");
-    for text in ["s", "m", "l", "Top-1 accuracy, %", "Total, ms", "Accuracy against latency"] {
+    assert!(((y[1] - y[2]) - (y[0] - y[1])).abs() < 0.6, "evenly: {y:?}");
+    for text in ["s", "m", "l", "Top-1 accuracy, %", "Total, ms", "Accuracy against latency · n = 100 each"]
+    {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     // Name, accuracy, median, 95th percentile.
@@ -95,27 +93,27 @@ fn each_configuration_is_a_numbered_point_with_its_figures_below() {
     assert!(texts.windows(5).any(|line| line == ["2", "m", "80.0", "40.0", "60.0"]), "{texts:?}");
     let count = |number: &str| texts.iter().filter(|text| *text == number).count();
     assert_eq!(["1", "2", "3"].map(count), [2, 2, 2], "at the point and in the key: {texts:?}");
-    assert!(texts.iter().any(|text| text.contains("across: to the 95th percentile")), "{texts:?}");
-    assert_on_paper(&figure, &svg);
+    assert!(figure.words().contains("across: to the 95th percentile"), "{}", figure.words());
+    assert_on_paper(&svg);
 }
 
 #[test]
 fn whiskers_that_would_lie_on_one_another_are_left_out() {
     let figure =
         accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.025), score("c", 99, 100, 0.1)]);
-    let svg = figure.svg().expect("drawn");
-    assert!(!texts(&svg).iter().any(|text| text.contains("across")), "{:?}", texts(&svg));
+    let svg = figure.svg();
+    assert!(!figure.words().contains("across"), "{}", figure.words());
     assert!(has(&svg, "p95, ms") && has(&svg, "37.5"), "the key has them: {:?}", texts(&svg));
-    let discs = Elements::of(&svg, "circle").with("fill", "#0B4796").numbers("cy");
+    let discs = Elements::of(&svg, "circle").with("fill", "#14181f").numbers("cy");
     assert_eq!(discs[0], discs[1], "points stay where they are");
-    let apart = accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.04)]).svg().expect("drawn");
-    assert!(texts(&apart).iter().any(|text| text.contains("across")), "{:?}", texts(&apart));
+    let apart = accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.04)]);
+    assert!(apart.words().contains("across"), "{}", apart.words());
 }
 
 #[test]
 fn numbers_of_points_in_one_place_lie_apart() {
     let figure = accuracy((0..9).map(|_| score("x", 100, 100, 0.02)).collect());
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     let of = |attribute: &str| {
         let texts = svg.split("<text ").skip(1).filter(|text| {
             let words = text.split('>').nth(1).and_then(|text| text.split('<').next()).unwrap_or_default();
@@ -128,7 +126,7 @@ fn numbers_of_points_in_one_place_lie_apart() {
     let places: Vec<(f64, f64)> = of("x").into_iter().zip(of("y")).take(9).collect();
     assert_eq!(places.len(), 9, "{svg}");
     for (number, (x, y)) in places.iter().enumerate() {
-        let far = |(a, b): &(f64, f64)| (a - x).abs() >= 20.0 || (b - y).abs() >= 40.0;
+        let far = |(a, b): &(f64, f64)| (a - x).abs() >= 3.0 || (b - y).abs() >= 6.0;
         assert!(places[number + 1..].iter().all(far), "{places:?}");
     }
 }
@@ -146,11 +144,11 @@ fn odd_scores_are_drawn_too() {
     ];
     for scores in cases {
         let figure = accuracy(scores);
-        let svg = figure.svg().expect("drawn");
+        let svg = figure.svg();
         assert_eq!(
             has(&svg, "no values"),
             figure.scores.iter().all(|score| score.count == 0 || score.median.is_nan())
         );
-        assert_on_paper(&figure, &svg);
+        assert_on_paper(&svg);
     }
 }

@@ -1,5 +1,7 @@
 //! Latency against the number of edges.
 
+use std::collections::BTreeSet;
+
 use super::*;
 
 fn point(edges: usize, median: f64, fairness: Option<f64>) -> SharingPoint {
@@ -21,8 +23,8 @@ fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
 fn the_axis_is_marked_at_whole_edges_that_were_measured() {
     let points = [1, 2, 4, 8].map(|edges| point(edges, 0.01 + 0.01 * edges as f64, Some(1.0 / edges as f64)));
     let figure = sharing(vec![("", points.to_vec())]);
-    let svg = figure.svg().expect("drawn");
-    for text in ["1", "2", "4", "8", "Edges at once (log scale)", "Total, ms", "0.0", "0.5", "1.0"] {
+    let svg = figure.svg();
+    for text in ["1", "2", "4", "8", "Edges at once (log scale)", "Total, ms", "0", "0.5", "1.0"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(texts(&svg).iter().any(|text| text.contains("Jain")), "{:?}", texts(&svg));
@@ -30,28 +32,29 @@ fn the_axis_is_marked_at_whole_edges_that_were_measured() {
     assert_eq!((x.len(), &x[..4]), (8, &x[4..]), "one below the other");
     // Doublings are equally far apart, and latencies rise by 10, 20 and 40 ms.
     assert!(
-        (x[1] - x[0] - (x[2] - x[1])).abs() <= 1.0 && (x[2] - x[1] - (x[3] - x[2])).abs() <= 1.0,
+        (x[1] - x[0] - (x[2] - x[1])).abs() <= 0.1 && (x[2] - x[1] - (x[3] - x[2])).abs() <= 0.1,
         "{x:?}"
     );
-    assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 8.0, "{y:?}");
+    assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 0.3, "{y:?}");
     // From all in favour of one edge to all alike.
     assert!(y[4] < y[5] && y[5] < y[6] && y[6] < y[7] && y[4] > y[0], "{y:?}");
-    assert_on_paper(&figure, &svg);
+    assert_on_paper(&svg);
 }
 
 #[test]
 fn curves_differ_by_mark_and_line() {
     let of = |factor: f64| [1, 2, 3].map(|edges| point(edges, factor * edges as f64, Some(0.9))).to_vec();
     let figure = sharing(vec![("s", of(0.01)), ("m", of(0.02)), ("l", of(0.03)), ("xl", of(0.04))]);
-    let svg = figure.svg().expect("drawn");
+    let svg = figure.svg();
     assert!(["s", "m", "l", "xl"].iter().all(|name| has(&svg, name)), "{:?}", texts(&svg));
-    // A solid line is one stroke, a dashed one many.
-    let strokes = |colour: &str| {
-        Elements::of(&svg, "polyline").with("stroke", colour).with("stroke-width", "5").0.len()
-    };
-    let [solid, dashed, dotted, long] = ["#0072B2", "#D55E00", "#009E73", "#CC79A7"].map(strokes);
-    assert!(solid < long && long < dashed && dashed < dotted, "{solid} {long} {dashed} {dotted}");
-    assert_on_paper(&figure, &svg);
+    let dashes: BTreeSet<String> = Elements::of(&svg, "path")
+        .with("fill", "none")
+        .0
+        .iter()
+        .map(|line| line.get("stroke-dasharray").cloned().unwrap_or_default())
+        .collect();
+    assert_eq!(dashes.len(), 4, "{svg}");
+    assert_on_paper(&svg);
 }
 
 #[test]
@@ -70,13 +73,13 @@ fn odd_numbers_are_drawn_too() {
     ];
     for curves in cases {
         let figure = sharing(curves);
-        let svg = figure.svg().expect("drawn");
+        let svg = figure.svg();
         let shown =
             figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.median.is_finite());
         assert_eq!(has(&svg, "no values"), !shown, "{:?}", texts(&svg));
         let judged =
             figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.fairness.is_some());
         assert_eq!(texts(&svg).iter().any(|text| text.contains("Jain")), judged);
-        assert_on_paper(&figure, &svg);
+        assert_on_paper(&svg);
     }
 }

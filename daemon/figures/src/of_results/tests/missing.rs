@@ -29,8 +29,8 @@ fn a_direction_that_is_not_drawn_is_told_with_its_sizes() {
     let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
     let told = "payload-latency: not drawn: upload, 106 kB to 157 kB: the largest must be twice the smallest";
     assert_eq!(drawn.missing, [told], "once for both figures");
-    let svg = std::fs::read_to_string(folder.path().join("payload-throughput.svg")).expect("read");
-    assert!(svg.contains("not drawn: upload"), "{svg}");
+    let words = std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
+    assert!(words.contains("not drawn: upload"), "{words}");
 }
 
 #[test]

@@ -1,0 +1,139 @@
+//! How quantities are distributed, as the share of values up to each: several in one plot.
+
+use peernet_statistics::number::fixed;
+
+use super::histogram::range;
+use crate::look::{Mark, Style};
+use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
+use crate::scale::Scale;
+use peernet_analysis::order::Ordered;
+
+/// Points of a curve.
+const POINTS: usize = 240;
+/// From this ratio of the largest to the smallest median on, the axis is logarithmic.
+const WIDE: f64 = 12.0;
+/// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
+const ROOM: f64 = 0.02;
+/// An axis begins at zero unless the smallest value is above this share of the largest.
+const CLOSE: f64 = 0.5;
+/// Height of the first mark of a curve and the distance to the next curve's, so that none hides another.
+const FIRST_MARK: f64 = 0.12;
+const NEXT_MARK: f64 = 0.16;
+const RADIUS: f64 = 1.7;
+
+/// Cumulative distributions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cumulative {
+    /// What is shown.
+    pub title: String,
+    /// What stands along the horizontal axis.
+    pub unit: Unit,
+    /// From the one that is listed first.
+    pub curves: Vec<CumulativeCurve>,
+    /// How many values there are, what is left out and so on.
+    pub notes: Vec<String>,
+}
+
+/// One quantity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CumulativeCurve {
+    /// Its name.
+    pub name: String,
+    /// How its line looks.
+    pub line: Style,
+    /// How its mark looks.
+    pub mark: (Mark, Style),
+    /// The values, SI units.
+    pub values: Ordered,
+}
+
+impl CumulativeCurve {
+    /// Its name and how many of its values are larger than one, if any are.
+    fn beyond(&self, most: f64) -> Option<(&str, String)> {
+        let count = self.values.values().iter().filter(|value| **value > most).count();
+        (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))
+    }
+}
+
+impl Cumulative {
+    fn shown(&self) -> impl Iterator<Item = (&CumulativeCurve, (f64, f64))> {
+        let known = self.curves.iter().filter_map(|curve| Some((curve, range(&curve.values)?)));
+        known.filter(|(_, (lo, hi))| lo.is_finite() && hi.is_finite())
+    }
+
+    fn scale(&self) -> Option<Scale> {
+        let ends = self.shown().map(|(_, ends)| ends);
+        let (lo, hi) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        let medians: Ordered = self.shown().filter_map(|(curve, _)| curve.values.median()).collect();
+        let (least, most) = medians.values().first().zip(medians.values().last())?;
+        let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
+        Some(if lo > 0.0 && *most >= WIDE * least {
+            let room = (hi / lo).powf(ROOM);
+            Scale::logarithmic((lo / room, hi * room))
+        } else if lo > hi * CLOSE {
+            Scale::linear((lo, hi))
+        } else {
+            Scale::from_zero((lo, hi))
+        })
+    }
+
+    /// Lays the figure out.
+    pub fn figure(&self) -> Figure {
+        let mut notes = self.notes.clone();
+        let mut plots = Vec::new();
+        if let Some(scale) = self.scale() {
+            let up = Axis::new(Scale::linear((0.0, 100.0)), "Share of iterations, %", "%");
+            let mut plot = Plot::new(self.unit.axis(scale).with_grid(), up.with_grid());
+            for (number, (curve, _)) in self.shown().enumerate() {
+                plot.items.extend(self.curve(&plot, number, curve));
+            }
+            let (_, end) = scale.ends();
+            let beyond: Vec<(&str, String)> =
+                self.shown().filter_map(|(curve, _)| curve.beyond(end / self.unit.per_si)).collect();
+            if let [(_, count)] = beyond.as_slice()
+                && self.curves.len() == 1
+            {
+                plot.remark =
+                    Some(format!("{count} beyond {} →", self.unit.words(end / self.unit.per_si, 0.0)));
+            }
+            if !beyond.is_empty() {
+                let named: Vec<String> =
+                    beyond.iter().map(|(name, count)| format!("{count} of {name}")).collect();
+                notes.push(format!("beyond the axis: {}", named.join(", ")));
+            }
+            plots.push(plot);
+        }
+        let key = |(curve, _): (&CumulativeCurve, _)| {
+            Key::new(
+                Swatch::Curve(curve.line.clone(), curve.mark.0, curve.mark.1.clone()),
+                curve.name.clone(),
+            )
+        };
+        let legend = if self.curves.len() > 1 { self.shown().map(key).collect() } else { Vec::new() };
+        Figure { title: self.title.clone(), legend, notes, plots, ..Figure::default() }
+    }
+
+    fn curve(&self, plot: &Plot, number: usize, curve: &CumulativeCurve) -> Vec<Item> {
+        let values = curve.values.values();
+        let at = |index: usize| {
+            let share = (index + 1) as f64 / values.len() as f64;
+            let at = plot.at(values[index] * self.unit.per_si, share * 100.0);
+            (at.x, at.y)
+        };
+        let last = values.len().saturating_sub(1);
+        let steps = POINTS.min(last.max(1));
+        let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| at(last * step / steps)).collect();
+        points.insert(0, (points[0].0, 1.0));
+        let wanted = 1.0 - (FIRST_MARK + NEXT_MARK * number as f64).fract();
+        let mark =
+            points.iter().min_by(|a, b| (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())).copied();
+        let mut items = vec![Item::path(Path::line(points.into_iter().map(Some)), curve.line.clone())];
+        if self.curves.len() > 1 {
+            let (shape, style) = &curve.mark;
+            items.extend(
+                mark.map(|(x, y)| Item::mark(crate::plot::At::new(x, y), *shape, RADIUS, style.clone())),
+            );
+        }
+        items
+    }
+}

@@ -1,0 +1,169 @@
+//! Counted values as bars, with lines at quantiles.
+
+use super::count;
+use crate::look::{Stage, Style, TextStyle};
+use crate::plot::{Anchor, At, Axis, Item, Label, Plot, Unit};
+use crate::scale::Scale;
+use crate::text::width;
+
+/// Share of the plot that the only bar takes.
+const ALONE: f64 = 0.1;
+/// What is there is seen in a file, be it one iteration in ten thousand: points.
+const SEEN: (f64, f64) = (0.4, 0.45);
+/// From a line to its label and between labels, in their type size.
+const ASIDE: f64 = 0.3;
+/// Distance between two lines of labels, and of the lowest from the plot, in their type size.
+const LINE: f64 = 1.3;
+const FIRST: f64 = 0.4;
+
+/// Two ways to look at a distribution.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum View {
+    /// Samples in each bin.
+    #[default]
+    Counts,
+    /// Share of samples up to each bin's end.
+    Cumulative,
+}
+
+/// A distribution of which counts are known, such as those of a sketch or of [`Bins`](super::Bins); the same for pages and files.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Distribution {
+    /// Edges of the bins, SI units: one more than there are counts.
+    pub edges: Vec<f64>,
+    /// Samples in each bin.
+    pub counts: Vec<u64>,
+    /// Samples below the first bin and above the last.
+    pub beyond: (u64, u64),
+    /// Name and value of the quantiles that have a line: `median`, `p95`, `p99`.
+    pub quantiles: Vec<(&'static str, f64)>,
+    /// How values are shown.
+    pub unit: Unit,
+    /// The stage whose colour the bars have.
+    pub stage: Stage,
+    /// What the bars show.
+    pub view: View,
+    /// Whether the scale of counts is logarithmic.
+    pub is_logarithmic: bool,
+    /// Width of the plot in the type size of its labels, at the narrowest.
+    pub ems: f64,
+}
+
+impl Distribution {
+    /// Lays it out.
+    pub fn plot(&self) -> Plot {
+        let mut plot = Plot::new(self.across(), self.up().with_grid());
+        plot.items = self.bars(&plot);
+        let (lines, rows) = self.marks(&plot);
+        plot.items.extend(lines);
+        plot.lines_above = rows;
+        plot.remark = self.remark();
+        plot
+    }
+
+    fn ends(&self) -> (f64, f64) {
+        let end = |edge: Option<&f64>| edge.copied().unwrap_or_default();
+        (end(self.edges.first()), end(self.edges.last()))
+    }
+
+    /// One value alone stands in the middle, not all over the plot.
+    fn across(&self) -> Axis {
+        let ((from, to), per_si) = (self.ends(), self.unit.per_si);
+        let middle = f64::midpoint(from, to) * per_si;
+        let scale = if self.counts.len() == 1 {
+            Scale::linear((middle, middle))
+        } else {
+            Scale::linear((from * per_si, to * per_si))
+        };
+        self.unit.axis(scale)
+    }
+
+    fn up(&self) -> Axis {
+        match self.view {
+            View::Counts => {
+                let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
+                let scale = if self.is_logarithmic {
+                    // A bin of one sample is seen.
+                    Scale::logarithmic((0.5, most.max(10.0)))
+                } else {
+                    Scale::from_zero((0.0, most))
+                };
+                Axis::new(scale.whole(), "Iterations", "")
+            }
+            View::Cumulative => Axis::new(Scale::linear((0.0, 100.0)), "Iterations up to here, %", "%"),
+        }
+    }
+
+    /// Height of each bar, in the unit of the vertical axis.
+    fn heights(&self) -> Vec<f64> {
+        let all = self.counts.iter().sum::<u64>() + self.beyond.0 + self.beyond.1;
+        let running = self.counts.iter().scan(self.beyond.0, |sum, count| {
+            *sum += count;
+            Some(*sum as f64 / all.max(1) as f64 * 100.0)
+        });
+        match self.view {
+            View::Counts => self.counts.iter().map(|count| *count as f64).collect(),
+            View::Cumulative => running.collect(),
+        }
+    }
+
+    fn bars(&self, plot: &Plot) -> Vec<Item> {
+        let style = self.stage.plain().bin();
+        let (low, _) = plot.y.scale.ends();
+        let bar = |(edges, height): (&[f64], f64)| {
+            let (mut from, mut to) =
+                (plot.at(edges[0] * self.unit.per_si, low), plot.at(edges[1] * self.unit.per_si, height));
+            if self.counts.len() == 1 {
+                // As wide for zero, which has no width to go by, as for any other value.
+                (from.x, to.x) = (0.5 - ALONE / 2.0, 0.5 + ALONE / 2.0);
+            }
+            Item::Rect { from, to, least: SEEN, style: style.clone() }
+        };
+        self.edges.windows(2).zip(self.heights()).filter(|(_, height)| *height > 0.0).map(bar).collect()
+    }
+
+    /// The lines of quantiles with their labels above the plot, and how many lines of text those take.
+    fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
+        let (from, to) = self.ends();
+        // One value alone has no spread.
+        let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
+        let mut ends: Vec<(usize, f64)> = Vec::new();
+        let mut placed = Vec::new();
+        for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
+            let x = plot.x.scale.at(value * self.unit.per_si);
+            let words = format!("{name} {}", self.unit.words(*value, spread));
+            let wide = (width(&words, 1.0) + 3.0 * ASIDE) / self.ems;
+            let anchor = match *name {
+                "median" if x > wide => Anchor::End,
+                _ if x + wide > 1.0 => Anchor::End,
+                _ => Anchor::Start,
+            };
+            let left = if anchor == Anchor::End { x - wide } else { x };
+            // A label that would run into one before it goes to the next line.
+            let row = (0..).find(|row| !ends.iter().any(|(known, end)| known == row && left < *end));
+            let row = row.unwrap_or_default();
+            ends.push((row, left + wide));
+            placed.push((*name, x, words, anchor, row));
+        }
+        let mut items = Vec::new();
+        for (name, x, words, anchor, row) in placed {
+            let aside = if anchor == Anchor::End { -ASIDE } else { ASIDE };
+            let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
+            items.push(Item::line(bottom, top, Style::rim()));
+            items.push(Item::line(bottom, top, Style::quantile(name)));
+            let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
+            items.push(Item::Text(label.shifted(aside, -FIRST - LINE * row as f64)));
+        }
+        let rows = ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
+        (items, rows)
+    }
+
+    /// What lies outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
+    fn remark(&self) -> Option<String> {
+        let ((below, above), (from, to)) = (self.beyond, self.ends());
+        let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));
+        let above = (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.words(to, 0.0)));
+        let parts: Vec<String> = below.into_iter().chain(above).collect();
+        (!parts.is_empty()).then(|| parts.join(" · "))
+    }
+}

@@ -1,0 +1,87 @@
+//! Stages that follow upon one another along a scale: bars of pages and files.
+
+use crate::look::{Style, stage};
+use crate::plot::{At, Item};
+use crate::scale::Scale;
+
+/// What of a part is seen however little it is, points.
+const THIN: f64 = 0.6;
+/// Parts of less than this share of the scale have no line between them.
+const PARTED: f64 = 0.006;
+
+/// Which way a bar goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From below to above.
+    Upright,
+    /// From left to right.
+    Level,
+}
+
+impl Direction {
+    /// Returns the place at a share along the scale and one across, which is counted from the left or from above.
+    pub fn at(self, along: f64, across: f64) -> At {
+        match self {
+            Self::Upright => At::new(across, 1.0 - along),
+            Self::Level => At::new(along, across),
+        }
+    }
+
+    /// Returns a whisker along the scale with caps of so many points to each side.
+    pub fn whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
+        if self == Self::Upright {
+            return Item::whisker(ends, caps, cap, style);
+        }
+        let mut items = vec![Item::line(ends[0], ends[1], style.clone())];
+        for (end, _) in ends.into_iter().zip(caps).filter(|(_, has)| *has) {
+            items.push(Item::line(end.aside(0.0, -cap), end.aside(0.0, cap), style.clone()));
+        }
+        items
+    }
+}
+
+/// The parts of one bar.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stack<'a> {
+    /// Stage and value of each, in the unit of the scale, from the first to the last. Where clocks were not corrected a value may
+    /// be negative: such parts lie on the other side of zero.
+    pub parts: Vec<(&'a str, f64)>,
+    /// Where values lie.
+    pub scale: Scale,
+}
+
+impl Stack<'_> {
+    /// Sum of the parts above zero.
+    pub fn end(&self) -> f64 {
+        self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
+    }
+
+    /// Returns where each part that is not zero begins and ends, in the unit of the scale.
+    pub fn segments(&self) -> Vec<(&str, f64, f64)> {
+        let (mut below, mut above) = (0.0, 0.0);
+        let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);
+        let segment = |(name, value): &(_, f64)| {
+            let end = if *value < 0.0 { &mut below } else { &mut above };
+            let from = *end;
+            *end += value;
+            (*name, from, *end)
+        };
+        parts.map(segment).collect()
+    }
+
+    /// Lays the parts out between two places across.
+    pub fn items(&self, (near, far): (f64, f64), direction: Direction) -> Vec<Item> {
+        let mut items = Vec::new();
+        let least = if direction == Direction::Upright { (0.0, THIN) } else { (THIN, 0.0) };
+        for (name, from, to) in self.segments() {
+            let [begin, end] = [from, to].map(|value| self.scale.at(value));
+            let corners = [direction.at(begin, near), direction.at(end, far)];
+            items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
+            // Parts are parted, so that neighbours of one grey do not run together.
+            if from != 0.0 && (end - begin).abs() > PARTED {
+                items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
+            }
+        }
+        items
+    }
+}

@@ -1,0 +1,65 @@
+//! Cumulative distributions.
+
+use super::*;
+use crate::look::{Style, series};
+
+fn curve(number: usize, values: Ordered) -> CumulativeCurve {
+    let look = series(number);
+    let (line, mark): (Style, _) = (look.line(0.9), (look.mark, look.marks()));
+    CumulativeCurve { name: format!("configuration {number}"), line, mark, values }
+}
+
+fn cumulative(values: Vec<Ordered>) -> Cumulative {
+    Cumulative {
+        title: "Total by configuration".to_owned(),
+        unit: Unit::milliseconds("Total"),
+        curves: values.into_iter().enumerate().map(|(number, values)| curve(number, values)).collect(),
+        notes: vec!["n = 9 each".to_owned()],
+    }
+}
+
+#[test]
+fn a_curve_goes_from_nothing_to_all() {
+    let figure = cumulative(vec![millis((0..=1000).map(f64::from))]);
+    let svg = figure.svg();
+    let path = &Elements::of(&svg, "path").with("fill", "none").0[0]["d"];
+    let points: Vec<(f64, f64)> = path
+        .split(['M', 'L'])
+        .filter_map(|point| point.split_once(' '))
+        .map(|(x, y)| (x.parse().expect("a number"), y.parse().expect("a number")))
+        .collect();
+    let area = file::areas(&figure.figure())[0];
+    let (first, last) = (points[0], points[points.len() - 1]);
+    assert!(
+        (first.1 - area.top - area.height).abs() < 0.1 && (last.1 - area.top).abs() < 0.1,
+        "{first:?} {last:?}"
+    );
+    // Evenly spread values are a straight line.
+    let middle = points[points.len() / 2];
+    let (x, y) = (f64::midpoint(first.0, last.0), f64::midpoint(first.1, last.1));
+    assert!((middle.0 - x).abs() < 1.0 && (middle.1 - y).abs() < 1.0, "{middle:?}");
+    assert!(has(&svg, "Share of iterations, %") && has(&svg, "Total by configuration · n = 9 each"));
+    assert_on_paper(&svg);
+}
+
+#[test]
+fn what_is_beyond_the_axis_is_counted_for_each_curve() {
+    let late = |extra: f64| millis((0..400).map(|i| 10.0 + f64::from(i % 50)).chain([extra]));
+    let one = cumulative(vec![late(9e4)]);
+    assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));
+    let two = cumulative(vec![late(9e4), late(8e4)]);
+    let told = "beyond the axis: 1 of configuration 0, 1 of configuration 1";
+    assert!(two.words().contains(told), "{}", two.words());
+    let apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
+    assert!(has(&apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&apart.svg()));
+    assert_on_paper(&apart.svg());
+}
+
+#[test]
+fn odd_curves_are_drawn_too() {
+    for values in [vec![], vec![7.0], vec![0.0; 30], vec![-2.0, 1.0], vec![f64::NAN, 3.0, f64::INFINITY]] {
+        let figure = cumulative(vec![millis(values.clone()), millis([])]);
+        assert_on_paper(&figure.svg());
+        assert!(!values.is_empty() || has(&figure.svg(), "no values"));
+    }
+}

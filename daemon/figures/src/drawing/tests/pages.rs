@@ -1,0 +1,81 @@
+//! Kinds that pages have too, on the sheet of a page.
+
+use super::*;
+use crate::look::{Mark, Style};
+use crate::plot::{Anchor, At, Item, Label};
+use crate::scale::Scale;
+use crate::sheet::page;
+
+fn assert_of_a_page(html: &str) {
+    for never in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {
+        assert!(!html.contains(never), "{never} in {html}");
+    }
+}
+
+#[test]
+fn a_distribution_has_its_bars_and_lines_on_a_page() {
+    let figure = bars::histogram(millis((0..1000).map(f64::from).chain([9e5, 1e6]))).figure();
+    let html = page::plot(&figure.plots[0], "histogram", "in words");
+    assert_of_a_page(&html);
+    assert!(html.matches("class=\"bin f-upload\"").count() >= 8, "{html}");
+    for part in ["class=\"mark median\"", "class=\"mark p95\"", ">median 500 ms<", "2 beyond 999 ms →"] {
+        assert!(html.contains(part), "{part} is not in {html}");
+    }
+}
+
+#[test]
+fn lengths_and_scaling_are_drawn_on_a_page() {
+    let points = (0..3000).map(|i| (f64::from(i % 83), f64::from(i % 83) * 2e-3)).collect();
+    let unit = Unit { title: "Tokens".to_owned(), symbol: "".into(), per_si: 1.0 };
+    let (title, notes, stage) = (String::new(), Vec::new(), "inference".to_owned());
+    let lengths = Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, notes };
+    let html = page::plot(&lengths.figure().plots[0], "joint", "in words");
+    assert_of_a_page(&html.replace("fill-opacity=\"", ""));
+    assert!(html.contains("class=\"over\"") && html.contains("class=\"beside\""), "{html}");
+    assert!(html.contains("<path class=\"f-inference\""), "{html}");
+    let value =
+        |bytes: f64| Value { bytes, value: bytes * 1e-7, spread: None, bounds: Some((bytes * 6e-8, None)) };
+    let scaling = Scaling {
+        title: String::new(),
+        unit: Unit::milliseconds("Delay"),
+        parts: Parts { point: "a", whisker: "b", line: "c" },
+        notes: Vec::new(),
+        series: vec![Series {
+            name: "upload".to_owned(),
+            stage: "upload",
+            mark: Mark::Triangle,
+            values: [1e3, 1e4].map(value).to_vec(),
+            line: Some((1e-5, 1e-7)),
+        }],
+    };
+    let figure = scaling.figure();
+    let html = page::plot(&figure.plots[0], "histogram", "in words");
+    assert_of_a_page(&html);
+    assert!(html.contains("<path class=\"g-upload fit\" d=\"M"), "{html}");
+    assert_eq!(html.matches("class=\"f-upload\"").count(), 2, "{html}");
+    let legend = page::legend(&figure.legend, "key plain points");
+    assert!(legend.contains("<li class=\"extra\">") && legend.ends_with("upload</li></ul>"), "{legend}");
+}
+
+#[test]
+fn a_stack_holds_its_values_where_they_fit() {
+    let scale = Scale::linear((0.0, 40.0)).widened(6);
+    let stack = Stack { parts: vec![("sensing", 3.0), ("encode", 0.02), ("upload", 9.0)], scale };
+    let mut items = stack.items((0.15, 0.85), Direction::Level);
+    for (name, from, to) in stack.segments() {
+        let middle = At::new(scale.at(f64::midpoint(from, to)), 0.5);
+        let label =
+            Label::new(middle, format!("{:.1}", to - from), stage(name).text()).anchored(Anchor::Middle);
+        items.push(Item::Text(label.fits_within(scale.at(to) - scale.at(from))));
+    }
+    items.extend(Direction::Level.whisker(
+        [0.3, 0.4].map(|at| At::new(at, 0.5)),
+        [true; 2],
+        4.0,
+        &Style::whisker(),
+    ));
+    let html = page::picture(&items, "stages", "in words");
+    assert_of_a_page(&html);
+    assert!(html.contains("<rect class=\"f-encode edge\""), "{html}");
+    assert!(html.contains("<text class=\"o-upload fits w") && !html.contains(">0.0<"), "{html}");
+}

@@ -1,0 +1,87 @@
+//! Colours: one table for pages and files.
+
+use std::fmt;
+
+/// Colour without transparency.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Rgb(pub u8, pub u8, pub u8);
+
+impl Rgb {
+    /// From `0xrrggbb`.
+    pub const fn hex(value: u32) -> Self {
+        Self((value >> 16) as u8, (value >> 8) as u8, value as u8)
+    }
+
+    /// The colour with a share of it on white, as if it were transparent: files need no transparency where nothing lies below.
+    #[must_use]
+    pub fn tint(self, share: f64) -> Self {
+        let part = |part: u8| (f64::from(part) * share + 255.0 * (1.0 - share)).round() as u8;
+        Self(part(self.0), part(self.1), part(self.2))
+    }
+
+    /// Contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance).
+    pub fn contrast(self, other: Self) -> f64 {
+        let linear = |part: u8| {
+            let share = f64::from(part) / 255.0;
+            if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
+        };
+        let luminance = |colour: Self| {
+            0.2126 * linear(colour.0) + 0.7152 * linear(colour.1) + 0.0722 * linear(colour.2) + 0.05
+        };
+        let (a, b) = (luminance(self), luminance(other));
+        a.max(b) / a.min(b)
+    }
+}
+
+impl fmt::Display for Rgb {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "#{:02x}{:02x}{:02x}", self.0, self.1, self.2)
+    }
+}
+
+/// A colour of the dashboard in both themes. Files take the light one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Token {
+    /// Name of the custom property without its dashes.
+    pub name: &'static str,
+    /// On paper.
+    pub light: Rgb,
+    /// In the dark theme.
+    pub dark: Rgb,
+}
+
+impl Token {
+    /// From `0xrrggbb` for both themes.
+    pub const fn new(name: &'static str, light: u32, dark: u32) -> Self {
+        Self { name, light: Rgb::hex(light), dark: Rgb::hex(dark) }
+    }
+}
+
+/// Text, and whatever is no stage.
+pub const INK: Token = Token::new("ink", 0x14_181f, 0xe8_ecf1);
+/// Secondary text.
+pub const INK_2: Token = Token::new("ink-2", 0x45_4d59, 0xb6_bec9);
+/// Quiet text: axes and units.
+pub const INK_3: Token = Token::new("ink-3", 0x62_6b78, 0x8e_98a6);
+/// Lines between parts of a page.
+pub const LINE: Token = Token::new("line", 0xe3_e7ec, 0x25_2c35);
+/// Axes, and the bars of totals.
+pub const LINE_STRONG: Token = Token::new("line-strong", 0x8a_94a3, 0x5d_6877);
+/// Ground of a figure.
+pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
+/// What has no answer, and errors.
+pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
+
+/// The tokens that are no stage's.
+pub const TOKENS: [Token; 7] = [INK, INK_2, INK_3, LINE, LINE_STRONG, SURFACE, BAD];
+
+/// Ground of a file.
+pub const WHITE: Rgb = Rgb::hex(0xff_ffff);
+/// Grid of a file: a little darker than on a page, because it is printed.
+pub const GRID: Rgb = Rgb::hex(0xdd_e2e8);
+/// Ground of what is left out in a file.
+pub const SHADE: Rgb = Rgb::hex(0xe8_ebef);
+/// Text on a dark fill.
+pub const ON_DARK: Rgb = WHITE;
+/// Text on a pale fill.
+pub const ON_PALE: Rgb = Rgb::hex(0x0b_0e13);

@@ -1,0 +1,83 @@
+//! Hatches: areas that differ without colour.
+
+/// Distance between two lines of a hatch, points.
+const STEP: f64 = 3.9;
+/// What is nearer to an edge than this, points, is not drawn: a line that only touches a corner or runs along an edge is none.
+const EDGE: f64 = 0.2;
+
+/// Lines over an area.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hatch {
+    /// None.
+    Plain,
+    /// `/`
+    Rising,
+    /// `\`
+    Falling,
+    /// `–`
+    Level,
+    /// `|`
+    Upright,
+    /// `×`
+    Cross,
+}
+
+/// Ends of a line.
+type Line = [(f64, f64); 2];
+
+/// Returns the lines of a hatch over a rectangle from its left upper to its right lower corner, on one grid for the whole figure.
+pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<Line> {
+    let between = |lo: f64, hi: f64, step: f64| {
+        let first = ((lo + EDGE) / step).ceil() as i64;
+        (first..).map(move |number| number as f64 * step).take_while(move |at| *at < hi - EDGE)
+    };
+    // Equally close for the eye, whatever the direction.
+    let slanted = STEP * 1.4;
+    let rising = || {
+        between(left + top, right + bottom, slanted).map(|sum| {
+            [(left.max(sum - bottom), bottom.min(sum - left)), (right.min(sum - top), top.max(sum - right))]
+        })
+    };
+    let falling = || {
+        between(left - bottom, right - top, slanted).map(|less| {
+            [
+                (left.max(top + less), top.max(left - less)),
+                (right.min(bottom + less), bottom.min(right - less)),
+            ]
+        })
+    };
+    match hatch {
+        Hatch::Plain => Vec::new(),
+        Hatch::Rising => rising().collect(),
+        Hatch::Falling => falling().collect(),
+        Hatch::Cross => rising().chain(falling()).collect(),
+        Hatch::Level => between(top, bottom, STEP / 1.5).map(|y| [(left, y), (right, y)]).collect(),
+        Hatch::Upright => between(left, right, STEP / 1.5).map(|x| [(x, top), (x, bottom)]).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_line_leaves_its_area() {
+        let all = [Hatch::Rising, Hatch::Falling, Hatch::Level, Hatch::Upright, Hatch::Cross];
+        let areas = [
+            [(0.0, 0.0), (30.0, 9.0)],
+            [(20.0, 116.0), (21.0, 165.0)],
+            [(5.0, 5.0), (5.0, 5.0)],
+            [(9.3, 9.1), (9.4, 60.0)],
+        ];
+        for (hatch, area) in all.into_iter().flat_map(|hatch| areas.map(|area| (hatch, area))) {
+            let [(left, top), (right, bottom)] = area;
+            let inside = |(x, y): &(f64, f64)| {
+                (left - 1e-9..=right + 1e-9).contains(x) && (top - 1e-9..=bottom + 1e-9).contains(y)
+            };
+            let lines = lines(area, hatch);
+            assert!(lines.iter().flatten().all(inside), "{hatch:?} {area:?} {lines:?}");
+        }
+        assert!(lines(areas[0], Hatch::Rising).len() > 4);
+        assert!(lines(areas[0], Hatch::Plain).is_empty());
+    }
+}

@@ -1,0 +1,42 @@
+//! Points that differ without colour.
+
+/// How the points of a series look; its line has a dash of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// Discs on a solid line.
+    Disc,
+    /// Triangles on a dashed line.
+    Triangle,
+    /// Squares on a dotted line.
+    Square,
+    /// Diamonds on a line of long dashes.
+    Diamond,
+    /// Crosses: where something is missing.
+    Cross,
+}
+
+impl Mark {
+    /// Those of series, in the order in which they are taken.
+    pub const ALL: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
+
+    /// Dash and gap of its line, points; `None` for a solid one.
+    pub const fn dash(self) -> Option<(f64, f64)> {
+        match self {
+            Self::Disc | Self::Cross => None,
+            Self::Triangle => Some((3.3, 2.4)),
+            Self::Square => Some((1.1, 1.6)),
+            Self::Diamond => Some((6.6, 2.1)),
+        }
+    }
+
+    /// Corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
+    pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
+        match self {
+            Self::Disc => &[],
+            Self::Triangle => &[(0.0, -1.3), (1.13, 0.65), (-1.13, 0.65)],
+            Self::Square => &[(-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)],
+            Self::Diamond => &[(-1.3, 0.0), (0.0, -1.3), (1.3, 0.0), (0.0, 1.3)],
+            Self::Cross => &[(-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)],
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! What figures look like: colours, hatches, marks, strokes.
+//!
+//! Colour means stage, direction or verdict, nothing else: runs, places and configurations are told apart by ink and greys, marks
+//! and dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class that the dashboard's style sheet knows,
+//! and fill and stroke for a file. A new look is one function or constant in `style.rs` and one rule in `web/assets/css`.
+
+mod colour;
+mod hatch;
+mod mark;
+mod stage;
+mod style;
+
+pub use colour::{
+    BAD, GRID, INK, INK_2, INK_3, LINE, LINE_STRONG, ON_DARK, ON_PALE, Rgb, SHADE, SURFACE, TOKENS, Token,
+    WHITE,
+};
+pub use hatch::Hatch;
+pub use mark::Mark;
+pub use stage::{LATENESS, STAGES, Stage, UNATTRIBUTED, stage};
+pub use style::{Fill, Series, Stroke, Style, TextStyle, series};
+
+pub(crate) use hatch::lines;

@@ -1,0 +1,228 @@
+//! The stages: one table of names, classes, colours and hatches for every figure and page.
+
+use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
+use super::hatch::Hatch;
+use super::style::{Fill, Style, TextStyle};
+
+/// What `total` holds beyond its stages.
+pub const UNATTRIBUTED: &str = "unattributed";
+/// From the intended start of an iteration to the real one: a named part of what is unattributed.
+pub const LATENESS: &str = "lateness";
+/// Class of both directions of the network together, where the clocks cannot tell them apart.
+const NETWORK: &str = "network";
+/// Class of what is no stage but all of them.
+const TOTAL: &str = "total";
+
+/// How a stage looks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stage {
+    /// Name in results and events.
+    pub name: &'static str,
+    /// Suffix of the classes `f-…` (fill) and `o-…` (text on the fill) on pages. Stages of one class share a colour.
+    pub class: &'static str,
+    /// Ground.
+    pub colour: Token,
+    /// Darker edge, which a fill carries that is pale on paper: every boundary keeps a contrast of 3.
+    pub edge: Option<Token>,
+    /// Hatch in a file, so that stages differ without colour as well. Pages hatch waiting and what is unattributed alone.
+    pub hatch: Hatch,
+    /// Colour of a line in a file where neither ground nor edge will do.
+    line: Option<Rgb>,
+}
+
+const QUEUE: Token = Token::new("s-queue", 0xdd_c336, 0xf0_e442);
+const QUEUE_EDGE: Token = Token::new("e-queue", 0x8c_7600, 0xf0_e442);
+const ENCODE: Token = Token::new("s-encode", 0x9a_cbab, 0xbe_e1c9);
+const ENCODE_EDGE: Token = Token::new("e-encode", 0x4f_8f68, 0xbe_e1c9);
+const UNKNOWN: Token = Token::new("s-unattributed", 0xa0_a7b0, 0x62_6974);
+const UNKNOWN_EDGE: Token = Token::new("e-unattributed", 0x72_7b87, 0x8e_98a6);
+
+const fn dark(name: &'static str, colour: Token, hatch: Hatch) -> Stage {
+    Stage { name, class: name, colour, edge: None, hatch, line: None }
+}
+
+const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Token, hatch: Hatch) -> Stage {
+    Stage { name, class, colour, edge: Some(edge), hatch, line: None }
+}
+
+/// Every stage in the order of stacks, keys and tables; what is unattributed at the end.
+pub const STAGES: [Stage; 13] = [
+    dark("sensing", Token::new("s-sensing", 0x10_9e6d, 0x29_b783), Hatch::Plain),
+    pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Level),
+    Stage {
+        line: Some(Rgb::hex(0xa0_8600)),
+        ..pale("send-queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Falling)
+    },
+    dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
+    pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
+    // A model in a process of its own is handed its sample as if it crossed a border.
+    Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
+    pale(
+        "preprocessing",
+        "preprocessing",
+        Token::new("s-preprocessing", 0x56_bfec, 0x9a_dcf8),
+        Token::new("e-preprocessing", 0x1a_86b5, 0x9a_dcf8),
+        Hatch::Upright,
+    ),
+    dark("inference", Token::new("s-inference", 0x0b_4796, 0x3b_7ddb), Hatch::Plain),
+    dark("postprocessing", Token::new("s-postprocessing", 0x73_77cc, 0xa3_a6f2), Hatch::Cross),
+    dark("download", Token::new("s-download", 0xae_5485, 0xcc_749f), Hatch::Falling),
+    dark("actuation", Token::new("s-actuation", 0x0c_5232, 0x38_785a), Hatch::Level),
+    Stage {
+        line: Some(Rgb::hex(0x4a_525c)),
+        ..pale(LATENESS, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Cross)
+    },
+    pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
+];
+
+/// What is no stage and has a look on pages: parts of stages, both directions together, totals. Its names are those of events.
+const PARTS: [Stage; 6] = [
+    Stage { name: "capture", class: "capture", ..STAGES[0] },
+    Stage { name: "transform", class: "transform", ..STAGES[0] },
+    Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },
+    Stage { name: "upload + download + unattributed", class: NETWORK, ..STAGES[3] },
+    Stage { line: Some(INK.light), ..dark(TOTAL, LINE_STRONG, Hatch::Plain) },
+    Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
+];
+
+/// A stage of a user's own.
+const OTHER: Stage = Stage {
+    name: "",
+    class: "other",
+    colour: Token::new("ink-3", 0x62_6b78, 0x8e_98a6),
+    edge: None,
+    hatch: Hatch::Plain,
+    line: None,
+};
+
+/// Returns how a stage, a part of one or a total looks. One of a user's own is quiet ink.
+pub fn stage(name: &str) -> Stage {
+    STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
+}
+
+impl Stage {
+    /// Whether it is a stage of [`STAGES`], which alone have colours of their own.
+    pub fn has_colour(&self) -> bool {
+        STAGES.iter().any(|stage| stage.name == self.name)
+    }
+
+    /// Text on its area.
+    pub fn text(&self) -> TextStyle {
+        let (class, colour) = match self.class {
+            "sensing" => ("o-sensing", ON_PALE),
+            "capture" => ("o-capture", ON_PALE),
+            "transform" => ("o-transform", ON_PALE),
+            "encode" => ("o-encode", ON_PALE),
+            "queue" => ("o-queue", ON_PALE),
+            "upload" => ("o-upload", ON_PALE),
+            NETWORK => ("o-network", ON_PALE),
+            "preprocessing" => ("o-preprocessing", ON_PALE),
+            "inference" => ("o-inference", ON_DARK),
+            "postprocessing" => ("o-postprocessing", ON_PALE),
+            "download" => ("o-download", ON_DARK),
+            "actuation" => ("o-actuation", ON_DARK),
+            UNATTRIBUTED => ("o-unattributed", ON_PALE),
+            _ => ("o-other", ON_DARK),
+        };
+        TextStyle { class, colour, halo: false }
+    }
+
+    /// Its area in a stack.
+    pub fn area(&self) -> Style {
+        let hatch = match self.edge {
+            Some(edge) => (self.hatch, edge.light),
+            None => (self.hatch, WHITE),
+        };
+        let area =
+            Style::area(class("f-", self.class), Fill { hatch: Some(hatch), ..Fill::of(self.colour.light) });
+        match self.edge {
+            Some(edge) => area.with("edge").edged(Some(edge.light)),
+            None => area,
+        }
+    }
+
+    /// Its area without a hatch, for bars that stand side by side: there a hatch would only blur them.
+    pub fn plain(&self) -> Style {
+        Style::area(class("f-", self.class), Fill::of(self.colour.light))
+    }
+
+    /// Colour of its line or marks in a file: it holds on white, where a pale ground would be lost.
+    pub fn line_colour(&self) -> Rgb {
+        self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
+    }
+
+    /// Its line.
+    pub fn line(&self, width: f64) -> Style {
+        Style::line(class("g-", self.class), self.line_colour(), width)
+    }
+
+    /// Its points and marks.
+    pub fn mark(&self) -> Style {
+        Style::area(class("f-", self.class), Fill::of(self.line_colour()))
+    }
+}
+
+fn class(prefix: &str, class: &str) -> String {
+    format!("{prefix}{class}")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::super::colour::TOKENS;
+    use super::*;
+
+    #[test]
+    fn the_order_is_that_of_the_logger() {
+        let order = peernet_logger::stage::ORDER;
+        let names: Vec<&str> = STAGES.iter().map(|stage| stage.name).collect();
+        let known: Vec<&str> =
+            order.iter().map(peernet_logger::Name::as_str).chain([LATENESS, UNATTRIBUTED]).collect();
+        assert_eq!(names, known);
+    }
+
+    #[test]
+    fn every_line_holds_on_white_and_no_two_are_alike() {
+        let lines: BTreeSet<Rgb> = STAGES.iter().chain([&OTHER]).map(Stage::line_colour).collect();
+        assert_eq!(lines.len(), STAGES.len() + 1);
+        for stage in STAGES {
+            let line = stage.line_colour();
+            assert!(line.contrast(WHITE) >= 3.0, "{}: {line} {}", stage.name, line.contrast(WHITE));
+        }
+    }
+
+    #[test]
+    fn the_dashboard_has_the_same_colours() {
+        let sheet = include_str!("../../../../web/assets/css/tokens.css");
+        let of_stages = STAGES.iter().flat_map(|stage| std::iter::once(stage.colour).chain(stage.edge));
+        for Token { name, light, dark } in of_stages.chain(TOKENS) {
+            let rule = format!("--{name}: light-dark({light}, {dark});");
+            assert!(sheet.contains(&rule), "no rule: {rule}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_stage_has_no_colour() {
+        assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
+        let classes = ["capture", "upload + download", "total", "stages-total"].map(|name| stage(name).class);
+        assert_eq!(classes, ["capture", "network", "total", "total"]);
+        let has_colour =
+            ["lateness", "upload", "total", "a stage of one's own"].map(|name| stage(name).has_colour());
+        assert_eq!(has_colour, [true, true, false, false]);
+    }
+
+    #[test]
+    fn text_holds_on_its_stage() {
+        for stage in STAGES {
+            let contrast = stage.text().colour.contrast(stage.colour.light);
+            assert!(contrast >= 4.5, "{}: {contrast}", stage.name);
+            let rule = format!(".{}", stage.text().class);
+            assert!(
+                include_str!("../../../../web/assets/css/pictures.css").contains(&rule)
+                    || include_str!("../../../../web/assets/css/tokens.css").contains(&rule),
+                "{rule}"
+            );
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! Styles: how a shape looks on both sheets.
+
+use std::borrow::Cow;
+
+use super::colour::{BAD, GRID, INK, INK_2, INK_3, LINE_STRONG, ON_PALE, Rgb, SHADE, WHITE};
+use super::hatch::Hatch;
+use super::mark::Mark;
+
+/// Fill of a shape in a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fill {
+    /// Ground.
+    pub colour: Rgb,
+    /// From 0 to 1; also written on pages, where it stands for a number.
+    pub opacity: f64,
+    /// Lines over the ground, and their colour.
+    pub hatch: Option<(Hatch, Rgb)>,
+}
+
+impl Fill {
+    /// An opaque ground.
+    pub const fn of(colour: Rgb) -> Self {
+        Self { colour, opacity: 1.0, hatch: None }
+    }
+}
+
+/// Stroke of a shape in a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stroke {
+    /// Its colour.
+    pub colour: Rgb,
+    /// Points.
+    pub width: f64,
+    /// Dash and gap, points; `None` for a solid line.
+    pub dash: Option<(f64, f64)>,
+}
+
+/// How a shape looks: its class on a page, fill and stroke in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Style {
+    /// Classes of the dashboard's style sheet.
+    pub class: Cow<'static, str>,
+    /// In a file.
+    pub fill: Option<Fill>,
+    /// In a file.
+    pub stroke: Option<Stroke>,
+}
+
+impl Style {
+    /// An area without an edge.
+    pub fn area(class: impl Into<Cow<'static, str>>, fill: Fill) -> Self {
+        Self { class: class.into(), fill: Some(fill), stroke: None }
+    }
+
+    /// A solid line.
+    pub fn line(class: impl Into<Cow<'static, str>>, colour: Rgb, width: f64) -> Self {
+        Self { class: class.into(), fill: None, stroke: Some(Stroke { colour, width, dash: None }) }
+    }
+
+    /// The same line with a dash and a gap, points.
+    #[must_use]
+    pub fn dashed(mut self, dash: Option<(f64, f64)>) -> Self {
+        if let Some(stroke) = &mut self.stroke {
+            stroke.dash = dash;
+        }
+        self
+    }
+
+    /// The same area with a thin edge, if there is a colour for it.
+    #[must_use]
+    pub fn edged(self, colour: Option<Rgb>) -> Self {
+        let stroke = colour.map(|colour| Stroke { colour, width: 0.3, dash: None });
+        Self { stroke: stroke.or(self.stroke), ..self }
+    }
+
+    /// The same fill with an opacity, which is written on pages as well.
+    #[must_use]
+    pub fn opacity(mut self, opacity: f64) -> Self {
+        if let Some(fill) = &mut self.fill {
+            fill.opacity = opacity;
+        }
+        self
+    }
+
+    /// The same with more classes.
+    #[must_use]
+    pub fn with(self, class: &str) -> Self {
+        Self { class: format!("{} {class}", self.class).into(), ..self }
+    }
+
+    /// A line of a grid.
+    pub fn grid() -> Self {
+        Self::line("gridl", GRID, 0.45)
+    }
+
+    /// The line of an axis.
+    pub fn rail() -> Self {
+        Self::line("rail", LINE_STRONG.light, 0.45)
+    }
+
+    /// The same as a bar of a distribution: bars are parted by a line of the ground.
+    #[must_use]
+    pub fn bin(self) -> Self {
+        let parted = Stroke { colour: WHITE, width: 0.3, dash: None };
+        Self { class: format!("bin {}", self.class).into(), stroke: Some(parted), ..self }
+    }
+
+    /// A bar of no stage.
+    pub fn total() -> Self {
+        Self::area("f-total", Fill::of(LINE_STRONG.light))
+    }
+
+    /// The line of a quantile: `median`, `p95` or `p99`.
+    pub fn quantile(name: &'static str) -> Self {
+        let (colour, width, dash) = match name {
+            "p95" => (INK, 0.8, Some((3.3, 1.8))),
+            "p99" => (INK_2, 0.8, Some((0.9, 1.5))),
+            _ => (INK, 0.9, None),
+        };
+        Self::line(format!("mark {name}"), colour.light, width).dashed(dash)
+    }
+
+    /// A rim of the ground's colour, which parts a line from what lies behind it.
+    pub fn halo() -> Self {
+        Self::line("halo", WHITE, 2.0)
+    }
+
+    /// A narrower rim, about lines over bars.
+    pub fn rim() -> Self {
+        Self::line("cut", WHITE, 1.8)
+    }
+
+    /// A whisker.
+    pub fn whisker() -> Self {
+        Self::line("whisk2", INK.light, 0.75)
+    }
+
+    /// What parts neighbours in a stack.
+    pub fn cut() -> Self {
+        Self::line("cut", WHITE, 0.45)
+    }
+
+    /// Points and lines of no stage.
+    pub fn ink() -> Self {
+        Self::area("f-ink", Fill::of(INK.light))
+    }
+
+    /// A band about a line of no stage.
+    pub fn band() -> Self {
+        Self::area("band", Fill::of(INK.light)).opacity(0.25)
+    }
+
+    /// What was left out, such as warm-up.
+    pub fn shade() -> Self {
+        Self::area("warm-up", Fill::of(SHADE))
+    }
+
+    /// A mark of what has no answer.
+    pub fn lost() -> Self {
+        Self::line("lost", BAD.light, 0.9)
+    }
+
+    /// A border between episodes.
+    pub fn border() -> Self {
+        Self::line("border", LINE_STRONG.light, 0.45).dashed(Some((1.5, 1.5)))
+    }
+}
+
+/// How text looks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextStyle {
+    /// Class on a page.
+    pub class: &'static str,
+    /// Colour in a file.
+    pub colour: Rgb,
+    /// Whether a rim of the ground's colour parts it from what lies behind it.
+    pub halo: bool,
+}
+
+impl TextStyle {
+    /// A label of an axis; pages style it by where it stands.
+    pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
+    /// The name of a category at an axis.
+    pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
+    /// Text at a mark in a plot.
+    pub const MARK: Self = Self { class: "marktext", colour: INK.light, halo: true };
+    /// What lies beyond an axis.
+    pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, halo: true };
+    /// Text on a pale fill.
+    pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, halo: false };
+    /// Quiet text.
+    pub const QUIET: Self = Self { class: "", colour: INK_3.light, halo: false };
+}
+
+/// How the series of one figure differ: runs, places, configurations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Series {
+    /// Ink or a grey.
+    pub colour: Rgb,
+    /// Ground of its areas.
+    pub ground: Rgb,
+    /// Its points.
+    pub mark: Mark,
+    /// Of its line, and of its points and areas.
+    classes: [&'static str; 2],
+}
+
+/// Returns how the series of a number looks: the fifth looks like the first.
+pub fn series(number: usize) -> Series {
+    const GREYS: [Rgb; 4] = [INK.light, Rgb::hex(0x7c_8694), Rgb::hex(0x45_4d59), Rgb::hex(0x8a_94a3)];
+    const CLASSES: [[&str; 2]; 4] = [
+        ["g-series-1", "f-series-1"],
+        ["g-series-2", "f-series-2"],
+        ["g-series-3", "f-series-3"],
+        ["g-series-4", "f-series-4"],
+    ];
+    const GROUNDS: [Rgb; 4] = [Rgb::hex(0xb4_b8be), Rgb::hex(0xe6_e9ed), Rgb::hex(0x8d_96a3), WHITE];
+    let number = number % GREYS.len();
+    Series {
+        colour: GREYS[number],
+        ground: GROUNDS[number],
+        mark: Mark::ALL[number],
+        classes: CLASSES[number],
+    }
+}
+
+impl Series {
+    /// Its line, with its dash.
+    pub fn line(&self, width: f64) -> Style {
+        Style::line(self.classes[0], self.colour, width).dashed(self.mark.dash())
+    }
+
+    /// Its points.
+    pub fn marks(&self) -> Style {
+        Style::area(self.classes[1], Fill::of(self.colour))
+    }
+
+    /// Its area: a tint with an edge.
+    pub fn shape(&self) -> Style {
+        let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
+        Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.ground)) }
+    }
+}

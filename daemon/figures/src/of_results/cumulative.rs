@@ -1,0 +1,81 @@
+//! How the total and the longest stages of a run are distributed.
+
+use peernet_logger::stage;
+
+use super::columns::{account, heading, titled, too_large, unit, values};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{Cumulative, CumulativeCurve, Unit};
+use crate::look::{INK, Mark, Style, stage as look};
+use peernet_analysis::order::Ordered;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
+
+/// So many stages are shown beside the total: those that take longest.
+const STAGES: usize = 4;
+/// Width of lines, points; the total's is stronger.
+const LINE: f64 = 0.9;
+const STRONG: f64 = 1.2;
+
+/// One curve for the total and each of the longest stages, or that of one column.
+pub(super) fn drawings(
+    record: &RunRecord,
+    rows: &Rows,
+    column: Option<&str>,
+) -> Result<Vec<Drawing>, MissingData> {
+    if let Some(column) = column {
+        let what = heading(column);
+        let curve = curve(column, values(rows, column), 0);
+        if curve.values.is_empty() {
+            return Err(MissingData::Column(column.to_owned()));
+        }
+        let shown = Cumulative {
+            title: titled(&what, &record.title),
+            unit: unit(&record.units, column, &what),
+            notes: notes(rows, &[column], &curve.values),
+            curves: vec![curve],
+        };
+        return Ok(vec![Drawing::new(format!("{column}-cumulative"), Shown::Cumulative(shown))]);
+    }
+    let total = ["total", "stages-total"].map(|column| (column, values(rows, column)));
+    let total = total.into_iter().find(|(_, values)| !values.is_empty());
+    let (total, of_total) = total.ok_or(MissingData::Total)?;
+    let stages = stage::ORDER.into_iter().map(|name| (values(rows, &name), name));
+    let mut stages: Vec<_> =
+        stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
+    let sum = |values: &Ordered| values.values().iter().sum::<f64>();
+    stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
+    let shorter: Vec<String> = stages.iter().skip(STAGES).map(|(_, name)| name.to_string()).collect();
+    stages.truncate(STAGES);
+    stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|known| known == name));
+    let mut notes = notes(rows, &[total], &of_total);
+    if !shorter.is_empty() {
+        notes.push(format!("shorter stages, not drawn: {}", shorter.join(", ")));
+    }
+    let of_stages =
+        stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
+    let curves = std::iter::once(curve(total, of_total, 0)).chain(of_stages).collect();
+    let shown = Cumulative {
+        title: titled("Cumulative distributions", &record.title),
+        unit: Unit::milliseconds("Latency"),
+        curves,
+        notes,
+    };
+    Ok(vec![Drawing::new("cumulative", Shown::Cumulative(shown))])
+}
+
+fn notes(rows: &Rows, columns: &[&str], values: &Ordered) -> Vec<String> {
+    let account = account(&rows.iter(), values.len());
+    std::iter::once(account).chain(too_large(rows.iter(), columns)).collect()
+}
+
+/// A stage has its colour and a mark; a total is ink.
+fn curve(name: &str, values: Ordered, number: usize) -> CumulativeCurve {
+    let look = look(name);
+    let (line, mark) = if !look.has_colour() {
+        (Style::line("strong", INK.light, STRONG), (Mark::Cross, Style::line("strong", INK.light, LINE)))
+    } else {
+        (look.line(LINE), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
+    };
+    CumulativeCurve { name: name.to_owned(), line, mark, values }
+}

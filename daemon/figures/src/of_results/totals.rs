@@ -1,0 +1,70 @@
+//! How the totals of configurations are distributed.
+
+use peernet_statistics::number::{self, fixed};
+
+use super::columns::{is_drawable, left_out, too_large};
+use super::configured::{Configured, counted};
+use super::missing_data::MissingData;
+use super::written::{Drawing, Shown};
+use crate::drawing::{Cumulative, CumulativeCurve, MOST_CURVES, Unit};
+use crate::look::series;
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::order::Ordered;
+use peernet_analysis::rows::RowRef;
+
+/// Width of a curve, points.
+const LINE: f64 = 1.0;
+
+/// One curve for each configuration, four to a picture; repeats are taken together.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    let Configured { axes, groups } = Configured::of(runs);
+    let all = || groups.iter().flat_map(|(_, runs)| counted(runs));
+    // Where one configuration has no measured total, all are the sums of their stages.
+    let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let values = |runs: &[&Loaded]| -> Ordered {
+        let totals = counted(runs).filter_map(|row: RowRef<'_>| row.value(total));
+        totals.filter(|value| is_drawable(*value)).collect()
+    };
+    let known: Vec<(&String, Ordered)> = groups
+        .iter()
+        .map(|(label, runs)| (label, values(runs)))
+        .filter(|(_, values)| !values.is_empty())
+        .collect();
+    if known.is_empty() {
+        return Err(MissingData::Total);
+    }
+    let without = groups.len() - known.len();
+    let mut missing = Vec::new();
+    if without > 0 {
+        missing
+            .push(format!("left out: {} without a total", number::counted(without as u64, "configuration")));
+    }
+    let what = if total == "total" { "measured total" } else { "sum of stages" };
+    let mut notes = vec![format!("configurations: {} · {what}", axes.join(", "))];
+    notes.extend(left_out(&runs.iter().flat_map(|run| &run.rows)));
+    notes.extend(too_large(all(), &[total]));
+    notes.extend(missing.iter().cloned());
+    let pictures = known.chunks(MOST_CURVES).enumerate().map(|(number, known)| {
+        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
+        let counts = || known.iter().map(|(_, values)| values.len());
+        let [fewest, most] =
+            [counts().min(), counts().max()].map(|count| fixed(count.unwrap_or_default() as f64, 0));
+        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
+        let shown = Cumulative {
+            title: "Total by configuration".to_owned(),
+            unit: Unit::milliseconds("Total"),
+            curves: known.iter().enumerate().map(|(number, known)| curve(known, number)).collect(),
+            notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
+        };
+        let drawing = Drawing::new(format!("totals{suffix}"), Shown::Cumulative(shown));
+        // All have it in their notes; once is enough elsewhere.
+        if number == 0 { drawing.without(missing.clone()) } else { drawing }
+    });
+    Ok(pictures.collect())
+}
+
+fn curve((label, values): &(&String, Ordered), number: usize) -> CumulativeCurve {
+    let look = series(number);
+    let mark = (look.mark, look.marks());
+    CumulativeCurve { name: (*label).clone(), line: look.line(LINE), mark, values: values.clone() }
+}

@@ -1,0 +1,114 @@
+//! Figures: plots with what stands around them.
+
+use super::axis::Axis;
+use super::item::{At, Item};
+use super::legend::Key;
+
+/// A strip of a plot, such as the distribution of one of its quantities; places are shares of the strip.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Strip {
+    /// What is drawn in it.
+    pub items: Vec<Item>,
+    /// How high, or beside the plot how wide, it is in a file, points.
+    pub size: f64,
+}
+
+/// How high a plot is in a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Height {
+    /// What the figure has left.
+    Rest,
+    /// So many points.
+    Points(f64),
+}
+
+/// A plot with its axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plot {
+    /// Horizontal axis.
+    pub x: Axis,
+    /// Vertical axis.
+    pub y: Axis,
+    /// What is drawn in it, the lowest first.
+    pub items: Vec<Item>,
+    /// Strip above, which shares the horizontal axis.
+    pub above: Option<Strip>,
+    /// Strip at the right, which shares the vertical axis.
+    pub beside: Option<Strip>,
+    /// What is said above its right end, such as what lies beyond its axes.
+    pub remark: Option<String>,
+    /// Lines of text that stand above the plot, such as those of quantiles.
+    pub lines_above: usize,
+    /// How high it is in a file.
+    pub height: Height,
+    /// What is left free at its right in a file, points, for text that reaches over its end.
+    pub free: f64,
+}
+
+impl Plot {
+    /// An empty plot.
+    pub fn new(x: Axis, y: Axis) -> Self {
+        let (items, above, beside, remark) = (Vec::new(), None, None, None);
+        Self { x, y, items, above, beside, remark, lines_above: 0, height: Height::Rest, free: 0.0 }
+    }
+
+    /// Returns where two values lie, in the units of the axes.
+    pub fn at(&self, x: f64, y: f64) -> At {
+        At::new(self.x.scale.at(x), self.up(y))
+    }
+
+    /// Returns how far from above a value of the vertical axis lies, as a share.
+    pub fn up(&self, y: f64) -> f64 {
+        1.0 - self.y.scale.at(y)
+    }
+}
+
+/// What is written below the plots as lines of columns: a key to numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Table {
+    /// Titles of the columns behind the names.
+    pub titles: Vec<String>,
+    /// Name and cells of each line.
+    pub lines: Vec<(String, Vec<String>)>,
+}
+
+/// A figure.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Figure {
+    /// What is shown.
+    pub title: String,
+    /// What differs by colour, mark or dash.
+    pub legend: Vec<Key>,
+    /// How it is to be read, how many values there are and what is left out: for the text beside the figure.
+    pub notes: Vec<String>,
+    /// From above to below. Without one the figure says that there are no values.
+    pub plots: Vec<Plot>,
+    /// Key to numbers in the plots.
+    pub table: Table,
+}
+
+impl Figure {
+    /// The caption in the picture, one line: the title and how many values there are.
+    pub fn caption(&self) -> String {
+        let parts = self.notes.iter().flat_map(|note| note.split(" · "));
+        match parts.into_iter().find(|part| part.starts_with("n = ")) {
+            Some(n) => format!("{} · {n}", self.title),
+            None => self.title.clone(),
+        }
+    }
+
+    /// All that is to be said of the figure, for the text beside it: title, axes, legend, notes, each in a line.
+    pub fn words(&self) -> String {
+        let mut lines = vec![self.title.clone()];
+        for plot in &self.plots {
+            let axes = [plot.y.full_title(), plot.x.full_title()];
+            let named: Vec<String> = axes.into_iter().filter(|title| !title.is_empty()).collect();
+            lines.push(named.join(" against "));
+            lines.extend(plot.remark.clone());
+        }
+        lines.extend(self.legend.iter().map(|key| format!("Legend: {}", key.text)));
+        lines.extend(self.notes.iter().cloned());
+        lines.retain(|line| !line.is_empty());
+        lines.join("\n") + "\n"
+    }
+}

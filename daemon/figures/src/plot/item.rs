@@ -1,0 +1,188 @@
+//! What is drawn in a plot.
+
+use super::path::Path;
+use crate::look::{Mark, Style, TextStyle};
+use crate::text;
+
+/// A place in a plot: shares of its width from the left and of its height from above, and points from there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct At {
+    /// Share from the left.
+    pub x: f64,
+    /// Share from above.
+    pub y: f64,
+    /// Points to the right; pixels of 1/96 inch on a page.
+    pub dx: f64,
+    /// Points downwards.
+    pub dy: f64,
+}
+
+impl At {
+    /// A place without a distance.
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y, dx: 0.0, dy: 0.0 }
+    }
+
+    /// A place at so many points from this one, whatever the size of the plot.
+    #[must_use]
+    pub fn aside(self, dx: f64, dy: f64) -> Self {
+        Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
+    }
+}
+
+/// Which point of a text stands at its place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// Its beginning.
+    Start,
+    /// Its middle.
+    Middle,
+    /// Its end.
+    End,
+}
+
+impl Anchor {
+    /// As in SVG.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Middle => "middle",
+            Self::End => "end",
+        }
+    }
+}
+
+/// A line of text.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// Where it stands.
+    pub at: At,
+    /// From there to its baseline, in its type size: to the right and downwards.
+    pub shift: (f64, f64),
+    /// Which point of it stands there.
+    pub anchor: Anchor,
+    /// The text.
+    pub words: String,
+    /// How it looks.
+    pub style: TextStyle,
+    /// Width of the picture from which on a page shows it, rem; always where it is 0, never where it is `None`.
+    pub from: Option<u16>,
+}
+
+/// Downwards from a place to the baseline of text in the middle of whose capitals it lies.
+const MIDDLE: f64 = 0.36;
+
+impl Label {
+    /// A text that begins at a place and whose middle has its height.
+    pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
+        let words = words.into();
+        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0) }
+    }
+
+    /// The same with another point of it at its place.
+    #[must_use]
+    pub fn anchored(self, anchor: Anchor) -> Self {
+        Self { anchor, ..self }
+    }
+
+    /// The same so far from its place, in its type size, to the right and downwards to the baseline.
+    #[must_use]
+    pub fn shifted(self, right: f64, down: f64) -> Self {
+        Self { shift: (right, down), ..self }
+    }
+
+    /// The same shown on pages only in pictures in which it takes at most this share of the width.
+    #[must_use]
+    pub fn fits_within(self, share: f64) -> Self {
+        let from = text::width_step(text::rem(&self.words) / share.max(1e-9));
+        Self { from, ..self }
+    }
+
+    /// Its left end, top, right end and bottom in points from its place, for a type size.
+    pub fn extent(&self, size: f64) -> [f64; 4] {
+        let wide = text::width(&self.words, size);
+        let left = match self.anchor {
+            Anchor::Start => 0.0,
+            Anchor::Middle => -wide / 2.0,
+            Anchor::End => -wide,
+        } + self.shift.0 * size;
+        let base = self.shift.1 * size;
+        [left, base - 0.75 * size, left + wide, base + 0.22 * size]
+    }
+}
+
+/// Something that is drawn in a plot.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Item {
+    /// A rectangle between two corners. In a file it is at least so many points wide and high, so that what is there is seen.
+    Rect {
+        /// Any corner.
+        from: At,
+        /// The corner across.
+        to: At,
+        /// Least width and height in a file.
+        least: (f64, f64),
+        /// How it looks.
+        style: Style,
+    },
+    /// A straight line.
+    Line {
+        /// One end.
+        from: At,
+        /// The other.
+        to: At,
+        /// How it looks.
+        style: Style,
+    },
+    /// Lines and areas of many points.
+    Path {
+        /// Its course.
+        path: Path,
+        /// How it looks.
+        style: Style,
+    },
+    /// A point.
+    Mark {
+        /// Its middle.
+        at: At,
+        /// Its shape.
+        mark: Mark,
+        /// Points.
+        radius: f64,
+        /// How it looks.
+        style: Style,
+    },
+    /// A text.
+    Text(Label),
+}
+
+impl Item {
+    /// A rectangle of any size.
+    pub fn rect(from: At, to: At, style: Style) -> Self {
+        Self::Rect { from, to, least: (0.0, 0.0), style }
+    }
+
+    /// A straight line.
+    pub fn line(from: At, to: At, style: Style) -> Self {
+        Self::Line { from, to, style }
+    }
+
+    /// A path.
+    pub fn path(path: Path, style: Style) -> Self {
+        Self::Path { path, style }
+    }
+
+    /// A point.
+    pub fn mark(at: At, mark: Mark, radius: f64, style: Style) -> Self {
+        Self::Mark { at, mark, radius, style }
+    }
+
+    /// An upright whisker between two places with caps of so many points to each side. A missing cap is where it leaves the plot.
+    pub fn whisker([from, to]: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
+        let mut items = vec![Self::line(from, to, style.clone())];
+        for (end, _) in [from, to].into_iter().zip(caps).filter(|(_, has)| *has) {
+            items.push(Self::line(end.aside(-cap, 0.0), end.aside(cap, 0.0), style.clone()));
+        }
+        items
+    }
+}

@@ -1,0 +1,173 @@
+//! Lines and areas of many points.
+
+/// A step of a path; shares of the plot's width from the left and of its height from above.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Step {
+    /// Goes there without drawing.
+    Move(f64, f64),
+    /// Draws a line to there.
+    Line(f64, f64),
+    /// Draws a line back to where the piece began.
+    Close,
+}
+
+/// Course of a line or an outline.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Path {
+    /// Its steps.
+    pub steps: Vec<Step>,
+    /// Points by which all of it is moved to the right; pages leave it where it is.
+    pub dx: f64,
+}
+
+/// A point: shares from the left and from above.
+type Point = (f64, f64);
+
+impl Path {
+    /// Whether there is nothing to be drawn.
+    pub fn is_empty(&self) -> bool {
+        self.steps.is_empty()
+    }
+
+    /// The same moved to the right by so many points.
+    #[must_use]
+    pub fn aside(self, dx: f64) -> Self {
+        Self { dx, ..self }
+    }
+
+    /// The same without the points that would leave the plot when it is moved to the right by that share of its width.
+    #[must_use]
+    pub fn within(mut self, share: f64) -> Self {
+        let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
+        self.steps.retain(|step| match step {
+            Step::Move(x, _) | Step::Line(x, _) => inside(*x),
+            Step::Close => true,
+        });
+        if let Some(Step::Line(x, y)) = self.steps.first().copied() {
+            self.steps[0] = Step::Move(x, y);
+        }
+        self
+    }
+
+    fn of(steps: Vec<Step>) -> Self {
+        Self { steps, dx: 0.0 }
+    }
+
+    /// A line that stops where a value is missing; a value with none beside it becomes a dot.
+    pub fn line(points: impl IntoIterator<Item = Option<Point>>) -> Self {
+        let (mut steps, mut open, mut alone) = (Vec::new(), false, None);
+        for point in points.into_iter().chain([None]) {
+            match point {
+                Some((x, y)) => {
+                    steps.push(if open { Step::Line(x, y) } else { Step::Move(x, y) });
+                    alone = (!open).then_some((x, y));
+                    open = true;
+                }
+                None => {
+                    steps.extend(alone.take().map(|(x, y)| Step::Line(x, y)));
+                    open = false;
+                }
+            }
+        }
+        Self::of(steps)
+    }
+
+    /// The area between two lines, in pieces where a value is missing: left, upper, lower.
+    pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
+        let mut steps = Vec::new();
+        let mut piece: Vec<(f64, f64, f64)> = Vec::new();
+        for point in points.into_iter().chain([None]) {
+            match point {
+                Some(point) => piece.push(point),
+                None => {
+                    let upper = piece.iter().map(|(x, upper, _)| (*x, *upper));
+                    let lower = piece.iter().rev().map(|(x, _, lower)| (*x, *lower));
+                    outline(&mut steps, upper.chain(lower));
+                    piece.clear();
+                }
+            }
+        }
+        Self::of(steps)
+    }
+
+    /// The area between a line and the lower end of the plot, in pieces where a value is missing.
+    pub fn area(points: impl IntoIterator<Item = Option<Point>>) -> Self {
+        Self::band(points.into_iter().map(|point| point.map(|(x, y)| (x, y, 1.0))))
+    }
+
+    /// An area with these corners.
+    pub fn polygon(points: impl IntoIterator<Item = Point>) -> Self {
+        let mut steps = Vec::new();
+        outline(&mut steps, points);
+        Self::of(steps)
+    }
+
+    /// Rectangles between two corners each.
+    pub fn rects(corners: impl IntoIterator<Item = [Point; 2]>) -> Self {
+        let mut steps = Vec::new();
+        for [(left, top), (right, bottom)] in corners {
+            outline(&mut steps, [(left, top), (right, top), (right, bottom), (left, bottom)]);
+        }
+        Self::of(steps)
+    }
+
+    /// Dots: lines of no length, which a stroke with round ends makes visible.
+    pub fn dots(points: impl IntoIterator<Item = Point>) -> Self {
+        Self::of(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
+    }
+
+    /// Upright strokes: left, upper end, lower end.
+    pub fn ticks(ticks: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
+        let steps =
+            ticks.into_iter().flat_map(|(x, upper, lower)| [Step::Move(x, upper), Step::Line(x, lower)]);
+        Self::of(steps.collect())
+    }
+
+    /// Upright error bars with caps of that share of the plot's width to each side: left, upper end, lower end.
+    pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
+        let steps = points.into_iter().flat_map(|(x, upper, lower)| {
+            let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];
+            let cap = |y: f64| stroke((x - cap, y), (x + cap, y));
+            [stroke((x, upper), (x, lower)), cap(upper), cap(lower)].concat()
+        });
+        Self::of(steps.collect())
+    }
+}
+
+fn outline(steps: &mut Vec<Step>, points: impl IntoIterator<Item = Point>) {
+    let begun = steps.len();
+    for (x, y) in points {
+        steps.push(if steps.len() == begun { Step::Move(x, y) } else { Step::Line(x, y) });
+    }
+    if steps.len() > begun {
+        steps.push(Step::Close);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_value_parts_lines_and_areas() {
+        let points = [Some((0.0, 0.0)), Some((0.1, 1.0)), None, Some((0.5, 0.5))];
+        let line = Path::line(points).steps;
+        let expected =
+            [Step::Move(0.0, 0.0), Step::Line(0.1, 1.0), Step::Move(0.5, 0.5), Step::Line(0.5, 0.5)];
+        assert_eq!(line, expected);
+        let band =
+            Path::band([Some((0.0, 0.1, 0.2)), Some((0.1, 0.1, 0.2)), None, Some((0.5, 0.1, 0.2))]).steps;
+        assert_eq!(band.iter().filter(|step| **step == Step::Close).count(), 2);
+        assert_eq!(band[..3], [Step::Move(0.0, 0.1), Step::Line(0.1, 0.1), Step::Line(0.1, 0.2)]);
+        assert!(Path::line([None, None]).is_empty() && Path::band([None]).is_empty());
+        let area = Path::area([Some((0.0, 0.2)), Some((0.1, 0.3)), None, Some((0.5, 0.1))]).steps;
+        assert!(area.contains(&Step::Line(0.1, 1.0)) && area.contains(&Step::Line(0.5, 1.0)), "{area:?}");
+    }
+
+    #[test]
+    fn a_whisker_has_two_caps_and_a_dot_no_length() {
+        let whisker = Path::whiskers([(0.5, 0.2, 0.4)], 0.01).steps;
+        assert_eq!(whisker.iter().filter(|step| matches!(step, Step::Move(..))).count(), 3);
+        assert_eq!(Path::dots([(0.5, 0.5)]).steps, [Step::Move(0.5, 0.5), Step::Line(0.5, 0.5)]);
+    }
+}

@@ -1,0 +1,198 @@
+//! Scales: where values lie along an axis, and the round numbers at which the axis is marked.
+//!
+//! A scale knows values and shares of its length, never pixels: the sheets (`crate::sheet`) turn shares into points or percent.
+
+mod step;
+#[cfg(test)]
+mod tests;
+
+pub use step::round_step;
+
+use peernet_statistics::number::{fixed, significant};
+
+/// What ends of scales are held within, and what counts as zero.
+const MOST: f64 = 1e150;
+const LEAST: f64 = 1e-150;
+/// Room beyond the values of a scale from zero, as a share of their range.
+const ROOM: f64 = 0.04;
+
+/// How values are spread along a scale.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Spread {
+    Linear,
+    Logarithmic,
+}
+
+/// Range of values and how they are spread over a length of 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scale {
+    lo: f64,
+    hi: f64,
+    spread: Spread,
+    /// Smallest distance between two ticks.
+    least: f64,
+    /// Distance between two ticks of a scale that ends at ticks.
+    step: Option<f64>,
+    signed: bool,
+}
+
+/// A marked place of a scale.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tick {
+    /// The value.
+    pub value: f64,
+    /// Where it lies, from 0 to 1.
+    pub at: f64,
+    /// Its label.
+    pub text: String,
+}
+
+impl Scale {
+    /// Linear scale that ends exactly at these values. One value alone is given room on both sides.
+    pub fn linear(values: (f64, f64)) -> Self {
+        let (lo, hi) = held(values);
+        let (lo, hi) = if hi > lo { (lo, hi) } else { room_around(lo) };
+        Self { lo, hi, spread: Spread::Linear, least: 0.0, step: None, signed: false }
+    }
+
+    /// Linear scale from zero, or from the smallest value where that is negative, with a little room beyond the values.
+    pub fn from_zero(values: (f64, f64)) -> Self {
+        let (lo, hi) = held(values);
+        let (lo, hi) = (lo.min(0.0), hi.max(0.0));
+        let room = (hi - lo) * ROOM;
+        let ends = if hi > lo {
+            (if lo < 0.0 { lo - room } else { 0.0 }, if hi > 0.0 { hi + room } else { 0.0 })
+        } else {
+            (0.0, 1.0)
+        };
+        Self::linear(ends)
+    }
+
+    /// Logarithmic scale of values above 0.
+    pub fn logarithmic(values: (f64, f64)) -> Self {
+        let (lo, hi) = held(values);
+        let lo = lo.max(LEAST);
+        let (lo, hi) = if hi > lo { (lo, hi) } else { room_around(lo) };
+        Self { lo, hi, spread: Spread::Logarithmic, ..Self::linear((lo, hi)) }
+    }
+
+    /// The same marked at whole numbers alone, for what is counted.
+    #[must_use]
+    pub fn whole(self) -> Self {
+        Self { least: 1.0, ..self }
+    }
+
+    /// The same with a plus sign before labels above zero.
+    #[must_use]
+    pub fn signed(self) -> Self {
+        Self { signed: true, ..self }
+    }
+
+    /// The same widened to the next ticks, about `ticks` steps apart. A logarithmic scale stays as it is.
+    #[must_use]
+    pub fn widened(self, ticks: usize) -> Self {
+        if self.spread == Spread::Logarithmic {
+            return self;
+        }
+        let step = round_step(self.hi - self.lo, ticks).max(self.least);
+        let (lo, hi) = ((self.lo / step + 1e-9).floor() * step, (self.hi / step - 1e-9).ceil() * step);
+        Self { lo, hi, step: Some(step), ..self }
+    }
+
+    /// Smallest and largest value.
+    pub fn ends(&self) -> (f64, f64) {
+        (self.lo, self.hi)
+    }
+
+    /// Whether equal distances are equal factors.
+    pub fn is_logarithmic(&self) -> bool {
+        self.spread == Spread::Logarithmic
+    }
+
+    /// Returns where a value lies, from 0 to 1; values beyond the ends lie at the ends, and what is no number at the lower one.
+    pub fn at(&self, value: f64) -> f64 {
+        if value.is_nan() {
+            return 0.0;
+        }
+        let value = value.clamp(self.lo, self.hi);
+        match self.spread {
+            Spread::Linear => (value - self.lo) / (self.hi - self.lo),
+            Spread::Logarithmic => (value / self.lo).ln() / (self.hi / self.lo).ln(),
+        }
+    }
+
+    /// Whether a value lies on the scale.
+    pub fn has(&self, value: f64) -> bool {
+        (self.lo..=self.hi).contains(&value)
+    }
+
+    /// Returns the value at a share of the way between two.
+    pub fn between(&self, from: f64, to: f64, share: f64) -> f64 {
+        if self.is_logarithmic() && from > 0.0 {
+            from * (to / from).powf(share)
+        } else {
+            from + (to - from) * share
+        }
+    }
+
+    /// Returns `steps + 1` values from end to end, evenly spaced as seen.
+    pub fn along(&self, steps: u32) -> impl Iterator<Item = f64> + use<> {
+        let this = *self;
+        (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
+    }
+
+    /// Returns at most about `most` marked places: round numbers. Those of a logarithmic scale are powers of ten, with 2 and 5
+    /// between them where those alone are fewer than three, and where these are, round numbers at even distances.
+    pub fn ticks(&self, most: usize) -> Vec<Tick> {
+        match self.spread {
+            Spread::Linear => self.even(most),
+            Spread::Logarithmic => self.powers(most),
+        }
+    }
+
+    fn even(&self, most: usize) -> Vec<Tick> {
+        let step = self.step.unwrap_or_else(|| round_step(self.hi - self.lo, most)).max(self.least);
+        let decimals = usize::try_from(-(step.log10() + 1e-9).floor() as i32).unwrap_or_default();
+        let (first, last) = ((self.lo / step - 1e-6).ceil() as i64, (self.hi / step + 1e-6).floor() as i64);
+        let tick = |number: i64| {
+            let value = number as f64 * step;
+            let text = if number == 0 { "0".to_owned() } else { fixed(value, decimals) };
+            let sign = if self.signed && number > 0 { "+" } else { "" };
+            Tick { value, at: self.at(value), text: format!("{sign}{text}") }
+        };
+        (first..=last).map(tick).collect()
+    }
+
+    fn powers(&self, most: usize) -> Vec<Tick> {
+        let decades = (self.lo.log10().floor() as i32)..=(self.hi.log10().ceil() as i32);
+        let marks = |steps: &'static [f64]| -> Vec<Tick> {
+            let all =
+                decades.clone().flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
+            let inside = all.filter(|value| self.has(*value));
+            inside.map(|value| Tick { value, at: self.at(value), text: plain(value) }).collect()
+        };
+        let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
+        let found = found.unwrap_or_else(|| self.even(most));
+        // Many powers of ten: those between may go, evenly.
+        let apart = found.len().div_ceil(2 * most.max(1)).max(1);
+        found.into_iter().step_by(apart).collect()
+    }
+}
+
+/// Returns a range of numbers whose differences and ratios are numbers as well, so that whatever goes along it comes to an end.
+fn held((lo, hi): (f64, f64)) -> (f64, f64) {
+    let one = |value: f64| if value.abs() >= LEAST { value.clamp(-MOST, MOST) } else { 0.0 };
+    (one(lo), one(hi))
+}
+
+/// Returns a range with one value in its middle.
+fn room_around(value: f64) -> (f64, f64) {
+    let half = if value == 0.0 { 0.5 } else { value.abs() * 0.1 };
+    (value - half, value + half)
+}
+
+/// Returns a power of ten, or 2 or 5 of them, without needless zeros.
+fn plain(value: f64) -> String {
+    let text = significant(value);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}

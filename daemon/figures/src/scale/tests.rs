@@ -1,0 +1,84 @@
+//! Scales and their ticks.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn texts(scale: Scale, most: usize) -> Vec<String> {
+    scale.ticks(most).into_iter().map(|tick| tick.text).collect()
+}
+
+#[test]
+fn steps_are_one_two_or_five_times_powers_of_ten() {
+    let cases = [(10.0, 5, 2.0), (15.0, 3, 5.0), (0.37, 5, 0.1), (1_800.0, 4, 500.0), (9.0, 1, 10.0)];
+    for (range, most, step) in cases {
+        assert!(
+            (round_step(range, most) / step - 1.0).abs() < 1e-9,
+            "{range} {most}: {}",
+            round_step(range, most)
+        );
+    }
+    assert_eq!([0.0, -3.0, f64::NAN, f64::INFINITY].map(|range| round_step(range, 5)), [1.0; 4]);
+}
+
+#[test]
+fn values_lie_where_their_logarithm_does_and_never_outside() {
+    let scale = Scale::logarithmic((1.0, 1e4));
+    let places = [1.0, 10.0, 1e4, 0.0, 1e9].map(|value| (scale.at(value) * 100.0).round());
+    assert_eq!(places, [0.0, 25.0, 100.0, 0.0, 100.0]);
+    assert_eq!(scale.ticks(9).len(), 5);
+    assert_eq!(texts(Scale::logarithmic((0.3, 7.0)), 9), ["0.5", "1", "2", "5"]);
+    assert_eq!(texts(Scale::logarithmic((0.029, 0.092)), 5), ["0.04", "0.06", "0.08"], "never one alone");
+    assert_eq!(texts(Scale::logarithmic((1e-9, 1e9)), 5).len(), 10, "every other power of ten");
+}
+
+#[test]
+fn a_scale_ends_whatever_its_values() {
+    let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, -1e308, 1e17, 0.0, 5e-324, 1e-308, 7.0];
+    for values in odd.into_iter().flat_map(|lo| odd.map(|hi| (lo, hi))) {
+        for make in [Scale::linear, Scale::from_zero, Scale::logarithmic] {
+            for scale in [make(values), make(values).widened(5)] {
+                assert!(scale.ticks(6).len() <= 13, "{values:?}");
+                assert!(odd.iter().all(|value| (0.0..=1.0).contains(&scale.at(*value))), "{values:?}");
+                assert!(scale.along(9).all(f64::is_finite), "{values:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn linear_scales_are_marked_at_round_numbers() {
+    let scale = Scale::linear((0.0, 10.0));
+    assert_eq!([0.0, 2.5, 10.0, -3.0, 99.0].map(|value| scale.at(value)), [0.0, 0.25, 1.0, 0.0, 1.0]);
+    assert_eq!(texts(scale, 5), ["0", "2", "4", "6", "8", "10"]);
+    assert_eq!(texts(Scale::linear((0.0612, 0.0618)), 4), ["0.0612", "0.0614", "0.0616", "0.0618"]);
+    assert_eq!(texts(Scale::linear((-1500.0, 2600.0)), 5), ["−1,000", "0", "1,000", "2,000"]);
+    assert_eq!(texts(Scale::from_zero((0.0, 2.0)).whole(), 5), ["0", "1", "2"]);
+    assert_eq!(texts(Scale::linear((7.0, 7.0)), 5), ["6.5", "7.0", "7.5"]);
+    assert_eq!(Scale::from_zero((3.0, 3.0)).ends(), (0.0, 3.12));
+    assert_eq!(Scale::from_zero((0.0, 0.0)).ends(), (0.0, 1.0));
+    assert_eq!(Scale::from_zero((-5.0, -5.0)).ends(), (-5.2, 0.0));
+}
+
+#[test]
+fn a_widened_scale_ends_at_ticks() {
+    assert_eq!(texts(Scale::linear((0.0, 14.2)).widened(3), 9), ["0", "5", "10", "15"]);
+    let signed = Scale::linear((-2.4, 2.4)).widened(6).signed();
+    assert_eq!(texts(signed, 6), ["−3", "−2", "−1", "0", "+1", "+2", "+3"]);
+    assert_eq!(
+        texts(Scale::linear((1_203.53, 1_204.83)).widened(3), 3),
+        ["1,203.5", "1,204.0", "1,204.5", "1,205.0"]
+    );
+}
+
+proptest! {
+    #[test]
+    fn a_widened_scale_holds_its_values_with_few_ticks(lo in -1e6f64..1e6, width in 1e-3f64..1e6, most in 2usize..8) {
+        let scale = Scale::linear((lo, lo + width)).widened(most);
+        let (from, to) = scale.ends();
+        prop_assert!(from <= lo + width * 1e-6 && to >= lo + width * (1.0 - 1e-6));
+        let ticks = scale.ticks(most);
+        prop_assert!((2..=most + 3).contains(&ticks.len()), "{ticks:?}");
+        prop_assert!(ticks[0].at.abs() < 1e-6 && (ticks[ticks.len() - 1].at - 1.0).abs() < 1e-6, "{ticks:?}");
+    }
+}

@@ -1,0 +1,145 @@
+//! Pixels and PDF from the SVG of a file, with the embedded font and no other.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock};
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use peernet_analysis::{WriteError, write_file};
+use resvg::tiny_skia::{Pixmap, Transform};
+use svg2pdf::{ConversionOptions, PageOptions};
+use usvg::fontdb::Database;
+
+use super::file;
+use crate::plot::Figure;
+use crate::text::{FAMILY, FONT};
+
+/// Pixels of a PNG to the inch.
+pub const PIXELS_PER_INCH: f64 = 480.0;
+/// Units of an SVG to the inch (CSS, *Values and Units*, 6.2).
+const UNITS_PER_INCH: f32 = 96.0;
+/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1): what tells the size of its pixels
+/// stands behind them.
+const HEADER: usize = 8 + 25;
+/// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
+/// a picture without it at the resolution of a screen.
+const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
+/// What each figure is written as: endings of its name. The text says that it is a figure's, because tables have the same names.
+pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
+
+/// A figure that could not be turned into another format.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The SVG cannot be read.
+    #[error("cannot read the SVG of the figure: {0}")]
+    Svg(#[from] usvg::Error),
+    /// There is no memory for so many pixels.
+    #[error("cannot draw {0} by {1} pixels")]
+    Size(u32, u32),
+    /// The pixels cannot be written.
+    #[error("cannot write the PNG of the figure: {0}")]
+    Png(#[from] image::ImageError),
+    /// The PDF cannot be made.
+    #[error("cannot make the PDF of the figure: {0}")]
+    Pdf(String),
+}
+
+static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
+    let mut fonts = Database::new();
+    fonts.load_font_data(FONT.to_vec());
+    fonts.set_sans_serif_family(FAMILY);
+    Arc::new(fonts)
+});
+
+/// A figure as paths and placed glyphs.
+pub struct Exported(usvg::Tree);
+
+/// Pixels, three bytes each, row by row.
+pub struct Pixels {
+    /// Pixels of a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Red, green, blue.
+    pub rgb: Vec<u8>,
+}
+
+impl Exported {
+    /// Reads an SVG that [`file::svg`] made.
+    ///
+    /// # Errors
+    /// When it is none.
+    pub fn of(svg: &str) -> Result<Self, ExportError> {
+        let options = usvg::Options {
+            dpi: UNITS_PER_INCH,
+            font_family: FAMILY.to_owned(),
+            fontdb: Arc::clone(&FONTS),
+            ..usvg::Options::default()
+        };
+        Ok(Self(usvg::Tree::from_str(svg, &options)?))
+    }
+
+    /// Draws it.
+    ///
+    /// # Errors
+    /// When there is no memory for the pixels.
+    pub fn pixels(&self) -> Result<Pixels, ExportError> {
+        let scale = PIXELS_PER_INCH as f32 / UNITS_PER_INCH;
+        let size = self.0.size();
+        let [width, height] = [size.width(), size.height()].map(|length| (length * scale).round() as u32);
+        let mut pixmap = Pixmap::new(width, height).ok_or(ExportError::Size(width, height))?;
+        resvg::render(&self.0, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
+        let mut rgb = pixmap.take();
+        // The ground is opaque: what is dropped says nothing. In place, because the pixels are most of the memory.
+        let count = rgb.len() / 4;
+        for pixel in 0..count {
+            rgb.copy_within(4 * pixel..4 * pixel + 3, 3 * pixel);
+        }
+        rgb.truncate(3 * count);
+        Ok(Pixels { width, height, rgb })
+    }
+
+    /// Makes a PNG with its resolution.
+    ///
+    /// # Errors
+    /// When it cannot be drawn.
+    pub fn png(&self) -> Result<Vec<u8>, ExportError> {
+        let Pixels { width, height, rgb } = self.pixels()?;
+        let mut png = Vec::new();
+        // Large areas of one colour: a filter would only hide that from the compression.
+        PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::NoFilter).write_image(
+            &rgb,
+            width,
+            height,
+            ExtendedColorType::Rgb8,
+        )?;
+        png.splice(HEADER..HEADER, DENSITY);
+        Ok(png)
+    }
+
+    /// Makes a PDF of one page that is as large as the figure, its text as text in a subset of the font.
+    ///
+    /// # Errors
+    /// When the exporter cannot.
+    pub fn pdf(&self) -> Result<Vec<u8>, ExportError> {
+        let page = PageOptions { dpi: UNITS_PER_INCH };
+        let made = svg2pdf::to_pdf(&self.0, ConversionOptions::default(), page);
+        made.map_err(|error| ExportError::Pdf(error.to_string()))
+    }
+}
+
+/// Writes a figure into a folder as `STEM.png`, `STEM.svg`, `STEM.pdf` and, with all that is to be said of it, `STEM-caption.txt`.
+///
+/// # Errors
+/// When it cannot be drawn or a file not be written.
+pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4], WriteError> {
+    let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
+    let svg = file::svg(figure);
+    write_file(&files[1], svg.as_bytes())?;
+    let exported = Exported::of(&svg).map_err(WriteError::at(&files[0]))?;
+    drop(svg);
+    write_file(&files[0], &exported.png().map_err(WriteError::at(&files[0]))?)?;
+    write_file(&files[2], &exported.pdf().map_err(WriteError::at(&files[2]))?)?;
+    write_file(&files[3], figure.words().as_bytes())?;
+    Ok(files)
+}

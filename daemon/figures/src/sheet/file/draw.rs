@@ -1,0 +1,139 @@
+//! Items as elements with literal attributes.
+
+use super::SMALL;
+use super::places::Area;
+use crate::look::{Mark, Rgb, Stroke, Style, WHITE, lines};
+use crate::plot::{Anchor, At, Item, Label, Path, Step};
+use crate::svg::{Attributes, Tag, Writer, number};
+
+/// Width of the lines of a hatch, points.
+const HATCH: f64 = 0.45;
+/// Width of the rim about text, points.
+const RIM: f64 = 1.6;
+
+/// Draws items one over the other.
+pub(super) fn items(svg: &mut Writer, all: &[Item], area: &Area) {
+    for item in all {
+        match item {
+            Item::Rect { from, to, least, style } => {
+                rect(svg, at_least([area.point(*from), area.point(*to)], *least), style);
+            }
+            Item::Line { from, to, style } => line(svg, [area.point(*from), area.point(*to)], style),
+            Item::Path { path, style } if !path.is_empty() => {
+                let shape = styled(svg.element(Tag::Path), style).set("d", course(path, area));
+                shape.set("stroke-linejoin", "round").set("stroke-linecap", "round").leaf();
+            }
+            Item::Path { .. } => {}
+            Item::Mark { at, mark, radius, style } => point(svg, area.point(*at), (*mark, *radius), style),
+            Item::Text(label) => draw_label(svg, label, area),
+        }
+    }
+}
+
+/// A rectangle, left upper corner first, that is widened to the right and upwards.
+fn at_least([a, b]: [(f64, f64); 2], least: (f64, f64)) -> [(f64, f64); 2] {
+    let (left, right) = (a.0.min(b.0), a.0.max(b.0));
+    let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));
+    [(left, top.min(bottom - least.1)), (right.max(left + least.0), bottom)]
+}
+
+/// Draws a rectangle with its hatch.
+pub(super) fn rect(svg: &mut Writer, corners: [(f64, f64); 2], style: &Style) {
+    let [(left, top), (right, bottom)] = corners;
+    let ground = styled(svg.element(Tag::Rect), style).set("x", left).set("y", top);
+    ground.set("width", right - left).set("height", bottom - top).leaf();
+    if let Some((hatch, colour)) = style.fill.and_then(|fill| fill.hatch) {
+        let strokes = lines(corners, hatch);
+        if !strokes.is_empty() {
+            let course: String = strokes.into_iter().map(|line| stroke_course(&line)).collect();
+            let over = svg.element(Tag::Path).set("d", course).set("fill", "none");
+            over.set("stroke", colour).set("stroke-width", HATCH).leaf();
+        }
+    }
+}
+
+fn stroke_course(line: &[(f64, f64); 2]) -> String {
+    let mut out = String::new();
+    put(&mut out, 'M', line[0]);
+    put(&mut out, 'L', line[1]);
+    out
+}
+
+/// Draws a straight line.
+pub(super) fn line(svg: &mut Writer, [from, to]: [(f64, f64); 2], style: &Style) {
+    let line = styled(svg.element(Tag::Line), style).set("x1", from.0).set("y1", from.1);
+    line.set("x2", to.0).set("y2", to.1).leaf();
+}
+
+/// Draws a mark.
+pub(super) fn point(svg: &mut Writer, (x, y): (f64, f64), (mark, radius): (Mark, f64), style: &Style) {
+    if mark == Mark::Disc {
+        return styled(svg.element(Tag::Circle), style).set("cx", x).set("cy", y).set("r", radius).leaf();
+    }
+    styled(svg.element(Tag::Path), style).set("d", super::super::outline(mark, (x, y), radius)).leaf();
+}
+
+fn draw_label(svg: &mut Writer, label: &Label, area: &Area) {
+    let (x, y) = area.point(label.at);
+    let (x, y) = (x + label.shift.0 * SMALL, y + label.shift.1 * SMALL);
+    let text = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", SMALL);
+    let mut text = text.set("fill", label.style.colour);
+    if label.style.halo {
+        text = text.set("stroke", WHITE).set("stroke-width", RIM).set("stroke-linejoin", "round");
+        text = text.set("paint-order", "stroke");
+    }
+    anchored(text, label.anchor).words(&label.words);
+}
+
+/// Writes a line of text whose baseline begins, has its middle or ends at a point.
+pub(super) fn text(
+    svg: &mut Writer,
+    words: &str,
+    (x, y): (f64, f64),
+    (size, colour, anchor): (f64, Rgb, Anchor),
+) {
+    let text = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", size).set("fill", colour);
+    anchored(text, anchor).words(words);
+}
+
+fn anchored(text: Attributes<'_>, anchor: Anchor) -> Attributes<'_> {
+    text.some("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
+}
+
+/// Fill and stroke of a shape.
+fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
+    let element = match style.fill {
+        Some(fill) => {
+            let opacity = (fill.opacity < 1.0).then_some(fill.opacity);
+            element.set("fill", fill.colour).some("fill-opacity", opacity)
+        }
+        None => element.set("fill", "none"),
+    };
+    match style.stroke {
+        Some(Stroke { colour, width, dash }) => {
+            let dash = dash.map(|(dash, gap)| format!("{dash} {gap}"));
+            element.set("stroke", colour).set("stroke-width", width).some("stroke-dasharray", dash)
+        }
+        None => element,
+    }
+}
+
+fn course(path: &Path, area: &Area) -> String {
+    let mut out = String::with_capacity(path.steps.len() * 12);
+    let point = |x: f64, y: f64| area.point(At::new(x, y).aside(path.dx, 0.0));
+    for step in &path.steps {
+        match step {
+            Step::Move(x, y) => put(&mut out, 'M', point(*x, *y)),
+            Step::Line(x, y) => put(&mut out, 'L', point(*x, *y)),
+            Step::Close => out.push('Z'),
+        }
+    }
+    out
+}
+
+fn put(out: &mut String, command: char, (x, y): (f64, f64)) {
+    out.push(command);
+    number(out, x, 2);
+    out.push(' ');
+    number(out, y, 2);
+}

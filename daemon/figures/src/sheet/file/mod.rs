@@ -1,0 +1,70 @@
+//! The sheet of a file: a picture as wide as a column, in points, with literal attributes.
+//!
+//! It has one line of caption, the legend, the plots from above to below and a table as key to numbers. All else that is to be said
+//! stands in the text beside it ([`Figure::words`]).
+
+mod axes;
+mod draw;
+mod header;
+mod places;
+mod table;
+#[cfg(test)]
+mod tests;
+
+pub use places::{Area, MOST_NAME, areas};
+
+use crate::look::{INK_2, WHITE};
+use crate::plot::{Anchor, Figure};
+use crate::svg::{Tag, Writer};
+use crate::text::FAMILY;
+
+/// Width of a column, points: 3.5 inches.
+pub const WIDTH: f64 = 252.0;
+/// Height of a figure that does not need more, points.
+pub const HEIGHT: f64 = 189.0;
+/// Size of captions, legends and axes, points.
+pub const TEXT: f64 = 7.5;
+/// Size of all other text, points. No text is smaller.
+pub const SMALL: f64 = 7.0;
+
+/// Distance from the edge of the paper, points.
+const EDGE: f64 = 5.0;
+/// Between an axis and its labels, points.
+const GAP: f64 = 2.7;
+/// Distance between two lines of text, points.
+const LINE: f64 = 10.0;
+/// Between a plot and a strip at it, points.
+const STRIP_GAP: f64 = 2.0;
+const PER_INCH: f64 = 72.0;
+
+/// Draws a figure.
+pub fn svg(figure: &Figure) -> String {
+    let places = places::Places::of(figure);
+    let mut svg = Writer::default();
+    let (wide, high) = (WIDTH, places.height);
+    let inches = |points: f64| format!("{}in", points / PER_INCH);
+    let root = svg.element(Tag::Svg).set("xmlns", "http://www.w3.org/2000/svg");
+    let root = root.set("width", inches(wide)).set("height", inches(high));
+    // Where the font is not there, others are as wide as the one that the layout was made with, or narrower.
+    let root = root.set("viewBox", format!("0 0 {wide} {high}"));
+    root.set("font-family", format!("{FAMILY}, Helvetica, Arial, sans-serif")).open();
+    svg.element(Tag::Rect).set("width", wide).set("height", high).set("fill", WHITE).leaf();
+    header::draw(&mut svg, figure);
+    for (plot, area) in figure.plots.iter().zip(&places.plots) {
+        axes::draw_grid(&mut svg, plot, area);
+        draw::items(&mut svg, &plot.items, area);
+        axes::draw(&mut svg, plot, area);
+        if let Some(strip) = &plot.above {
+            draw::items(&mut svg, &strip.items, &area.above(strip.size));
+        }
+        if let Some(strip) = &plot.beside {
+            draw::items(&mut svg, &strip.items, &area.beside(strip.size));
+        }
+    }
+    if figure.plots.is_empty() {
+        let middle = (wide / 2.0, (header::height(figure) + high) / 2.0);
+        draw::text(&mut svg, "no values", middle, (TEXT, INK_2.light, Anchor::Middle));
+    }
+    table::draw(&mut svg, &figure.table, high - table::height(&figure.table));
+    svg.finish()
+}

@@ -1,0 +1,109 @@
+//! What files get.
+
+use super::super::export::Exported;
+use super::*;
+use crate::look::{Mark, Style, TextStyle, series, stage};
+use crate::plot::{Axis, Height, Item, Key, Label, Marks, Path, Plot, Strip, Swatch, Table};
+use crate::scale::{Scale, Tick};
+
+fn figure() -> Figure {
+    let x = Axis::new(Scale::linear((0.0, 10.0)), "Upload, ms", "ms");
+    let y = Axis::new(Scale::logarithmic((1.0, 100.0)), "Iterations", "").with_grid();
+    let mut plot = Plot::new(x, y);
+    plot.items.push(Item::rect(plot.at(2.0, 1.0), plot.at(4.0, 10.0), stage("queue").area()));
+    plot.items.push(Item::path(Path::line([Some((0.0, 0.5)), Some((1.0, 0.25))]), series(1).line(0.75)));
+    plot.items.push(Item::mark(plot.at(5.0, 10.0), Mark::Triangle, 2.0, Style::ink()));
+    plot.items.push(Item::Text(Label::new(plot.at(5.0, 10.0), "<5>", TextStyle::MARK)));
+    plot.above = Some(Strip {
+        items: vec![Item::rect(Default::default(), Default::default(), Style::total())],
+        size: 9.0,
+    });
+    plot.remark = Some("3 beyond 10 ms →".to_owned());
+    Figure {
+        title: "Upload time · robot → cloud".to_owned(),
+        legend: vec![Key::new(Swatch::Area(stage("queue").area()), "queue")],
+        notes: vec![
+            "configurations: model · n = 1,200 (600 each)".to_owned(),
+            "left out: 5 warm-up".to_owned(),
+        ],
+        plots: vec![plot],
+        table: Table {
+            titles: vec!["p95, ms".to_owned()],
+            lines: vec![("small".to_owned(), vec!["9.1".to_owned()])],
+        },
+    }
+}
+
+#[test]
+fn a_figure_is_as_wide_as_a_column_and_its_caption_is_one_line() {
+    let svg = svg(&figure());
+    assert!(svg.contains("width=\"3.5in\"") && svg.contains("viewBox=\"0 0 252 "), "{svg}");
+    assert!(svg.contains(">Upload time · robot → cloud · n = 1,200 (600 each)<"), "{svg}");
+    assert!(svg.contains(">Iterations (log scale)<") && svg.contains(">&lt;5&gt;<"), "{svg}");
+    assert!(!svg.contains("left out") && !svg.contains("class="), "{svg}");
+    let words = figure().words();
+    for line in ["Upload time · robot → cloud", "left out: 5 warm-up", "Legend: queue", "3 beyond 10 ms →"]
+    {
+        assert!(words.lines().any(|known| known == line), "{line} is not in {words}");
+    }
+}
+
+#[test]
+fn no_text_is_smaller_than_seven_points() {
+    let svg = svg(&figure());
+    let sizes: Vec<f64> = svg
+        .split("font-size=\"")
+        .skip(1)
+        .map(|rest| rest.split('"').next().and_then(|size| size.parse().ok()).expect("a size"))
+        .collect();
+    assert!(!sizes.is_empty() && sizes.iter().all(|size| *size >= 7.0), "{sizes:?}");
+}
+
+#[test]
+fn plots_lie_below_each_other_on_the_paper() {
+    let mut figure = figure();
+    let mut lower = figure.plots[0].clone();
+    (lower.height, lower.above) = (Height::Points(30.0), None);
+    figure.plots.push(lower);
+    let areas = areas(&figure);
+    assert_eq!(areas[0].left, areas[1].left, "both begin at one place");
+    assert_eq!(areas[1].height, 30.0);
+    assert!(areas[0].bottom() + 20.0 < areas[1].top && areas[0].height > 60.0, "{areas:?}");
+    let high = places::Places::of(&figure).height;
+    assert!(areas[1].bottom() + 20.0 < high - table::height(&figure.table), "{areas:?} {high}");
+}
+
+#[test]
+fn rows_make_the_paper_higher() {
+    let names = |count: usize| {
+        let tick = |row: usize| Tick {
+            value: 0.0,
+            at: row as f64 / count as f64,
+            text: format!("configuration {row}"),
+        };
+        Marks::Names((0..count).map(tick).collect())
+    };
+    let high = |count: usize| {
+        let scale = Scale::linear((0.0, 1.0));
+        let mut plot =
+            Plot::new(Axis::new(scale, "Latency, ms", "ms"), Axis::new(scale, "", "").marked(names(count)));
+        plot.height = Height::Points(count as f64 * 14.0);
+        places::Places::of(&Figure { plots: vec![plot], ..Figure::default() }).height
+    };
+    assert_eq!(high(20) - high(10), 140.0);
+}
+
+#[test]
+fn pixels_and_pdf_are_of_the_same_picture() {
+    let exported = Exported::of(&svg(&figure())).expect("an SVG");
+    let pixels = exported.pixels().expect("drawn");
+    assert_eq!(pixels.width, 1_680);
+    let dark = pixels.rgb.chunks(3).filter(|pixel| pixel.iter().all(|part| *part < 0x50)).count();
+    assert!(dark > 2_000, "the text is there: {dark}");
+    let png = exported.png().expect("made");
+    assert!(png.starts_with(b"\x89PNG") && png[33..].starts_with(b"\0\0\0\x09pHYs"));
+    let pdf = exported.pdf().expect("made");
+    let has = |what: &[u8]| pdf.windows(what.len()).any(|part| part == what);
+    assert!(pdf.starts_with(b"%PDF") && has(b"Inter"), "the font is in it");
+    assert!(has(b"/MediaBox [0 0 252"), "in points");
+}

@@ -1,0 +1,271 @@
+//! A writer of SVG, and of the few HTML elements around it: tags and values are typed, text is escaped.
+//!
+//! ```
+//! use peernet_figures::svg::{Share, Tag, Writer};
+//!
+//! let mut svg = Writer::default();
+//! svg.element(Tag::Svg).set("class", "plot").open();
+//! svg.element(Tag::Line).set("x1", Share(0.25)).set("x2", 12.5).leaf();
+//! svg.element(Tag::Text).set("dy", ".36em").words("a < b");
+//! svg.close();
+//! assert_eq!(svg.finish(), r#"<svg class="plot"><line x1="25%" x2="12.5"/><text dy=".36em">a &lt; b</text></svg>"#);
+//! ```
+
+use std::fmt::Write as _;
+
+use peernet_sample::printable_line;
+
+use crate::look::Rgb;
+
+/// Decimals of coordinates: a thousandth of a point.
+const DECIMALS: usize = 3;
+
+/// Element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "each is called like its element")]
+pub enum Tag {
+    Circle,
+    Div,
+    G,
+    Li,
+    Line,
+    Path,
+    Rect,
+    Span,
+    Svg,
+    Text,
+    Tspan,
+    Ul,
+}
+
+impl Tag {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Circle => "circle",
+            Self::Div => "div",
+            Self::G => "g",
+            Self::Li => "li",
+            Self::Line => "line",
+            Self::Path => "path",
+            Self::Rect => "rect",
+            Self::Span => "span",
+            Self::Svg => "svg",
+            Self::Text => "text",
+            Self::Tspan => "tspan",
+            Self::Ul => "ul",
+        }
+    }
+}
+
+/// Share of a length from 0 to 1, written in percent.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Share(pub f64);
+
+/// Length in the type size, written in `em`.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Em(pub f64);
+
+/// Length in the root's type size, written in `rem`.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Rem(pub f64);
+
+/// Value of an attribute.
+pub trait Value {
+    /// Appends the value, escaped.
+    fn put(&self, out: &mut String);
+}
+
+impl Value for f64 {
+    fn put(&self, out: &mut String) {
+        number(out, *self, DECIMALS);
+    }
+}
+
+impl Value for Share {
+    fn put(&self, out: &mut String) {
+        number(out, self.0 * 100.0, DECIMALS);
+        out.push('%');
+    }
+}
+
+impl Value for Em {
+    fn put(&self, out: &mut String) {
+        number(out, self.0, DECIMALS);
+        out.push_str("em");
+    }
+}
+
+impl Value for Rem {
+    fn put(&self, out: &mut String) {
+        number(out, self.0, DECIMALS);
+        out.push_str("rem");
+    }
+}
+
+impl Value for Rgb {
+    fn put(&self, out: &mut String) {
+        let _ = write!(out, "{self}");
+    }
+}
+
+impl Value for &str {
+    fn put(&self, out: &mut String) {
+        escape(out, self);
+    }
+}
+
+impl Value for String {
+    fn put(&self, out: &mut String) {
+        escape(out, self);
+    }
+}
+
+/// Writes elements into a text.
+#[derive(Clone, Debug, Default)]
+pub struct Writer {
+    out: String,
+    open: Vec<Tag>,
+}
+
+/// An element whose attributes are being written.
+#[must_use = "an element ends with `leaf`, `open` or `words`"]
+pub struct Attributes<'a> {
+    writer: &'a mut Writer,
+    tag: Tag,
+}
+
+impl Writer {
+    /// Begins an element.
+    pub fn element(&mut self, tag: Tag) -> Attributes<'_> {
+        self.out.push('<');
+        self.out.push_str(tag.name());
+        Attributes { writer: self, tag }
+    }
+
+    /// Ends the element that was opened last.
+    pub fn close(&mut self) {
+        if let Some(tag) = self.open.pop() {
+            self.end(tag);
+        }
+    }
+
+    /// Writes text into the open element.
+    pub fn words(&mut self, text: &str) {
+        escape(&mut self.out, text);
+    }
+
+    /// Writes what another writer made.
+    pub fn append(&mut self, other: Self) {
+        self.out.push_str(&other.finish());
+    }
+
+    /// Returns the text, with all open elements closed.
+    pub fn finish(mut self) -> String {
+        while !self.open.is_empty() {
+            self.close();
+        }
+        self.out
+    }
+
+    fn end(&mut self, tag: Tag) {
+        self.out.push_str("</");
+        self.out.push_str(tag.name());
+        self.out.push('>');
+    }
+}
+
+impl Attributes<'_> {
+    /// Writes an attribute.
+    #[expect(clippy::needless_pass_by_value, reason = "values are literals and small structs")]
+    pub fn set(self, name: &'static str, value: impl Value) -> Self {
+        let _ = write!(self.writer.out, " {name}=\"");
+        value.put(&mut self.writer.out);
+        self.writer.out.push('"');
+        self
+    }
+
+    /// Writes an attribute if there is a value for it.
+    pub fn some(self, name: &'static str, value: Option<impl Value>) -> Self {
+        match value {
+            Some(value) => self.set(name, value),
+            None => self,
+        }
+    }
+
+    /// Ends the element, which holds nothing.
+    pub fn leaf(self) {
+        if matches!(self.tag, Tag::Div | Tag::Li | Tag::Span | Tag::Ul) {
+            // HTML reads `<span/>` as a span that is open.
+            self.words("");
+        } else {
+            self.writer.out.push_str("/>");
+        }
+    }
+
+    /// Leaves the element open for others inside it, until [`Writer::close`].
+    pub fn open(self) {
+        self.writer.out.push('>');
+        self.writer.open.push(self.tag);
+    }
+
+    /// Ends the element with text in it.
+    pub fn words(self, text: &str) {
+        self.writer.out.push('>');
+        escape(&mut self.writer.out, text);
+        self.writer.end(self.tag);
+    }
+}
+
+/// Appends a number with at most so many decimals and without trailing zeros; 0 for what is not finite.
+pub(crate) fn number(out: &mut String, value: f64, decimals: usize) {
+    let value = if value.is_finite() { value } else { 0.0 };
+    let from = out.len();
+    let _ = write!(out, "{value:.decimals$}");
+    if out[from..].contains('.') {
+        let kept = out.trim_end_matches('0').trim_end_matches('.').len();
+        out.truncate(kept.max(from));
+    }
+    if matches!(&out[from..], "-0" | "") {
+        out.replace_range(from.., "0");
+    }
+}
+
+/// Appends text in which nothing is markup. A control character would make the SVG unreadable.
+fn escape(out: &mut String, text: &str) {
+    for character in printable_line(text).chars() {
+        match character {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            other => out.push(other),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short_and_always_numbers() {
+        let text = |value: f64| {
+            let mut out = "=".to_owned();
+            number(&mut out, value, DECIMALS);
+            out
+        };
+        let values = [0.0, -0.0001, 100.0, 12.345_67, -3.5, f64::NAN, f64::INFINITY, 1e7];
+        assert_eq!(values.map(text), ["=0", "=0", "=100", "=12.346", "=-3.5", "=0", "=0", "=10000000"]);
+    }
+
+    #[test]
+    fn no_text_is_markup() {
+        let mut svg = Writer::default();
+        svg.element(Tag::Div).set("class", "\"><script>").open();
+        svg.words("<b>&\u{7}");
+        svg.element(Tag::Span).leaf();
+        let text = svg.finish();
+        assert!(!text.contains("<script>") && !text.contains("<b>") && !text.contains('\u{7}'), "{text}");
+        assert!(text.ends_with("<span></span></div>"), "{text}");
+    }
+}

@@ -1,0 +1,97 @@
+//! Making text fit: shortening and breaking into lines.
+
+use super::width;
+
+/// Returns the text, or its beginning and its end around `…` where it is wider than there is room: what tells names apart is
+/// often at their end.
+pub fn shorten(text: &str, size: f64, room: f64) -> String {
+    if width(text, size) <= room {
+        return text.to_owned();
+    }
+    let chars: Vec<char> = text.chars().collect();
+    let cut = |count: usize| {
+        let tail = count * 2 / 5;
+        let part = |chars: &[char]| chars.iter().collect::<String>();
+        let (head, tail) = (part(&chars[..count - tail]), part(&chars[chars.len() - tail..]));
+        format!("{}…{}", head.trim_end(), tail.trim_start())
+    };
+    let fits = (0..chars.len()).rev().map(cut).find(|text| width(text, size) <= room);
+    fits.unwrap_or_else(|| "…".to_owned())
+}
+
+/// Shortens names that stand side by side. Those that would look alike lose what they have in common at their ends instead:
+/// `…_s_…` and `…_m_…`.
+pub fn shorten_apart(names: &[&str], size: f64, room: f64) -> Vec<String> {
+    let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
+    let alike = |at: usize| -> Vec<&str> {
+        let others =
+            names.iter().zip(&short).filter(|(name, text)| **text == short[at] && **name != names[at]);
+        others.map(|(name, _)| *name).collect()
+    };
+    let apart = |(at, text): (usize, &String)| {
+        let others = alike(at);
+        if others.is_empty() { text.clone() } else { shorten(&difference(names[at], &others), size, room) }
+    };
+    short.iter().enumerate().map(apart).collect()
+}
+
+/// Returns what of a name is not in all of the others as well, with `…` for what is.
+fn difference(name: &str, others: &[&str]) -> String {
+    fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
+        a.zip(b).take_while(|(a, b)| a == b).count()
+    }
+    let head = others.iter().map(|other| shared(name.chars(), other.chars())).min().unwrap_or_default();
+    let tail = others.iter().map(|other| {
+        let left = name.chars().count().min(other.chars().count()) - head;
+        shared(name.chars().rev(), other.chars().rev()).min(left)
+    });
+    let tail = tail.min().unwrap_or_default();
+    let middle: String = name.chars().skip(head).take(name.chars().count() - head - tail).collect();
+    let end = |count: usize| if count > 0 { "…" } else { "" };
+    format!("{}{middle}{}", end(head), end(tail))
+}
+
+/// Breaks a text between words into lines that fit. A word that is wider than a line is shortened.
+pub fn wrap(text: &str, size: f64, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let longer = lines.last().map(|line| format!("{line} {word}"));
+        match (longer.filter(|line| width(line, size) <= room), lines.last_mut()) {
+            (Some(longer), Some(line)) => *line = longer,
+            _ => lines.push(shorten(word, size, room)),
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_are_shortened_stay_apart() {
+        let long = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
+        let mut names: Vec<&str> = long.iter().map(String::as_str).collect();
+        names.extend(["resnet", "resnet"]);
+        assert_eq!(shorten_apart(&names, 50.0, 250.0), ["…s…", "…m…", "…xl…", "resnet", "resnet"]);
+        assert_eq!(shorten_apart(&names, 50.0, 5000.0), names);
+        let nested = ["a model with a long name", "a model with a long name, a model with a long name"];
+        let [one, other] = [0, 1].map(|at| shorten_apart(&nested, 50.0, 300.0)[at].clone());
+        assert!(
+            one != other && [&one, &other].iter().all(|text| width(text, 50.0) <= 300.0),
+            "{one} {other}"
+        );
+    }
+
+    #[test]
+    fn text_is_made_to_fit() {
+        assert_eq!(shorten("short", 50.0, 1000.0), "short");
+        let cut = shorten(&"a long label ".repeat(20), 50.0, 300.0);
+        assert!(cut.starts_with("a lo") && cut.contains('…') && width(&cut, 50.0) <= 300.0, "{cut}");
+        assert!(shorten("a model with a long name, small", 50.0, 450.0).ends_with("small"));
+        let lines = wrap("so many words that they need several lines", 50.0, 300.0);
+        assert!(lines.len() > 2 && lines.iter().all(|line| width(line, 50.0) <= 300.0), "{lines:?}");
+        assert_eq!(lines.join(" "), "so many words that they need several lines");
+        assert_eq!(wrap(&"x".repeat(100), 50.0, 300.0).len(), 1);
+    }
+}

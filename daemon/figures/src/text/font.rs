@@ -1,0 +1,61 @@
+//! The embedded font.
+
+use std::sync::LazyLock;
+
+use peernet_sample::printable_line;
+use ttf_parser::Face;
+
+/// The font's family; files that are opened elsewhere name others behind it.
+pub const FAMILY: &str = "Inter";
+/// One weight of the dashboard's font, with the glyphs that figures use: `assets/instance.py`.
+pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
+
+/// Advance of a character that the font lacks, as a share of the type size: about that of a wide letter.
+const UNKNOWN: f64 = 0.7;
+
+/// Advances of the font's characters up to the end of Latin-1, as shares of the type size; others are looked up.
+static ADVANCES: LazyLock<[f64; 0x100]> = LazyLock::new(|| {
+    std::array::from_fn(|code| char::from_u32(code as u32).and_then(advance).unwrap_or(UNKNOWN))
+});
+
+static FACE: LazyLock<Option<Face<'static>>> = LazyLock::new(|| Face::parse(FONT, 0).ok());
+
+fn advance(character: char) -> Option<f64> {
+    let face = FACE.as_ref()?;
+    let advance = face.glyph_hor_advance(face.glyph_index(character)?)?;
+    Some(f64::from(advance) / f64::from(face.units_per_em()))
+}
+
+/// Returns the width of one line of text in the unit of the type size. Kerning is left out, which makes text narrower by less
+/// than 1 %.
+pub fn width(text: &str, size: f64) -> f64 {
+    let of = |character: char| {
+        ADVANCES.get(character as usize).copied().unwrap_or_else(|| advance(character).unwrap_or(UNKNOWN))
+    };
+    printable_line(text).chars().map(of).sum::<f64>() * size
+}
+
+/// Returns the first character of a text that the font has no glyph for.
+pub fn missing_glyph(text: &str) -> Option<char> {
+    printable_line(text).chars().find(|character| advance(*character).is_none())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn widths_are_those_of_the_font() {
+        assert!(width("iterations", 7.0) > width("iter", 7.0));
+        assert!((width("HH", 10.0) - 2.0 * width("H", 10.0)).abs() < 1e-9);
+        // Inter's H is 0.744 of the type size wide.
+        assert!((0.70..0.78).contains(&width("H", 1.0)), "{}", width("H", 1.0));
+        assert!(width("→", 1.0) > 0.5 && width("\u{1F600}", 1.0) == UNKNOWN);
+    }
+
+    #[test]
+    fn what_the_font_lacks_is_named() {
+        assert_eq!(missing_glyph("Latency, ms (−5 ± 2 µs) → ≤ × ÷ · “n”\u{202f}…"), None);
+        assert_eq!(missing_glyph("latency 延迟"), Some('延'));
+    }
+}

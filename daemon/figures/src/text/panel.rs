@@ -1,0 +1,41 @@
+//! Text in pictures that grow with their panel on a page: how wide the picture must be for it.
+//!
+//! The server does not know the width of a page. Text therefore says from which width on it fits, and the style sheet shows it
+//! from there on: a figure that is cut off is a wrong figure.
+
+use super::width;
+
+/// Widths of a picture, rem, from which on text is shown: the classes `w8`, `w10` and so on of the style sheet.
+pub const WIDTH_STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 62, 75, 90];
+
+/// Type size of axes and of text in pictures, rem.
+const SIZE: f64 = 0.6875;
+/// Text in bars is of a greater weight than the font that is measured: wider by so much.
+const HEAVIER: f64 = 1.03;
+/// Space about a text, rem.
+const ABOUT: f64 = 0.3;
+
+/// Returns the width of a text in pictures with the space about it, rem.
+pub fn rem(words: &str) -> f64 {
+    width(words, SIZE) * HEAVIER + ABOUT
+}
+
+/// Returns the first of [`WIDTH_STEPS`] that is at least so many rem; `None` where none is.
+pub fn width_step(needs: f64) -> Option<u16> {
+    WIDTH_STEPS.into_iter().find(|step| f64::from(*step) >= needs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_style_sheet_knows_every_width() {
+        let sheet = include_str!("../../../../web/assets/css/pictures.css");
+        for step in WIDTH_STEPS {
+            let rule =
+                format!("@container (min-width: {step}rem) {{ .fits.w{step} {{ display: inline; }} }}");
+            assert!(sheet.contains(&rule), "no rule: {rule}");
+        }
+    }
+}
