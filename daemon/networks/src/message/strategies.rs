@@ -1,4 +1,4 @@
-//! Arbitrary messages, for property tests.
+//! Proptest strategies for messages.
 
 use peernet_clock::{
     ClockIdentity, DelaySource, Discipline, Interval, RawTime, RehearsalDescription, RehearsedStep, Span,
@@ -170,7 +170,7 @@ fn raw() -> impl Strategy<Value = Option<RawTime>> {
     proptest::option::of(any::<i64>().prop_map(RawTime::from_nanos))
 }
 
-/// Texts that reading leaves as they are: it replaces control characters and separators of lines.
+/// Returns texts that decoding leaves unchanged: it replaces control characters and line separators.
 fn words() -> impl Strategy<Value = String> {
     "[^\\pC\\p{Zl}\\p{Zp}]{0,30}"
 }
@@ -183,7 +183,8 @@ fn outcome() -> impl Strategy<Value = Outcome> {
     ]
 }
 
-/// Any message of any of the given sessions, or of one that nobody knows; requests are numbered 0 to 15.
+/// Returns any message of one of the given sessions, or of an unknown session if none is given. Request numbers are 0
+/// to 15.
 pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> {
     let session = any::<prop::sample::Index>()
         .prop_map(move |at| if sessions.is_empty() { SessionId::random() } else { *at.get(&sessions) });

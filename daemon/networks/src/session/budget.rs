@@ -1,4 +1,4 @@
-//! Memory that requests may take together, over all sessions of a listener.
+//! Memory budget for the requests of all sessions of a listener.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,35 +7,38 @@ use bytes::Bytes;
 
 use crate::transport::Frames;
 
-/// Counts the bytes of requests from their arrival until the last holder drops them: the model, or the network, which may
-/// still be sending them back.
+/// Counts the bytes of requests from their arrival until their last holder drops them. The last holder is the model, or
+/// the network if it still sends the bytes back.
+///
+/// The budget counts bytes that are really held. A crowd of large requests is therefore answered with "overloaded" and
+/// does not fill the memory.
 #[derive(Debug)]
 pub(super) struct Budget {
     most: u64,
     held: AtomicU64,
 }
 
-/// There is no room for a request now.
+/// Error: the budget has no room for a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the cloud holds {held} bytes of requests and has no room for {bytes} more; its max_in_flight_bytes is {most}"
 )]
 pub(super) struct BudgetExceeded {
-    /// Bytes of the requests that are there.
+    /// Bytes of the requests that are held.
     held: u64,
-    /// Bytes of the one that came.
+    /// Bytes of the new request.
     bytes: u64,
     most: u64,
 }
 
-/// A part of the budget; given back when it is dropped.
+/// A part of the budget, returned when it is dropped.
 #[derive(Debug)]
 struct Share {
     budget: Arc<Budget>,
     bytes: u64,
 }
 
-/// A frame that holds a share for as long as it lives.
+/// A frame that holds its share until it is dropped.
 struct Held {
     frame: Bytes,
     _share: Arc<Share>,
@@ -58,11 +61,11 @@ impl Budget {
         Arc::new(Self { most, held: AtomicU64::new(0) })
     }
 
-    /// Takes in the frames of a request, which count from now on. A request that is alone always fits: how large
-    /// it may be is not decided here.
+    /// Counts the frames of a request until they are dropped. A request that is alone always fits, because its size is
+    /// limited elsewhere.
     ///
     /// # Errors
-    /// When there is no room for them now.
+    /// If there is no room for the frames now.
     pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
         let fits = |held: u64| (held == 0 || held.saturating_add(bytes) <= self.most).then(|| held + bytes);

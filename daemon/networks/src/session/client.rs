@@ -1,4 +1,4 @@
-//! The edge's side of a session, without I/O.
+//! State machine of a session at the edge, without I/O.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -7,16 +7,16 @@ use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 
 use crate::message::{Accepted, Header, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId};
 
-/// Why a session is over.
+/// Reason for the end of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CloseReason {
-    /// It was closed on this side.
+    /// The session was closed on this side.
     Local,
-    /// The cloud said goodbye, and why.
+    /// The cloud said goodbye, with this reason.
     Goodbye(String),
     /// The cloud does not know the session: it was restarted, or it gave the session up.
     UnknownSession,
-    /// The connection broke, and how.
+    /// The connection broke, for this reason.
     Broken(String),
 }
 
@@ -34,17 +34,17 @@ impl fmt::Display for CloseReason {
 /// Outcome of a hello.
 #[derive(Debug)]
 pub(crate) enum Opened {
-    /// The session exists.
+    /// The cloud accepted the session.
     Accepted(Box<Accepted>),
-    /// The cloud does not serve what was asked for.
+    /// The cloud refused the session, for this reason.
     Refused(String),
     /// The cloud speaks none of our versions of the protocol.
     Incompatible(VersionMismatch),
-    /// Not an answer to a hello; the real one may still come.
+    /// The message is not an answer to a hello. The answer may still come.
     Nonsense,
 }
 
-/// Judges what arrives while a session opens.
+/// Classifies a message that arrives while a session opens.
 pub(crate) fn opened(header: Header) -> Opened {
     match header {
         Header::Accepted(accepted) => {
@@ -64,7 +64,7 @@ pub(crate) fn opened(header: Header) -> Opened {
     }
 }
 
-/// An open session. `W` is whatever waits for an answer.
+/// An open session at the edge. `W` is the type of a waiter for an answer.
 #[derive(Debug)]
 pub(crate) struct Client<W> {
     session: SessionId,
@@ -73,20 +73,20 @@ pub(crate) struct Client<W> {
     over: Option<CloseReason>,
 }
 
-/// A message of the cloud, as it concerns the session.
+/// Effect of a message from the cloud on the session.
 #[derive(Debug, PartialEq)]
 pub(crate) enum CloudMessage<W> {
-    /// The answer that this one waits for.
+    /// The answer for this waiter.
     Answer(W, Reply),
     /// An answer to a request that was given up.
     Late,
-    /// This is known of the cloud's wall clock from now on.
+    /// New state of the cloud's clocks.
     Clock(PeerClock),
-    /// This the cloud counted at its end of the connection so far.
+    /// Statistics of the cloud's end of the connection.
     Statistics(Box<ConnectionStatistics>),
-    /// Makes no sense in this session.
+    /// The message is not valid in this session, for this reason.
     Malformed(&'static str),
-    /// The session is over, and these wait in vain.
+    /// The session is over; these waiters get no answer.
     Over(CloseReason, Vec<W>),
 }
 
@@ -95,10 +95,10 @@ impl<W> Client<W> {
         Self { session, next: 0, waiting: HashMap::new(), over: None }
     }
 
-    /// Begins a request and gives it its number.
+    /// Starts a request and returns its number.
     ///
     /// # Errors
-    /// When the session is over.
+    /// If the session is over.
     pub(crate) fn begin(&mut self, waiter: W) -> Result<u64, CloseReason> {
         if let Some(reason) = &self.over {
             return Err(reason.clone());
@@ -109,12 +109,12 @@ impl<W> Client<W> {
         Ok(request)
     }
 
-    /// Stops waiting for an answer; whether it was still waited for.
+    /// Stops waiting for an answer. Returns whether it was still waited for.
     pub(crate) fn give_up(&mut self, request: u64) -> bool {
         self.waiting.remove(&request).is_some()
     }
 
-    /// Handles a message of the cloud.
+    /// Handles a message from the cloud.
     pub(crate) fn receive(&mut self, header: Header) -> CloudMessage<W> {
         match header {
             Header::Reply(reply) if reply.session != self.session => {
@@ -148,12 +148,12 @@ impl<W> Client<W> {
         }
     }
 
-    /// A request or its answer was lost on the way; who waits for it, if anybody does.
+    /// Ends a request that was lost, or whose answer was lost. Returns its waiter unless the request has ended already.
     pub(crate) fn lose(&mut self, request: u64) -> Option<W> {
         self.waiting.remove(&request)
     }
 
-    /// Ends the session; the first reason stays. Returns those who wait in vain.
+    /// Ends the session; the first reason is kept. Returns the waiters that get no answer.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
         self.over.get_or_insert(reason);
         self.waiting.drain().map(|(_, waiter)| waiter).collect()
@@ -237,7 +237,7 @@ mod tests {
             (session, steps) in any::<()>().prop_map(|()| SessionId::random()).prop_flat_map(|s| (Just(s), steps(s)))
         ) {
             let mut client = Client::new(session);
-            // A request is its own waiter.
+            // In this test the waiter of a request is the request's number.
             let (mut begun, mut ended, mut over) = (0, HashSet::new(), false);
             for step in steps {
                 match step {

@@ -1,4 +1,4 @@
-//! The edge's receiving task, and what becomes of what it takes from the network.
+//! The receiving task of an edge, and the handling of what it receives.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use crate::message::{Goodbye, Header};
 use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
 
 impl SessionState {
-    /// A message arrived at `arrived`. Returns why the session is over, if it now is.
+    /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
     fn receive(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
         self.counters.received(Sizes::of(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
@@ -30,7 +30,7 @@ impl SessionState {
         match heard {
             CloudMessage::Answer(waiter, reply) => {
                 let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
-                // A request that was given up this very moment.
+                // Fails if the request was given up at this moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();
                 }
@@ -60,23 +60,23 @@ impl SessionState {
         }
     }
 
-    /// A request or its answer did not arrive as a whole.
+    /// Ends the request whose message did not arrive as a whole in either direction.
     fn lose(&self, loss: MessageLoss, what: &str) {
         let waiter = loss.tag.and_then(|request| self.requests.lose(request));
         if let Some(waiter) = waiter {
             self.counters.lost(1);
-            // One that was given up this very moment needs no answer.
+            // Fails if the request was given up at this moment; it then needs no answer.
             let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
         }
     }
 }
 
-/// The task that takes messages from the network. However it ends, the session ends with it.
+/// The task that receives messages from the network. However it ends, the session ends with it.
 pub(super) struct Receiving {
     pub(super) shared: Arc<SessionState>,
-    /// Cancelled by those who want the session closed.
+    /// Cancelled by users of the session who want to close it.
     pub(super) stop: CancellationToken,
-    /// Cancelled here when it is.
+    /// Cancelled by this task when the session is closed.
     pub(super) stopped: CancellationToken,
 }
 

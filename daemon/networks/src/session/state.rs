@@ -17,29 +17,30 @@ use crate::message::{
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{EdgeSender, SendFailure, SendOptions};
 
-/// Terms that both ends of a session agreed on.
+/// Terms on which both ends of a session agreed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SessionTerms {
     pub(super) session: SessionId,
-    /// The version of the protocol that the cloud chose.
+    /// Version of the protocol that the cloud chose.
     pub(super) version: u16,
-    /// The tighter limit of both ends.
+    /// Smaller one of the limits of both ends. Bytes.
     pub(super) max_message_bytes: u64,
 }
 
 impl SessionTerms {
-    /// Returns the clocks that the stamps of exchanges are of: the cloud's is the free-running one where the version has it.
+    /// Returns the clocks of the stamps in exchanges. The cloud's clock is the free-running one if the version supports
+    /// it.
     pub(super) const fn clocks(self) -> RelatedClocks {
         if self.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
     }
 
-    /// Whether the version has stamps of the cloud's free-running clock.
+    /// Returns whether the version has stamps of the cloud's free-running clock.
     pub(super) const fn has_raw_stamps(self) -> bool {
         self.version >= RAW_STAMPS_SINCE
     }
 }
 
-/// An open session.
+/// State of an open session.
 #[derive(Debug)]
 pub(super) struct SessionState {
     pub(super) terms: SessionTerms,
@@ -48,14 +49,14 @@ pub(super) struct SessionState {
     pub(super) clock: SharedClock,
     pub(super) counters: Counters,
     pub(super) peer_clock: watch::Sender<PeerClock>,
-    /// Last report of the cloud on its end of the connection.
+    /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run was to have, once it is over.
+    /// Number of iterations that the run was to have; set when the run is over.
     pub(super) ordered: OnceLock<u64>,
 }
 
-/// Why a sample cannot be sent.
+/// Reason why a sample cannot be sent.
 #[derive(Debug, thiserror::Error)]
 enum UnsendableSample {
     #[error(transparent)]
@@ -66,7 +67,7 @@ enum UnsendableSample {
     TooLarge { bytes: u64, most: u64 },
 }
 
-/// A request under way. Giving it up is dropping it.
+/// A request in flight. Dropping it gives the request up.
 pub(super) struct Pending<'a> {
     requests: &'a RequestsInFlight,
     request: u64,
@@ -82,12 +83,13 @@ impl Drop for Pending<'_> {
 }
 
 impl SessionState {
-    /// Returns what was sent and received so far.
+    /// Returns the statistics of the connection so far.
     pub(super) fn statistics(&self) -> ConnectionStatistics {
         self.counters.statistics(&self.sender.statistics())
     }
 
-    /// Encodes and hands to the network, from the task that asks for it.
+    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because a switch to
+    /// another task would take time.
     pub(super) fn send(
         &self,
         log: &mut Recorder,
@@ -107,7 +109,8 @@ impl SessionState {
         };
         let (request, answer) = self.requests.begin()?;
 
-        // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
+        // Read before the stamp, while the epoch of the answer is read after its stamp. If both are equal, the clock
+        // was not stepped in between.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
@@ -119,7 +122,7 @@ impl SessionState {
         let start = log.offset(stamp.mono);
         let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
         let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
-        // From here on the request is given up by dropping it.
+        // From here on an early return drops `pending` and so gives the request up.
         let mut pending =
             Pending { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
         let header = Header::Request(Request {

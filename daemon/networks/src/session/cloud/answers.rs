@@ -1,4 +1,4 @@
-//! The wire form of an answer, and how many answers are being sent.
+//! The wire form of an answer, and the number of answers that are being sent.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -15,7 +15,7 @@ use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
 use crate::transport::Frames;
 
-/// Answers that are being sent: their requests are no longer in flight.
+/// Counts the answers that are being sent and whose requests are no longer in flight.
 #[derive(Debug, Default)]
 pub(super) struct AnswersBeingSent {
     count: AtomicUsize,
@@ -23,7 +23,7 @@ pub(super) struct AnswersBeingSent {
 }
 
 impl AnswersBeingSent {
-    /// Sends an answer by `send`, and counts it as being sent meanwhile.
+    /// Calls `send`, and counts an answer as being sent until it returns.
     pub(super) fn during(&self, send: impl FnOnce()) {
         self.count.fetch_add(1, Ordering::SeqCst);
         send();
@@ -39,10 +39,10 @@ impl AnswersBeingSent {
     }
 }
 
-/// Encodes an answer with what `log` grew here, and stamps its departure last.
+/// Encodes an answer with the nodes that `log` recorded here. The departure is stamped last.
 ///
 /// # Errors
-/// When its header cannot be encoded.
+/// If the header cannot be encoded.
 pub(super) fn encode_answer(
     clock: &dyn Clock,
     route: &Route,
@@ -70,7 +70,8 @@ pub(super) fn encode_answer(
     Ok(frames)
 }
 
-/// The outcome that a result is sent as, and its payload. What the edge would not take becomes a failure.
+/// Returns the outcome and the payload that are sent for a result. An answer that is larger than the edge accepts
+/// becomes a failure.
 fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
     let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
     match result {
@@ -89,7 +90,7 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
     }
 }
 
-/// The growth's wire form, and the offset of the monotonic clock's zero from this host's anchor.
+/// Returns the wire form of the growth, and the offset of the monotonic clock's zero from this host's anchor.
 fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
     let zero = log.offset(MonoTime::default());

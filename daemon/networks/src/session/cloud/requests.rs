@@ -1,4 +1,4 @@
-//! Messages of edges, and their effects.
+//! Handling of the messages of edges.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::session::incoming::{
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
-/// A message arrived: what to hand out, if anything.
+/// Handles a message that arrived. Returns the event for the listener's user, if there is one.
 pub(super) fn heard(
     shared: &Arc<PortState>,
     peer: &Peer,
@@ -41,7 +41,7 @@ pub(super) fn heard(
             return None;
         }
     };
-    // Bound, so that the lock is free again before the answers below take it.
+    // In a statement of its own, so that the lock is released before the branches below take it.
     let heard = shared.machine().receive(peer, header);
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &heard
         && let Some(counters) = shared.machine().counters(*session)
@@ -70,7 +70,8 @@ pub(super) fn heard(
     }
 }
 
-/// A request arrived: takes its bytes into the budget and continues its tree, or answers why not.
+/// Handles a request that arrived: counts its bytes in the budget and continues its tree, or answers with the reason
+/// why not.
 fn incoming_request(
     shared: &Arc<PortState>,
     peer: &Peer,
@@ -103,7 +104,7 @@ fn incoming_request(
     }
 }
 
-/// Continues an edge's tree here: puts `upload` into it and closes it at `received`.
+/// Continues an edge's tree here: adds `upload` to it and closes that node at `received`.
 fn resume(
     shared: &PortState,
     tree: Option<&Bytes>,
@@ -115,7 +116,7 @@ fn resume(
     Ok(Recorder::resume(shared.clock.clone(), shared.host, tree, upload, received)?)
 }
 
-/// A request that makes no sense.
+/// Error: a request cannot be interpreted.
 #[derive(Debug, thiserror::Error)]
 enum InvalidRequest {
     #[error("no tree")]

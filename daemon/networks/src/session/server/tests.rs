@@ -1,4 +1,4 @@
-//! The cloud's state machine: single steps, and whatever any number of edges may do.
+//! Tests of the cloud's state machine: single steps, and arbitrary steps of many edges.
 
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
@@ -188,7 +188,7 @@ fn what_is_announced_reaches_open_sessions_now_and_others_when_they_open() {
 #[derive(Clone, Debug)]
 enum Step {
     Open(u64),
-    /// A message of any kind from a connection, naming the session at this place in the list of all so far.
+    /// Any message from a connection about the session at this index of all sessions so far.
     Hear(u64, prop::sample::Index, Box<Header>),
     Request(u64, prop::sample::Index, u64),
     Accept(prop::sample::Index),
@@ -212,7 +212,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The same message about another session.
+/// Returns the same message about another session.
 fn about(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,

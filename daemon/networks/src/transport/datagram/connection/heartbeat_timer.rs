@@ -2,20 +2,20 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Pause between a message and the heartbeat that asks what has arrived.
+/// Pause between a message and the heartbeat that asks whether it has arrived.
 const ASK_PAUSE: Span = Span::from_millis(50);
 
-/// Longest time between heartbeats while messages follow each other: statistics come with the answers.
+/// Longest time between heartbeats while messages follow each other. The answers carry statistics.
 const ASK_PERIOD: Span = Span::from_seconds(1);
 
-/// The timers of a connection.
+/// Heartbeat timers of a connection.
 #[derive(Debug)]
 pub(super) struct HeartbeatTimer {
     interval: Span,
     timeout: Span,
-    /// When the other end was last heard of.
+    /// Time at which the last packet of the other end arrived.
     heard: MonoTime,
-    /// When it was last asked for a heartbeat.
+    /// Time at which the other end was last asked for a heartbeat.
     pinged: MonoTime,
 }
 
@@ -24,7 +24,7 @@ impl HeartbeatTimer {
         Self { interval, timeout, heard: now, pinged: now }
     }
 
-    /// Longest silence of the other end.
+    /// Returns the longest allowed silence of the other end.
     pub(super) const fn timeout(&self) -> Span {
         self.timeout
     }
@@ -39,15 +39,17 @@ impl HeartbeatTimer {
         self.pinged = now;
     }
 
-    /// Returns when the other end is to be asked; `sent_at` is when the last part of a message left, while messages are not settled
-    /// there: it is asked sooner then, as its answer tells what never arrived.
+    /// Returns the time at which the other end is to be asked next.
+    ///
+    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The other end
+    /// is then asked sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
         let idle = self.heard.max(self.pinged) + self.interval;
         let asks = sent_at.map(|sent| (sent.max(self.pinged) + ASK_PAUSE).min(self.pinged + ASK_PERIOD));
         asks.map_or(idle, |at| idle.min(at))
     }
 
-    /// When the other end counts as gone, if nothing is heard until then.
+    /// Returns the time at which the other end counts as gone if nothing arrives until then.
     pub(super) fn ends_at(&self) -> MonoTime {
         self.heard + self.timeout
     }

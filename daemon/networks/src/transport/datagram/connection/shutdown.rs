@@ -1,19 +1,19 @@
-//! The end of a connection: a goodbye that is repeated until the other end has heard it.
+//! The end of a connection: a goodbye that is repeated until the other end confirms it.
 
 use peernet_clock::{MonoTime, Span};
 
-/// The pause between goodbyes.
+/// Pause between goodbyes.
 const BYE_PAUSE: Span = Span::from_millis(50);
 
-/// The goodbye from which on nothing is awaited any more, and the one that is always the last.
+/// Number of goodbyes during which unfinished messages are still awaited, and the largest number of goodbyes.
 const PATIENT_BYES: u32 = 2;
 const LAST_BYE: u32 = 8;
 
-/// Progress of a connection's end.
+/// State of a connection's shutdown.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     phase: Phase,
-    /// Goodbyes of the other end that were heard.
+    /// Number of goodbyes that arrived.
     byes: u32,
 }
 
@@ -33,19 +33,19 @@ impl Shutdown {
         self.phase == Phase::Open
     }
 
-    /// Whether the connection is over.
+    /// Returns whether the connection is over.
     pub(super) fn is_closed(&self) -> bool {
         self.phase == Phase::Closed
     }
 
-    /// Begins to say goodbye.
+    /// Starts to say goodbye.
     pub(super) fn begin(&mut self, now: MonoTime) {
         if self.is_open() {
             self.phase = Phase::Closing { next_bye: now };
         }
     }
 
-    /// When the next goodbye is to be said.
+    /// Returns the time of the next goodbye.
     pub(super) const fn bye_at(&self) -> Option<MonoTime> {
         match self.phase {
             Phase::Closing { next_bye } => Some(next_bye),
@@ -53,19 +53,19 @@ impl Shutdown {
         }
     }
 
-    /// A goodbye is said.
+    /// Notes that a goodbye is sent.
     pub(super) fn say_bye(&mut self, now: MonoTime) {
         self.phase = Phase::Closing { next_bye: now + BYE_PAUSE };
     }
 
-    /// The other end says that it has heard the goodbye.
+    /// Handles the confirmation of the goodbye.
     pub(super) fn confirm(&mut self) {
         if !self.is_open() {
             self.phase = Phase::Closed;
         }
     }
 
-    /// The other end says goodbye. Returns how many times it has.
+    /// Handles a goodbye of the other end. Returns the number of goodbyes so far.
     pub(super) fn receive_bye(&mut self) -> u32 {
         self.byes += 1;
         self.byes
