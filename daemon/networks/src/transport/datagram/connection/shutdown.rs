@@ -71,17 +71,17 @@ impl Shutdown {
         self.byes
     }
 
-    /// Whether the other end has said goodbye so often that nothing more is awaited of it.
+    /// Returns whether the other end has said goodbye so often that its unfinished messages are no longer awaited.
     pub(super) const fn is_impatient(&self) -> bool {
         self.byes >= PATIENT_BYES
     }
 
-    /// Whether the other end has said its last goodbye.
+    /// Returns whether the other end has sent its last goodbye.
     pub(super) const fn is_last_bye(&self) -> bool {
         self.byes >= LAST_BYE
     }
 
-    /// Ends the connection. Returns whether it was not over before.
+    /// Ends the connection. Returns whether it was open or closing before.
     pub(super) fn close(&mut self) -> bool {
         std::mem::replace(&mut self.phase, Phase::Closed) != Phase::Closed
     }

@@ -1,4 +1,4 @@
-//! Packets written and read back, and any bytes.
+//! Tests of the wire form: packets that are encoded and decoded, and arbitrary bytes.
 
 use proptest::prelude::*;
 
