@@ -210,7 +210,7 @@ impl Reassembly {
         Received::Message { bytes, reserved }
     }
 
-    /// The other end has sent all messages below this number, as is known since then.
+    /// Notes that the other end has sent all messages below `next`, which is known since `since`.
     pub(crate) fn expect(&mut self, next: u64, since: MonoTime) {
         self.extend(next, since);
         let first = self.sent.max(self.floor);
@@ -226,14 +226,15 @@ impl Reassembly {
         self.sent = next;
     }
 
-    /// Keeps the states of all messages below this number.
+    /// Creates the states of all messages below `next`.
     fn extend(&mut self, next: u64, now: MonoTime) {
         if next > self.floor.saturating_add(MAX_SPAN) {
             let floor = next - MAX_SPAN;
             while self.floor < floor
                 && let Some(slot) = self.slots.pop_front()
             {
-                // Numbers of which nothing came are passed over: who leaves out many at once gets no answer for each.
+                // Numbers without any fragment are skipped. A sender that leaves out many numbers at once does not get
+                // an answer for each.
                 if let Slot::Unfinished(unfinished) = slot {
                     self.unfinished -= 1;
                     self.lost.push(unfinished.lost(self.floor));
@@ -249,7 +250,7 @@ impl Reassembly {
         }
     }
 
-    /// Gives up what has waited too long.
+    /// Gives up messages that have waited too long.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         let ReassemblyLimits { timeout, idle_timeout, .. } = self.limits;
         let next = self.sent;
@@ -265,7 +266,7 @@ impl Reassembly {
         });
     }
 
-    /// Gives up all that is awaited.
+    /// Gives up all awaited messages.
     pub(crate) fn give_up_all(&mut self) {
         let next = self.sent;
         self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));
@@ -302,7 +303,7 @@ impl Reassembly {
         }
     }
 
-    /// Gives up a message that is unfinished.
+    /// Gives up an unfinished message.
     fn give_up_slot(&mut self, sequence: u64) {
         let at = (sequence - self.floor) as usize;
         if let Some(slot) = self.slots.get_mut(at)
@@ -327,7 +328,7 @@ impl Unfinished {
     /// Adds a fragment to its message.
     ///
     /// # Errors
-    /// When the budget has no room for it.
+    /// If the budget has no room for it.
     fn add(
         &mut self,
         fragment: &Fragment<'_>,
@@ -340,7 +341,7 @@ impl Unfinished {
         if !is_same {
             return Ok(Received::Inconsistent);
         }
-        // The fields agree with each other: equal strides and aligned offsets leave no room for overlaps.
+        // Equal strides and aligned offsets exclude overlaps.
         let added = self.message.add(fragment.offset, fragment.bytes, budget);
         if added == Ok(Added::Duplicate) {
             return Ok(Received::Duplicate);

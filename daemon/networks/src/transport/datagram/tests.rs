@@ -1,4 +1,4 @@
-//! An edge and a cloud over a simulated network that loses, doubles and reorders.
+//! Tests with an edge and a cloud over a simulated network that loses, duplicates and reorders datagrams.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -26,7 +26,7 @@ const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
 pub(super) fn limits() -> EndpointLimits {
     EndpointLimits {
         connection: ConnectionLimits {
-            // So often that chance never loses all heartbeats of the timeout, at 30 % loss in both directions.
+            // Short enough that 30 % loss in both directions never loses all heartbeats of a timeout by chance.
             heartbeat_interval: Span::from_millis(100),
             heartbeat_timeout: Span::from_seconds(5),
             queue: QueueLimits { messages: 100, bytes: 10_000_000 },
@@ -92,7 +92,7 @@ proptest! {
         prop_assert!(loss > 0 || lost.is_empty());
         prop_assert_eq!(network.cloud.held_bytes(), 0);
 
-        // The other way, and the goodbye.
+        // A message in the other direction, and the goodbye.
         network.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
         network.steps(4_000);
         let answers = network.events.iter().filter(|event| matches!(
@@ -188,7 +188,7 @@ fn invented_addresses_get_less_than_they_send_and_no_memory() {
     assert_eq!(cloud.len(), 0);
 }
 
-/// Opens a connection from an address without a network between; `None` when it is refused.
+/// Opens a connection from an address directly, without a network. `None` if it is refused.
 fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut MonoTime) -> Option<u64> {
     let mut dialling = Dialling::new(nonce, 0, TERMS, PREFIX.len(), *now);
     let mut opened = None;
@@ -269,7 +269,7 @@ fn message_without_room_is_lost_while_it_still_leaves() {
     let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
     network.cloud.admit(ConnectionId(connection));
     network.now = now;
-    // Fragments of two messages that take nearly all memory.
+    // Fragments of two messages that fill nearly all of the memory.
     for number in 0..9_000 {
         let fragment = Fragment {
             sequence: u64::from(number % 2),

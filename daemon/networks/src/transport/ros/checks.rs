@@ -1,4 +1,4 @@
-//! Checks that the build and this host have what ROS 2 needs.
+//! Checks that the build and this host support ROS 2.
 
 use std::error::Error;
 
@@ -11,7 +11,7 @@ use crate::{Address, SessionSettings};
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks { address: check_address, settings: check_settings };
 
 fn check_address(address: &Address) -> Result<(), Box<dyn Error + Send + Sync>> {
-    // Only addresses of ROS 2 are in a domain.
+    // Only addresses of ROS 2 have a domain.
     if address.domain().is_some() && !ros2::IS_BUILT { Err(Ros2Error::NotBuilt.into()) } else { Ok(()) }
 }
 

@@ -1,4 +1,7 @@
 //! The cloud's end of all connections of one name.
+//!
+//! An address names the master and the cloud, because a topic has no host. The cloud's node has a fixed name; the nodes
+//! of edges have random names.
 
 mod connection_table;
 mod payload_subscription;
@@ -30,19 +33,19 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// Arrivals that wait to be received.
+/// Largest number of arrivals that wait to be received.
 const QUEUED_ARRIVALS: usize = 64;
 
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
-/// Requests that wait at most. Edges repeat theirs.
+/// Largest number of waiting requests. Edges repeat theirs.
 const QUEUED_HELLOS: usize = 64;
 
-/// Topics that a connection takes: each is a TCP connection.
+/// Number of topics of a connection. Each is a TCP connection.
 const SOCKETS_OF_CONNECTION: usize = 5;
 
-/// Serves the address's name at its master.
+/// Opens the cloud's node and its topics under the address's name.
 pub(crate) async fn bind(
     address: &Address,
     settings: &SessionSettings,
@@ -85,7 +88,7 @@ pub(crate) async fn bind(
     Ok(Bound { address: address.clone(), caveat, sender, receiver })
 }
 
-/// Opens a connection for each edge that asks.
+/// Opens a connection for each edge that asks for one.
 async fn accept(
     peers: Arc<Peers>,
     node: Arc<dyn SessionNode>,
@@ -110,7 +113,7 @@ async fn accept(
 fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
     let Received { bytes, publisher, .. } = message;
     match SessionHello::decode(form, bytes) {
-        // A node asks for itself only.
+        // A node may only ask for itself.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
         Ok(hello) => {
             let problem =

@@ -1,4 +1,4 @@
-//! Fragments that are lost, doubled, reordered and forged.
+//! Tests of reassembly with lost, duplicated, reordered and forged fragments.
 
 use proptest::prelude::*;
 
@@ -16,7 +16,7 @@ fn at(millis: i64) -> MonoTime {
     MonoTime::default() + Span::from_millis(millis)
 }
 
-/// Cuts a message's bytes into fragments of `stride` bytes.
+/// Splits a message's bytes into fragments of `stride` bytes.
 fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
     let total = bytes.len() as u32;
     let checksum = crc32fast::hash(bytes);
@@ -183,7 +183,7 @@ fn far_number_costs_nothing() {
     assert_eq!(reassembly.budget.held(), 0);
 }
 
-/// One fragment of the plan: of which message, which one, and when.
+/// Returns a plan of fragments: number of the message, index of the fragment, and pause before it.
 fn plan() -> impl Strategy<Value = Vec<(u8, prop::sample::Index, u8)>> {
     proptest::collection::vec((0_u8..6, any::<prop::sample::Index>(), 0_u8..20), 0..400)
 }
@@ -226,7 +226,7 @@ proptest! {
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
         let mut all = fragments(0, &bytes, stride);
-        // A number with no factor in common with the count visits all of them.
+        // A step width that is coprime to the count visits all fragments.
         let count = all.len() as u64;
         all.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
         let mut reassembly = new(1 << 20);

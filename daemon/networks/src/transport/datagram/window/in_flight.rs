@@ -4,27 +4,27 @@ use std::collections::VecDeque;
 
 use peernet_clock::{MonoTime, Span};
 
-/// Without word from the other end for so long, what was sent is taken for arrived or lost.
+/// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
 pub(super) const SILENCE: Span = Span::from_millis(200);
 
-/// Bytes of datagrams that have left, and of those that arrived by the other end's reports of progress.
+/// Counts the bytes of datagrams that were sent, and of those that have arrived according to the other end's reports.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     sent: u64,
     /// At most `sent`.
     arrived: u64,
-    /// The datagrams in flight, in the order in which they left.
+    /// Datagrams in flight, in the order in which they were sent.
     marks: VecDeque<Mark>,
-    /// When the other end last came further, or the first of these datagrams left.
+    /// Time of the last progress of the other end, or of the first datagram in flight if that is later.
     heard: MonoTime,
 }
 
 /// A datagram in flight.
 #[derive(Clone, Copy, Debug)]
 struct Mark {
-    /// Its message, and where its part of the message ends.
+    /// Its message, and the offset of the end of its part of the message.
     end: (u64, u32),
-    /// Bytes that had left with it.
+    /// Number of bytes sent so far, including this datagram.
     sent: u64,
 }
 
@@ -33,29 +33,29 @@ impl BytesInFlight {
         Self { sent: 0, arrived: 0, marks: VecDeque::new(), heard: now }
     }
 
-    /// Bytes in flight.
+    /// Returns the number of bytes in flight.
     pub(super) const fn bytes(&self) -> u64 {
         self.sent - self.arrived
     }
 
-    /// All bytes that have left.
+    /// Returns the number of bytes that were sent.
     pub(super) const fn sent(&self) -> u64 {
         self.sent
     }
 
-    /// All bytes that have left and are not in flight any more.
+    /// Returns the number of sent bytes that are no longer in flight.
     pub(super) const fn arrived(&self) -> u64 {
         self.arrived
     }
 
-    /// When the bytes in flight are taken for arrived or lost.
+    /// Returns the time at which the bytes in flight are treated as arrived or lost.
     pub(super) fn ends_at(&self) -> MonoTime {
         self.heard + SILENCE
     }
 
-    /// Notes a datagram that left, and where its part of a message ends.
+    /// Notes that a datagram was sent. `end` is the end of its part of a message.
     pub(super) fn send(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
-        // Silence counts while something is in flight only.
+        // Silence is only measured while something is in flight.
         if self.bytes() == 0 {
             self.heard = now;
         }
@@ -63,7 +63,7 @@ impl BytesInFlight {
         self.marks.push_back(Mark { end, sent: self.sent });
     }
 
-    /// Takes a report of progress. Returns the bytes that arrived since the last one.
+    /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
     pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         while let Some(mark) = self.marks.pop_front_if(|mark| mark.end <= end) {
@@ -76,7 +76,7 @@ impl BytesInFlight {
         arrived
     }
 
-    /// Takes the bytes in flight for arrived or lost after a long silence.
+    /// Treats the bytes in flight as arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.ends_at() {
             self.arrived = self.sent;

@@ -1,4 +1,4 @@
-//! The connections of a cloud.
+//! The edges of a cloud, and their connections.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -25,13 +25,14 @@ use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
 /// Largest companion before a session. Bytes.
 const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
 
-/// Companions of that length that a connection without a session holds: one is being received while another waits.
+/// Number of companions of that length that a connection without a session may hold: one is being received while
+/// another waits.
 const MAX_UNADMITTED_MESSAGES: usize = 2;
 
 /// Memory of all connections without a session. Bytes.
 const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
 
-/// An arrival that is handed up, with the memory that it holds.
+/// An arrival that is handed up, and the reservations of its memory.
 pub(super) type Delivery = (Arrival, Vec<Reservation>);
 
 /// All connections of a cloud.
@@ -75,7 +76,7 @@ impl Peers {
         }
     }
 
-    /// Hands up that a node sent something that makes no sense.
+    /// Hands up that a node sent invalid data.
     pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
         let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
         if self.deliveries.try_send((garbage, Vec::new())).is_err() {
@@ -83,7 +84,7 @@ impl Peers {
         }
     }
 
-    /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
+    /// Opens a connection that an edge asks for. An edge repeats its request until it is answered.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let group = AddressGroup::of(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
@@ -94,7 +95,7 @@ impl Peers {
         let (peers, edge) = (Arc::clone(self), edge.clone());
         self.tasks.spawn(async move {
             if let Some(replaced) = replaced {
-                // Its topics have the same names.
+                // The topics of the replaced connection have the same names.
                 replaced.wait_for_end().await;
             }
             if let Err(error) = peers.serve(&connection, &hello.pipeline, &edge).await {
@@ -102,7 +103,7 @@ impl Peers {
             }
             peers.table.remove(&hello.pipeline, &connection);
             connection.end();
-            // The connection may have ended by itself, which was handed up then; handing it up twice does no harm.
+            // The connection may have ended by itself and been reported before; a second report has no effect.
             let gone = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
             let _ = peers.deliveries.send((gone, Vec::new())).await;
         });
@@ -117,8 +118,8 @@ impl Peers {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
         let kind = (TopicUse::Companions, TopicType::of::<MessageInfo>());
         let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
-        // A budget for this connection alone, so that an edge without a session takes no memory from sessions, or from others
-        // without one.
+        // A budget for this connection alone, so that an edge without a session takes no memory from sessions or from
+        // other edges without one.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
         let unadmitted =
             ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
