@@ -1,8 +1,8 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
-//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both, the task
-//! that sends writes to the connection itself, and only what the kernel does not take at once is left to the
-//! connection's own task.
+//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both ends the
+//! sending task writes to the connection itself. Only what the kernel does not accept at once is left to the
+//! connection's own task. The library's reconnecting is disabled, because a session ends with its connection.
 
 use std::io;
 use std::num::NonZeroUsize;
@@ -29,28 +29,29 @@ use crate::message::MAX_FRAMES;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::{Address, SessionSettings};
 
-/// How addresses are written.
+/// Form of addresses.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
-/// It works everywhere.
+/// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Payload frames from this size on are read from the kernel straight into a buffer of their own.
+/// Smallest payload frame that is read from the kernel straight into a buffer of its own. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
-/// The library would dial again by itself; a session ends with its connection, so it must not.
+/// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// How long finding out why a connection failed may take.
+/// Time limit for finding out why a connection failed.
 const DIAGNOSIS: Duration = Duration::from_secs(1);
 
-/// The library counts a slot for each frame beside its bytes.
+/// Returns the largest message in the library's terms, which count a slot for each frame in addition to its bytes.
 fn largest_message(settings: &SessionSettings) -> usize {
     let slots = MAX_FRAMES * size_of::<Payload>();
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots)
 }
 
-/// Places for every request in flight, and for the few messages that open and close a session.
+/// Returns the number of places in a queue: for every request in flight, and for the few messages that open and close a
+/// session.
 const fn queue_length(settings: &SessionSettings) -> u32 {
     settings.max_in_flight.saturating_add(16)
 }
@@ -126,12 +127,12 @@ pub(crate) async fn dial(
         }
     };
     let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
-    // Any ROUTER takes the connection, that of an aggregator too.
+    // Not known yet, because any ROUTER accepts the connection, also that of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
     Ok(Dialled { sender, receiver: Box::new(receiver), is_cloud: false })
 }
 
-/// Both ends of a connection, as the library tells of them.
+/// Returns the addresses of both ends of a connection, as the library reports them.
 fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
     let socket_address = |end: &Option<PeerIdent>| match end {
         Some(PeerIdent::Socket(address)) => Some(*address),
@@ -151,7 +152,7 @@ fn unreachable(error: Error) -> DialFailure {
     }
 }
 
-/// The library keeps to itself why a connection failed: the system is asked once more.
+/// Finds out why a connection failed by connecting once more, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
     match tokio::time::timeout(DIAGNOSIS, tokio::net::TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
@@ -167,7 +168,7 @@ struct DealerSender {
 }
 
 impl EdgeSender for DealerSender {
-    // TCP repeats what is lost: neither the deadline nor the tag is of use.
+    // The options are not used: TCP retransmits lost data, so neither the deadline nor the tag matters.
     fn send(&self, frames: Frames, _options: SendOptions) -> Result<(), SendFailure> {
         sent(self.socket.try_send(to_message(frames)))
     }
@@ -185,7 +186,7 @@ impl EdgeSender for DealerSender {
 struct Dealer {
     socket: Socket,
     monitor: MonitorStream,
-    /// Why the connection ended; what had arrived before is still handed out.
+    /// Reason why the connection ended. Messages that had arrived before are still returned.
     ended: Option<String>,
 }
 
@@ -207,7 +208,7 @@ impl EdgeReceiver for Dealer {
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.ended = Some(reason_text(&reason)),
-                        // One connection makes a handful of events: more than the monitor holds is a peer gone wild.
+                        // One connection causes few events. An overflow of the monitor means that the peer misbehaves.
                         Err(error) => self.ended = Some(error.to_string()),
                         Ok(_) => {}
                     },

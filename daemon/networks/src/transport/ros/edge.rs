@@ -29,16 +29,19 @@ use crate::transport::{
 };
 use crate::{Address, SessionSettings};
 
-/// Time between the first two times that an edge says hello. It doubles until the edge is welcome.
+/// First interval between two hellos of an edge. It doubles until the cloud answers.
+///
+/// The hello is repeated because a ROS 2 publisher does not know whether the other end has found it, and messages
+/// published before that are lost.
 const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Longest time between two times that an edge says hello.
+/// Longest interval between two hellos of an edge.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Largest messages of the cloud that may be received, or of which one half may be held, at once.
+/// Number of messages of the largest length that may be in reception, or of which one half may be held, at once.
 const INCOMPLETE_MESSAGES: u64 = 6;
 
-/// Arrivals that wait to be received.
+/// Largest number of arrivals that wait to be received.
 const QUEUED_ARRIVALS: usize = 64;
 
 /// Opens a virtual connection to the cloud with the address's name.
@@ -52,7 +55,7 @@ pub(crate) async fn dial(
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
     let name = format!("{prefix}{}", &id[..8]);
     let node = open_node(address, &name, settings, dialler.clock).await?;
-    // However dialling ends, the others are told.
+    // However dialling ends, the guard ends the node, so that the master is informed.
     let node = NodeGuard { node, patience: settings.close_timeout() };
     let pipeline = node.resolve(&allowed(hello.pipeline.as_str()))?;
     let topics = EdgeTopics {
@@ -100,13 +103,13 @@ impl From<NodeFailure> for DialFailure {
     }
 }
 
-/// The edge's publishers and subscribers of a connection.
+/// Publishers and subscribers of an edge for one connection.
 struct Opened {
     sessions: Box<dyn SessionPublisher>,
     request_info: Box<dyn SessionPublisher>,
     response_info: Box<dyn SessionSubscriber>,
     response: Box<dyn SessionSubscriber>,
-    /// Topic on which the cloud refuses a connection.
+    /// Topic on which the cloud refuses connections.
     refusals: Box<dyn SessionSubscriber>,
 }
 
@@ -180,7 +183,7 @@ async fn welcome(
     }
 }
 
-/// A node that ends when this is dropped; its registrations are removed in the background.
+/// A node that ends when this guard is dropped. Its registrations are removed in the background.
 #[derive(Debug)]
 struct NodeGuard {
     node: Arc<dyn SessionNode>,
@@ -209,7 +212,7 @@ impl Sink for EdgeSink {
 
     fn take(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
         let (arrival, reserved) = match event {
-            // The cloud repeats it when it has heard hello twice.
+            // The cloud repeats the welcome if it receives the hello twice.
             Event::Welcome | Event::Hello => return None,
             Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), reserved),
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
@@ -230,7 +233,7 @@ impl Sink for EdgeSink {
 struct RosEdgeSender(Arc<Channel>);
 
 impl EdgeSender for RosEdgeSender {
-    // What is lost is sent again: the deadline is of no use.
+    // The deadline is not used: the topics repeat what is lost, so that nothing is sent again here.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         self.0.send(&frames, options)
     }
@@ -275,7 +278,7 @@ impl EdgeReceiver for RosEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // What still arrives is of no use; the task must not wait until it is received.
+            // Further arrivals are of no use, and the task must not wait until they are received.
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
             self.stop.cancel();
@@ -284,7 +287,7 @@ impl EdgeReceiver for RosEdgeReceiver {
             {
                 self.abort.cancel();
             }
-            // What was published goes out before the topics end.
+            // Published messages are sent before the topics end.
             self.node.end(linger).await;
         })
     }

@@ -1,4 +1,4 @@
-//! The task of one end of a virtual connection: receives from its topics and keeps its time.
+//! The task of one end of a virtual connection: receives from its topics and runs its timers.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -21,20 +21,20 @@ pub(super) trait Sink: Send {
     /// Form in which events are handed up.
     type Delivery: Send;
 
-    /// Takes an event. Returns it in the form in which it is handed up, if it is.
+    /// Handles an event. Returns it in the form in which it is handed up, if it is.
     fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
-    /// Waits for a directive of this side.
+    /// Waits for a directive from this side.
     fn wait(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
 }
 
-/// Directive of a side to the task of its connection.
+/// Directive of an edge or a cloud to the task of its connection.
 pub(super) enum Directive {
-    /// Receive payloads.
+    /// Receive payloads from this subscriber.
     Admit(Box<dyn SessionSubscriber>),
-    /// Other limits for companions.
+    /// Use these limits for companions.
     Limit(ReceiveLimits),
-    /// End the connection.
+    /// End the connection for this reason.
     End(String),
 }
 
@@ -45,9 +45,9 @@ pub(super) struct Serving<S: Sink> {
     pub(super) payload: Option<Box<dyn SessionSubscriber>>,
     pub(super) sink: S,
     pub(super) deliveries: mpsc::Sender<S::Delivery>,
-    /// Ends the connection with a goodbye.
+    /// Token that ends the connection with a goodbye.
     pub(super) stop: CancellationToken,
-    /// Ends it without one.
+    /// Token that ends the connection without a goodbye.
     pub(super) abort: CancellationToken,
 }
 
@@ -90,18 +90,18 @@ impl<S: Sink> Serving<S> {
                 }
                 return;
             }
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the publishers are checked, so that no change in between is missed.
             let info_publishers = self.info.watch();
             let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
             let changed = changed(&*info_publishers, payload_publishers.as_deref());
-            // Also when the peer comes back to the topic: messages that were on their way may be lost.
+            // Kept even if the peer returns to the topic, because messages in transfer may have been lost.
             left = left.or_else(|| {
                 self.topic_left(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
             if let Some((topic, until)) = &left
                 && !self.channel.lock().is_closed()
             {
-                // What it published before it left is there, with its reason perhaps.
+                // The messages that it published before it left have arrived, possibly with the reason.
                 while let Some(message) = self.info.try_recv() {
                     self.take(Step::Info(Ok(message)), &mut others);
                 }
@@ -121,7 +121,7 @@ impl<S: Sink> Serving<S> {
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
-                    // A later connection may have topics of the same names and nodes, so that their end tells nothing.
+                    // A later connection may have the same topics and nodes, so that their end would prove nothing.
                     if channel.node.receive_buffer_bytes().is_some() {
                         channel.say_goodbye("the other end has given up the connection");
                     }
@@ -129,7 +129,8 @@ impl<S: Sink> Serving<S> {
                 }
                 () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
                     channel.say_goodbye(goodbye);
-                    // Where topics end without their last messages, the other end's goodbye says that it has all.
+                    // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that it
+                    // has all of them.
                     if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
                         return;
                     }
@@ -141,12 +142,12 @@ impl<S: Sink> Serving<S> {
                         Ok(permit) => if let Some(delivery) = waiting.pop_front() {
                             permit.send(delivery);
                         },
-                        // Nobody receives any more.
+                        // Nothing receives the events any more.
                         Err(_) => waiting.clear(),
                     }
                     Step::Other
                 }
-                // What is not taken stays in the topic's queue, and then with the publisher.
+                // Messages that are not taken stay in the topic's queue, and then with the publisher.
                 message = info.recv(), if is_idle => Step::Info(message),
                 message = receive(payload), if is_idle => Step::Payload(message),
                 directive = sink.wait(channel) => Step::Directive(directive),
@@ -200,15 +201,15 @@ impl<S: Sink> Serving<S> {
         self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
     }
 
-    /// Returns whether the last messages of a peer that leaves may still be on their way.
+    /// Returns whether the last messages of a leaving peer may still be in transfer.
     fn has_connected_topic(&self) -> bool {
         let topics = [Some(&self.info), self.payload.as_ref()];
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
-    /// Returns a topic on which messages of the peer arrived until now.
+    /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
     fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
-        // Where payloads are confirmed, their topic may also be that of an earlier connection, which ends.
+        // Where payloads are confirmed, their topic may also be that of an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
         let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
@@ -223,7 +224,7 @@ impl<S: Sink> Serving<S> {
         })
     }
 
-    /// Returns whether a message is of the node at the other end. Others are named once.
+    /// Returns whether a message is from the node at the other end. There is one remark on each other node.
     fn is_of_peer(&self, message: &Received, topic: &str, others: &mut SecondPublishers) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
@@ -248,13 +249,13 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    // A message gives back its memory before the connection reserves it for the frames, which are the same bytes.
+    // A message returns its memory before the connection reserves it for the frames, which are the same bytes.
     fn hear_info(&self, Received { bytes, memory, .. }: Received) {
         drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match MessageInfo::decode(self.channel.node.form(), bytes) {
-            // Of an earlier connection between the same nodes, or of a later one.
+            // The companion belongs to an earlier or later connection between the same nodes.
             Ok(info) if info.header.frame_id != state.id() => {}
             Ok(info) => state.hear_info(info, now),
             Err(error) => state.garbage(format!("a companion cannot be read: {error}")),
@@ -281,7 +282,7 @@ impl<S: Sink> Serving<S> {
 
     fn collect(&mut self, waiting: &mut VecDeque<S::Delivery>) {
         loop {
-            // Bound, so that the lock is free again before the event is taken.
+            // In a statement of its own, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
             waiting.extend(self.sink.take(&self.channel, event));
@@ -289,7 +290,8 @@ impl<S: Sink> Serving<S> {
     }
 }
 
-/// Time in which the last messages of a peer may arrive once it has left one of both topics, which have no common order.
+/// Time for which the last messages of a peer are awaited after it has left one of the two topics, which have no common
+/// order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<Received, NodeFailure> {

@@ -1,4 +1,4 @@
-//! The cloud's address where only its name is known.
+//! The address of a cloud of which only the name is known.
 
 use std::ffi::OsString;
 
@@ -9,8 +9,8 @@ use peernet_ros::topics::{RosVersion, VersionError};
 use super::names::allowed;
 use crate::transport::UnknownAddress;
 
-/// Returns the address of the cloud with a name. The version is the one given, or else that of the environment. In ROS 1 the
-/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain that of `ROS_DOMAIN_ID`.
+/// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
+/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, UnknownAddress> {
     find_by(name, version, |name| std::env::var(name).ok())
 }
@@ -33,12 +33,12 @@ fn find_by(
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
 }
 
-/// The version that is asked for; ROS 1 where nothing says which.
+/// Returns the requested version; ROS 1 if nothing says which.
 fn chosen(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<RosVersion, UnknownAddress> {
-    // A number that no byte holds is no version either.
+    // A number that does not fit into a byte is not a version.
     let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
     let given = given.transpose().map_err(|error| UnknownAddress(format!("ros_version: {error}")))?;
     match RosVersion::resolve(given, variable) {

@@ -85,7 +85,7 @@ impl Machine for CloudEnd {
         self.endpoint.receive(source, local, body, now);
     }
 
-    // Anybody may make the system say so; who is gone is noticed by silence.
+    // Ignored, because anyone can forge such reports. A peer that is gone is noticed by its silence.
     fn refused(&mut self) {}
 
     fn tick(&mut self, now: MonoTime) {
@@ -162,7 +162,7 @@ impl CloudReceiver for UdpCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // What still arrives is of no use; the task must not wait until it is received.
+            // Further arrivals are of no use, and the task must not wait until they are received.
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
             self.port.close(linger).await;

@@ -10,7 +10,8 @@ use super::peers::Delivery;
 use crate::transport::Arrival;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
-/// Publishes why edges get no connection, and hands refusals up. An edge repeats its request, and is refused again each time.
+/// Publishes the reasons of refusals for edges, and hands refusals up. An edge repeats its request and is refused each
+/// time.
 #[derive(Debug)]
 pub(super) struct Refusals {
     node: Arc<dyn SessionNode>,
@@ -29,7 +30,7 @@ impl Refusals {
         Self { node, clock, publisher, deliveries, throttle: Mutex::default() }
     }
 
-    /// Refuses a connection that cannot be opened now. It is handed up once a minute for each reason and address.
+    /// Refuses a connection that cannot be opened now. Hands the refusal up once a minute for each reason and address.
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -41,7 +42,7 @@ impl Refusals {
         }
     }
 
-    /// Refuses a connection whose opening failed. It is handed up each time.
+    /// Refuses a connection whose opening failed. Hands every refusal up.
     pub(super) fn refuse_failed(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         self.publish(hello, reason);
         self.hand_up(hello, edge, reason);

@@ -2,8 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Times of the last messages in both directions: this end sends a heartbeat when it has sent nothing else, and a peer that sends
-/// nothing is gone.
+/// Times of the last messages in both directions. An end sends a heartbeat if it has sent nothing else. A peer that
+/// sends nothing is gone.
 #[derive(Debug)]
 pub(super) struct Heartbeats {
     interval: Span,
@@ -27,17 +27,17 @@ impl Heartbeats {
         self.heard_at = now;
     }
 
-    /// Returns whether this end should send a heartbeat.
+    /// Returns whether a heartbeat is due.
     pub(super) fn is_due(&self, now: MonoTime) -> bool {
         now - self.sent_at >= self.interval
     }
 
-    /// Returns whether the peer has sent nothing for too long.
+    /// Returns whether the peer has been silent for too long.
     pub(super) fn is_peer_silent(&self, now: MonoTime) -> bool {
         now - self.heard_at >= self.timeout
     }
 
-    /// Returns when a heartbeat is due or the peer has been silent for too long, whichever is earlier.
+    /// Returns the time at which a heartbeat is due or the peer has been silent for too long, whichever is earlier.
     pub(super) fn next_timer(&self) -> MonoTime {
         (self.sent_at + self.interval).min(self.heard_at + self.timeout)
     }

@@ -1,4 +1,4 @@
-//! Two ends of a connection, without topics between them.
+//! Tests with two ends of a connection, without topics between them.
 
 use std::collections::VecDeque;
 
@@ -25,7 +25,7 @@ fn at(seconds: i64) -> MonoTime {
     MonoTime::default() + Span::from_seconds(seconds)
 }
 
-/// A message of three frames as it leaves: its companion and its payload.
+/// Returns a message of three frames as it is sent: its companion and its payload.
 fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
     let mut info = MessageInfo { request, ..end.begin(MessageInfo::DATA, wall, at(0)) };
     let payload = Bytes::from_static(b"payload");
@@ -169,16 +169,16 @@ fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
     );
 }
 
-/// Input of a peer that keeps no rule.
+/// Input from a peer that violates the protocol.
 #[derive(Clone, Debug)]
 enum Step {
-    /// A companion whose bytes were changed at some places.
+    /// A companion with some bytes changed.
     Damaged {
         form: WireForm,
         kind: u8,
         changes: Vec<(prop::sample::Index, u8)>,
     },
-    /// A companion of any claims.
+    /// A companion with arbitrary claims.
     Claims {
         kind: u8,
         sequence: u64,
@@ -196,10 +196,10 @@ enum Step {
 }
 
 fn any_step() -> impl Strategy<Value = Step> {
-    // All kinds, and one that nobody knows.
+    // All kinds, and an unknown one.
     let kind = || 0..=MessageInfo::PART + 1;
     let form = prop::sample::select(vec![WireForm::Ros1, WireForm::Cdr]);
-    // Few stamps, so that some meet.
+    // Few stamps, so that some coincide.
     let stamp = || prop_oneof![9 => 0..4_i64, 1 => any::<i64>()];
     let length = prop_oneof![3 => 0..40_u32, 1 => any::<u32>()];
     let claims =
@@ -272,7 +272,7 @@ proptest! {
             infos.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
             payloads.push_back((!matches!(fate, Fate::LosesPayload)).then_some((stamp, payload)));
         }
-        // Payloads come some messages behind their companions.
+        // Payloads arrive some messages after their companions.
         let mut behind = lag;
         while !infos.is_empty() || !payloads.is_empty() {
             if let Some(Some(info)) = infos.pop_front() {
@@ -284,7 +284,7 @@ proptest! {
                 far.hear_payload(stamp, payload, at(0));
             }
         }
-        // Neither heartbeats nor the deadline of halves may be missed in between.
+        // Neither heartbeats nor the time limit of halves may expire in between.
         far.heartbeats.note_heard(at(40));
         far.tick(at(40));
         let (mut arrived, mut incomplete) = (0, 0);
@@ -321,7 +321,7 @@ proptest! {
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
                 prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
             }
-            // Halves that gave up at once, and the end.
+            // The halves that were given up at once, and the end.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
             while far.next_notice(0, now).is_some() {}
         }

@@ -1,4 +1,4 @@
-//! A payload topic at a node of which the test sees what is published.
+//! Tests of a payload topic at a node that counts published messages.
 
 use futures::FutureExt;
 use peernet_sample::MediaType;
@@ -23,7 +23,7 @@ impl Sending {
         }
     }
 
-    /// Publishes a payload of a number of bytes; returns whether the peer gets it on the topic.
+    /// Publishes a payload of `bytes` bytes. Returns whether the peer receives it on the topic.
     fn publish(&mut self, media: MediaType, bytes: usize) -> bool {
         let part = Description { media, shape: Vec::new(), element: None };
         let (header, data) = (Header::default(), Bytes::from(vec![7; bytes]));

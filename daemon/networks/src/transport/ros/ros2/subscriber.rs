@@ -1,6 +1,6 @@
-//! Receiving of messages as they come.
+//! Subscriber that takes messages out of the cache of `rustdds` at once.
 //!
-//! `rustdds` drops messages that are not read soon, so a task takes them out of its cache at once.
+//! `rustdds` drops messages that are not read soon, so a task takes them as they arrive.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -24,13 +24,14 @@ use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
 };
 
-/// Bytes of received messages that wait to be taken. A publisher of ROS 2 cannot be held back: more is dropped.
+/// Largest number of bytes of waiting messages. A ROS 2 publisher cannot be slowed down, so further messages are
+/// dropped.
 const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
 
-/// The same, in messages.
+/// Largest number of waiting messages.
 const MAX_WAITING_MESSAGES: usize = 8_192;
 
-/// Publishers that discovery has not found yet.
+/// Largest number of publishers that have sent messages and that discovery has not found yet.
 const MAX_HEARD: usize = 64;
 
 /// Receives a topic.
@@ -48,7 +49,7 @@ struct Bounds {
     waiting_bytes: AtomicUsize,
 }
 
-/// Why a subscription ended.
+/// Reason why a subscription ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ended {
     ForGood,
@@ -59,7 +60,7 @@ enum Ended {
 struct Receiving {
     node: Arc<Ros2Node>,
     topic: String,
-    /// The only participant whose messages are of use, if that is known.
+    /// The only participant whose messages are wanted, if it is known.
     publisher: Option<Arc<str>>,
     takes_any_type: bool,
     messages: mpsc::Sender<Result<Received, NodeFailure>>,
@@ -83,7 +84,7 @@ impl Ros2SessionSubscriber {
         })
     }
 
-    /// Receives messages of the type that the publisher gives the topic, once it is there.
+    /// Receives messages of the type that the publisher gives the topic, once the publisher is there.
     pub(super) fn of_any_type(
         node: &Arc<Ros2Node>,
         topic: &str,
@@ -139,7 +140,7 @@ impl Ros2SessionSubscriber {
 }
 
 impl Receiving {
-    /// The types that the publisher gives the topic now, of those that payloads have.
+    /// Returns the types of payloads that the publisher gives the topic at present.
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
@@ -153,7 +154,7 @@ impl Receiving {
         found.filter_map(|found| types.into_iter().find(|kind| ros2_name(kind) == found.type_name)).collect()
     }
 
-    /// Waits for a publisher of payloads; returns the type that it gives the topic.
+    /// Waits for a publisher of payloads. Returns the type that it gives the topic.
     async fn payload_type(&self) -> &'static str {
         let mut changes = self.node.discovery_changes();
         loop {
@@ -166,10 +167,11 @@ impl Receiving {
         }
     }
 
-    /// Receives until there are publishers of another type only, or until the subscriber is dropped.
+    /// Receives until there are only publishers of another type, or until the subscriber is dropped.
     async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> Ended {
         let mut peers = subscription.peers();
-        // Messages may come before discovery tells of their publisher, and after it tells that an earlier one has gone.
+        // Messages may arrive before discovery finds their publisher, and after it reports that an earlier one has
+        // gone.
         let mut heard: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
             let (matched, is_refused) = {
@@ -239,7 +241,7 @@ impl Receiving {
     }
 
     async fn fail(&self, failure: NodeFailure) {
-        // Nobody receives any more if it cannot be told.
+        // Fails if nothing receives any more.
         let _ = self.messages.send(Err(failure)).await;
     }
 }
@@ -279,7 +281,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         Box::new(Changes(publishers))
     }
 
-    // Memory is counted when frames are made of a message; rustdds cannot be told to take less.
+    // The memory is reserved when frames are made of a message; `rustdds` has no limit that could be set.
     fn set_message_limits(&self, max_message_bytes: usize, _memory: Option<Arc<dyn MemoryLimit>>) {
         self.bounds.max_message_bytes.store(max_message_bytes, Ordering::Relaxed);
     }
@@ -292,7 +294,7 @@ impl PublisherChanges for Changes {
         let mut publishers = self.0.clone();
         let changed = async move {
             if publishers.changed().await.is_err() {
-                // The subscriber has ended; its own receiving tells why.
+                // The subscriber has ended; its own `recv` returns the reason.
                 std::future::pending::<()>().await;
             }
         };
