@@ -1,4 +1,4 @@
-//! What two hosts tell each other of their clocks, and the stamps that relate them.
+//! Tests of the clock states that hosts exchange, and of the stamps that relate their clocks.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -16,22 +16,22 @@ use crate::hostile::plain_session;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
-/// Version 4 of the protocol alone, as releases before 0.3.0.
+/// Version 4 of the protocol alone, as releases before 0.3.0 speak it.
 const FOUR: VersionRange = VersionRange::single(4);
 const DAY: Span = Span::from_seconds(86_400);
 const HOUR: Span = Span::from_seconds(3_600);
 
-/// The system's clocks, moved by hand; every move is a new epoch.
+/// The system's clocks with offsets that tests set. Every change is a new epoch.
 #[derive(Debug)]
 struct Set {
     system: SystemClock,
     wall: Moved,
     raw: Moved,
-    /// The clock that is moved right after the next stamp, by little.
+    /// The clock that is moved slightly right after the next stamp.
     slips: Mutex<Option<Slips>>,
 }
 
-/// How far a clock was moved, and how often.
+/// Offset of a clock, and the number of its changes.
 #[derive(Debug, Default)]
 struct Moved {
     by: AtomicI64,
@@ -60,7 +60,7 @@ impl Moved {
 }
 
 impl Set {
-    /// The wall clock and the free-running clock, so far ahead.
+    /// Creates clocks with these offsets of the wall clock and the free-running clock.
     fn new(wall: Span, raw: Span) -> Arc<Self> {
         let system = SystemClock::new(ClockIdentity::new("boot", "set"));
         let set = Self { system, wall: Moved::default(), raw: Moved::default(), slips: Mutex::default() };
@@ -328,7 +328,7 @@ async fn an_announcement_reaches_open_sessions_and_those_to_come() {
     within(clock.changed()).await.expect("the session is open");
     assert_eq!(*clock.borrow_and_update(), news);
 
-    // It was accepted with what was true before the announcement.
+    // The session was accepted with the state before the announcement.
     let (later, _) = cloud.session(settings()).await;
     assert_eq!(*later.peer_clock().borrow(), news);
     assert_eq!(later.accepted().host_clock, news);

@@ -7,7 +7,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::support::{hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL};
 
-/// A cloud that says what it likes.
+/// A cloud that sends arbitrary messages.
 pub(crate) struct FakeCloud {
     socket: zeromq::IdentitySocket,
     pub(crate) address: Address,
@@ -63,7 +63,7 @@ impl FakeCloud {
         let (to, header) = self.hear().await;
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
-        // Nonsense before the answer is passed over.
+        // An invalid message before the answer is ignored.
         self.say(
             &to,
             &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },

@@ -1,4 +1,4 @@
-//! Opening and closing sessions.
+//! Tests of opening and closing sessions.
 
 use std::time::Duration;
 
@@ -94,7 +94,7 @@ async fn nobody_there_is_said_at_once(network: TestNetwork) {
 
 async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
-    // A node of ROS asks its master several times before it can ask a cloud, or has to find it.
+    // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
     let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
     let impatient = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
     let address = cloud.address();
@@ -104,7 +104,7 @@ async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let address = cloud.address();
     let expected = match network.scheme() {
         "tcp" => OpenError::TimedOut { address, waited_ms },
-        // The other end has introduced itself as a cloud.
+        // The other end has identified itself as a cloud.
         _ => OpenError::Unanswered { address, reason: format!("nothing came within {waited_ms} ms") },
     };
     assert_eq!(error, expected);

@@ -1,4 +1,4 @@
-//! Whoever reaches the port may send anything.
+//! Tests with peers that send arbitrary data to the port.
 
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
@@ -35,7 +35,8 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
     }
 }
 
-/// Lets the listener take in everything that is on its way, until a session's echo has come through.
+/// Waits until the listener has handled everything in transfer: a session's echo has returned. Then checks the count of
+/// malformed messages.
 async fn malformed_after(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;
@@ -74,7 +75,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
     {
         let mut stream = TcpStream::connect(address.clone()).await.expect("the port is open");
         stream.write_all(garbage).await.expect("sent");
-        // Until the listener hangs up; how it does so is its own affair.
+        // Until the listener closes the connection, in whatever way.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
     malformed_after(&mut cloud, 2).await;
@@ -201,7 +202,7 @@ async fn the_memory_of_all_requests_together_is_bounded() {
     };
     let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes is 100000"), "{reason}");
-    // What is answered makes room, also for others.
+    // Requests that are answered make room, also for others.
     held.clear();
     second.say(&plain_request(&other, 1, 1), payload()).await;
     assert_eq!(cloud.next_request().await.sample.payload_bytes(), 40_000);
@@ -217,7 +218,7 @@ async fn a_crowd_of_silent_connections_keeps_nobody_out() {
     }
     let (session, _) = cloud.session(settings()).await;
     echo(&mut cloud, &session, "still served").await;
-    // They are hung up on when their time for a handshake is over.
+    // They are closed when the time limit for the handshake has passed.
     malformed_after(&mut cloud, 300).await;
     drop(silent);
 }
@@ -254,7 +255,7 @@ async fn a_cloud_that_lost_the_session_ends_it() {
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
-/// What a cloud adds to an edge's tree, which has three nodes: root, encode, upload.
+/// Returns the growth that a cloud adds to an edge's tree with three nodes: root, encode, upload.
 fn growth(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
     let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
     let node = Node {
@@ -307,7 +308,7 @@ async fn answers_that_make_no_sense_change_no_tree() {
         discipline: Some(wire::Discipline { source: "chrony".into(), error }),
         ..wire::host_clock(1)
     };
-    // Replies to requests never made, of other sessions, and plain garbage leave the session as it is.
+    // Replies to requests that were never made, replies of other sessions, and garbage do not affect the session.
     for header in [
         Header::Reply(id.clone(), 1_000, None, 0, Outcome::Failed(String::new())),
         Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),

@@ -1,4 +1,4 @@
-//! What a connection of a listening port may cost, against real sockets.
+//! Tests of the limits of a listening port, with real sockets.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -12,10 +12,10 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// Bytes of the listener's READY after the first two.
+/// Length of the listener's READY after its first two bytes.
 const REST_OF_READY: usize = 28;
 
-/// Longer than any test takes.
+/// A time that is longer than any test.
 const LONG: Duration = Duration::from_secs(60);
 
 fn limits() -> ListenerLimits {
@@ -35,7 +35,7 @@ async fn bind(limits: ListenerLimits) -> ZmtpListener {
     ZmtpListener::bind("127.0.0.1:0", limits).await.expect("the port is free")
 }
 
-/// The next message; connections that ended meanwhile are passed over.
+/// Returns the next message. Ends of connections are ignored.
 async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     within(async {
         loop {
@@ -69,12 +69,12 @@ impl RawPeer {
         greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
         let mut stream = TcpStream::connect(to).await.expect("the port is open");
         stream.write_all(&greeting).await.expect("sends");
-        // The listener's greeting and READY: it has taken ours in.
+        // The greeting and READY of the listener, which has handled ours then.
         within(stream.read_exact(&mut [0; 64 + 2])).await.expect("is greeted");
         Self(stream)
     }
 
-    /// Begins a frame that claims `length` bytes, and sends `bytes` of them.
+    /// Starts a frame that claims `length` bytes, and sends `bytes` of them.
     async fn begin_frame(&mut self, length: u64, bytes: usize) -> std::io::Result<()> {
         self.0.write_all(&[&[2][..], &length.to_be_bytes()].concat()).await?;
         self.0.write_all(&vec![7; bytes]).await
@@ -85,12 +85,12 @@ impl RawPeer {
     }
 
     async fn until_closed(mut self) {
-        // How it is closed is the system's affair.
+        // The connection may be closed in any way.
         let _reset = within(self.0.read_to_end(&mut Vec::new())).await;
     }
 }
 
-/// A peer whose hello was accepted.
+/// Returns a peer whose hello was accepted.
 async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
     let mut raw = RawPeer::connect(listener.address()).await;
     raw.say(b"hello").await;
@@ -117,7 +117,7 @@ async fn a_connection_without_hello_is_closed_in_time() {
     let (accepted, _) = admitted(&mut listener).await;
     RawPeer::connect(listener.address()).await.until_closed().await;
     until_rejected(&listener, Rejection::NoHello, 1).await;
-    // One whose host left again has the same time.
+    // A connection whose host has left has the same time limit.
     let (left, peer) = admitted(&mut listener).await;
     listener.sender().demote(peer.connection);
     left.until_closed().await;
@@ -133,14 +133,14 @@ async fn unfinished_messages_share_one_budget() {
     let (mut held, mut open) = (Vec::new(), Vec::new());
     for _ in 0..8 {
         let (mut raw, peer) = admitted(&mut listener).await;
-        // A connection that is closed may be found so in the middle.
+        // Fails if the connection was closed in the meantime.
         let _closed = raw.begin_frame(4_000_000, 3_900_000).await;
         held.push(raw);
         open.push(peer.connection);
     }
     until_rejected(&listener, Rejection::NoMemory, 4).await;
     drop(held);
-    // Their memory is given back before anybody learns of their end.
+    // Their memory is returned before their end is reported.
     open.truncate(4);
     within(async {
         while !open.is_empty() {
@@ -177,7 +177,7 @@ async fn a_new_connection_replaces_the_oldest_silent_one() {
     for _ in 0..30 {
         silent.push(RawPeer::connect(listener.address()).await);
     }
-    // A quarter of all may wait of one address.
+    // A quarter of all connections may wait from one address.
     until_rejected(&listener, Rejection::Replaced, 20).await;
     for closed in silent.drain(..20) {
         closed.until_closed().await;
@@ -217,7 +217,7 @@ async fn a_peer_that_reads_nothing_fills_no_memory() {
         assert!(sent < 200, "the queue is bounded");
     };
     assert_eq!(failure, SendFailure::Full);
-    // What was taken arrives whole, and then there is room again.
+    // The accepted messages arrive whole, and then there is room again.
     let mut bytes = vec![0; sent * 500_009];
     let mut ready = [0; REST_OF_READY];
     within(raw.0.read_exact(&mut ready)).await.expect("the rest of READY");
@@ -278,7 +278,7 @@ async fn what_was_sent_before_closing_arrives() {
     let (mut raw, peer) = admitted(&mut listener).await;
     let last = Bytes::from(vec![9; 3_000_000]);
     listener.sender().try_send(peer.connection, vec![last]).expect("there is room");
-    // The peer sends on, and has much to read.
+    // The peer continues to send, and has much to read.
     raw.say(b"unread").await;
     let closing = tokio::spawn(listener.close(Duration::from_secs(10)));
     let mut all = Vec::new();

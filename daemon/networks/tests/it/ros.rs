@@ -1,4 +1,4 @@
-//! What sessions over topics of ROS 1 have of their own.
+//! Tests of sessions over topics of ROS 1.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
-/// A node of another program.
+/// Returns a node of another program.
 pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
     let environment = Environment {
         master: RpcUri::parse(&master.uri()).expect("a URI"),
@@ -25,7 +25,7 @@ pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
     Node::new(&environment, name, clock()).await.expect("the master answers")
 }
 
-/// The topic of a session's requests.
+/// Returns the topic of a session's requests.
 fn request_topic(pipeline: &str) -> String {
     format!("/{}/request", pipeline.replace('-', "_"))
 }
@@ -41,7 +41,7 @@ pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sampl
     within(pending).await.expect("no panic").result.expect("an answer")
 }
 
-/// A session whose pipeline has a known name.
+/// Opens a session. Returns it with the name of its pipeline.
 pub(crate) async fn session(cloud: &mut Cloud) -> (Session, String) {
     let (address, hello) = (cloud.address(), hello());
     let pipeline = hello.pipeline.to_string();
@@ -83,7 +83,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .await
         .expect("registered");
     let picture = Sample::of(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
-    // The first pictures travel in the companions, until the topic is there.
+    // The first pictures are sent in the companions until the topic is open.
     let seen = loop {
         exchange(&mut cloud, &session, picture.clone()).await;
         let seen = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
@@ -97,7 +97,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-// The master is restarted on this thread, which takes its time.
+// The master is restarted on this thread, which blocks it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sessions_go_on_while_master_is_restarted() {
     let mut master = RosMaster::start();
@@ -139,7 +139,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
     replace_connections(Cloud::over(TestNetwork::Ros1).await).await;
 }
 
-/// Opens three connections of one pipeline in a row: each ends the one before, and works.
+/// Opens three connections of one pipeline in succession. Each one ends the one before, and works.
 pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let hello = hello();
     let mut earlier: Option<Session> = None;
@@ -219,7 +219,7 @@ async fn messages_of_second_publishers_are_dropped() {
     second_publisher_is_remarked(&mut cloud, &session, "node /stranger", &topic).await;
 }
 
-/// Exchanges until the cloud remarks on a second publisher.
+/// Exchanges requests until the cloud remarks on a second publisher.
 pub(crate) async fn second_publisher_is_remarked(
     cloud: &mut Cloud,
     session: &Session,
@@ -242,7 +242,7 @@ async fn edge_is_told_why_it_gets_no_connection() {
     pipeline_of_another_host_is_refused(Cloud::over(TestNetwork::Ros1).await).await;
 }
 
-/// A second host asks for the topics of a pipeline: both ends say so, and the session goes on.
+/// Tests a second host that asks for the topics of a pipeline: both ends report it, and the session continues.
 pub(crate) async fn pipeline_of_another_host_is_refused(mut cloud: Cloud) {
     let (first, pipeline) = session(&mut cloud).await;
     let (address, hello) = (cloud.address(), hello());

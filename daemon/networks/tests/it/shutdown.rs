@@ -1,4 +1,4 @@
-//! A listener that closes in good order.
+//! Tests of a listener that closes.
 
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
@@ -14,10 +14,10 @@ use crate::support::{
 
 over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
-/// The thread that a [`Gate`] holds up.
+/// Name of the thread that a [`Gate`] stops.
 const HELD: &str = "held";
 
-/// A clock at which one thread is held up once: it says that it is there, and waits for leave.
+/// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
 #[derive(Debug)]
 struct Gate {
     clock: SharedClock,
@@ -56,7 +56,7 @@ async fn closing_waits_for_the_answer_that_is_just_being_sent() {
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
-    // Its request is answered, but the answer has not left yet.
+    // The request is answered, but the answer has not been sent yet.
     let held = thread::Builder::new().name(HELD.to_owned());
     let held = held.spawn(move || slow.reply.send(slow.log, Ok(slow.sample))).expect("a thread");
     within(at_gate).await.expect("it comes to the gate");

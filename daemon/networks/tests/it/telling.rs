@@ -1,4 +1,4 @@
-//! What hello and its answer carry beside identities.
+//! Tests of the values in hello and acceptance other than identities.
 
 use peernet_networks::MAX_CONDITIONS;
 use peernet_stream::{Condition, Grade, Hardware};
@@ -31,7 +31,7 @@ fn found(host: &str) -> wire::Condition {
     }
 }
 
-/// The answer to a hello, with these conditions.
+/// Returns an acceptance with these conditions.
 fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
     match FakeCloud::accepted(session, PROTOCOL) {
         Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } => {

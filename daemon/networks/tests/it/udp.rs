@@ -1,4 +1,4 @@
-//! What is particular to `zmq-udp`: lost, doubled and reordered datagrams, strangers, large messages.
+//! Tests of `zmq-udp`: lost, duplicated and reordered datagrams, strangers, large messages.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ fn sample_of(bytes: Bytes) -> Sample {
     Sample::of(Description::bytes(), bytes)
 }
 
-/// Answers every request with its own sample, until it is dropped.
+/// Answers every request with its own sample until the task is dropped.
 fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     tokio::spawn(async move {
         while let Some(incoming) = cloud.listener.next().await {
@@ -36,8 +36,8 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     })
 }
 
-/// Sends samples of so many bytes, `parallel` at a time. Returns how many were answered and how many were lost; all else
-/// fails.
+/// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost ones; fails for all
+/// others.
 async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
     let places = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
     let mut tasks = JoinSet::new();
@@ -75,7 +75,7 @@ async fn payloads_of_all_sizes_come_back_whole() {
         let session = open(&address, hello(), settings).await.expect("accepted");
         let sizes = vec![0, 1, 1_000, 60_000, 1_200_000, 20_000_000];
         let (answered, lost) = exchange_all(&session, sizes, 1).await;
-        // Nothing is dropped on loopback while the socket's buffer holds what is on its way.
+        // Loopback drops nothing while the socket's buffer has room for the bytes in flight.
         assert_eq!((answered, lost), (6, 0), "{datagram_bytes}");
         within(session.close()).await;
     }
@@ -109,7 +109,7 @@ async fn datagrams_of_both_directions_are_counted() {
     assert!(addresses.local.ip().is_loopback() && addresses.remote.to_string() == relay.address.authority());
     let (answered, _) = exchange_all(&session, vec![10_000; 200], 4).await;
     assert!(answered > 0);
-    // Losses are known two seconds later, and those of the other direction after the next sign of life.
+    // Losses are known after two seconds, and those of the other direction after the next heartbeat.
     let is_counted = |direction: &DirectionStatistics| {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
@@ -185,7 +185,7 @@ async fn restarted_cloud_is_noticed_by_next_request() {
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The goodbye of the old one does not pass.
+    // The goodbye of the old cloud does not pass.
     relay.cut();
     let address = cloud.address();
     drop(cloud);

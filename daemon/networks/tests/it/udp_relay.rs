@@ -1,4 +1,4 @@
-//! A relay in front of a cloud's UDP port that drops, doubles, delays and alters datagrams.
+//! A relay before a cloud's UDP port that drops, duplicates, delays and alters datagrams.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use socket2::SockRef;
 use tokio::net::UdpSocket;
 use tokio::task::JoinHandle;
 
-/// What becomes of datagrams. Percent.
+/// Probabilities of impairments of datagrams. Percent.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Weather {
     pub(crate) loss: u64,
@@ -18,7 +18,7 @@ pub(crate) struct Weather {
     pub(crate) delayed: u64,
 }
 
-/// A relay for one edge; it ends when it is dropped.
+/// A relay for one edge. It ends when it is dropped.
 pub(crate) struct UdpRelay {
     pub(crate) address: Address,
     loss: Arc<AtomicU64>,
@@ -52,20 +52,20 @@ impl UdpRelay {
         Self { address: address.parse().expect("an address"), loss, dropped, to_alter, task }
     }
 
-    /// From now on nothing passes, as after a pulled cable.
+    /// Stops all datagrams, as if a cable were pulled.
     pub(crate) fn cut(&self) {
         self.loss.store(100, Ordering::Relaxed);
     }
 
-    /// Waits until something did not pass.
+    /// Waits until a datagram was dropped.
     pub(crate) async fn dropped(&self) {
         while self.dropped.load(Ordering::Relaxed) == 0 {
             tokio::task::yield_now().await;
         }
     }
 
-    /// Alters the next heartbeat of the edge, as a broken link would: it says that 2^20 messages more were sent. Waits until it has
-    /// passed.
+    /// Alters the next heartbeat of the edge, as a faulty link would: it claims that 2^20 more messages were sent.
+    /// Waits until it has passed.
     pub(crate) async fn alter_heartbeat(&self) {
         self.to_alter.store(1, Ordering::Relaxed);
         while self.to_alter.load(Ordering::Relaxed) > 0 {
@@ -73,7 +73,7 @@ impl UdpRelay {
         }
     }
 
-    /// Everything passes again.
+    /// Lets all datagrams pass again.
     pub(crate) fn mend(&self) {
         self.loss.store(0, Ordering::Relaxed);
     }
@@ -101,7 +101,7 @@ async fn carry(
                 let Some(edge) = edge else { continue };
                 (&down[..length], Some(edge))
             }
-            // The port of a cloud that is gone answers with errors.
+            // The port of a cloud that is gone reports errors.
             else => continue,
         };
         let mut chance = |percent: u64| {
@@ -119,7 +119,7 @@ async fn carry(
         for _ in 0..copies {
             let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
             let pass = async move {
-                // What the sockets do not take is lost, as on a real path.
+                // Datagrams that the sockets do not accept are lost, as on a real path.
                 let _ = match to {
                     Some(edge) => front.send_to(&datagram, edge).await,
                     None => back.send(&datagram).await,
@@ -137,7 +137,7 @@ async fn carry(
     }
 }
 
-/// Sets bit 20 of the number of the next message in a ping of an edge. Returns whether the datagram is one.
+/// Sets bit 20 of the next message number in a ping of an edge. Returns whether the datagram is such a ping.
 fn alter(datagram: &mut [u8]) -> bool {
     // Group, kind, connection, time.
     const NEXT: usize = 8 + 1 + 8 + 8;

@@ -1,4 +1,4 @@
-//! Peers of other versions.
+//! Tests with peers of other versions.
 
 use peernet_networks::{OpenError, SESSION_VERSIONS};
 use zeromq::Options;
@@ -9,7 +9,7 @@ use crate::wire::{self, Header, Id, PROTOCOL, Plain};
 
 const NEWEST: u16 = 5;
 
-/// An edge that speaks other versions, and names in its hello that this version does not know.
+/// Returns the hello of an edge that speaks other versions, with names that this version does not know.
 fn later(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
         newest: Some(newest),
@@ -83,7 +83,7 @@ async fn edge_without_common_version_is_refused_with_release() {
     }
 }
 
-/// What an edge makes of a cloud's answer, and the hello that it said.
+/// Returns the result of an edge for a cloud's answer, and the hello that it sent.
 async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
@@ -116,7 +116,7 @@ async fn refused_edge_says_what_to_update() {
              program to at least PEERNet 0.4.0"
         )
     );
-    // As PEERNet 0.1.0 and older builds answer.
+    // The answers of PEERNet 0.1.0 and older builds.
     let (opened, _, address) = answered_by(refused(3, None, None)).await;
     assert_eq!(
         opened.expect_err("refused").to_string(),

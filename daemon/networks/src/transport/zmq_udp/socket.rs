@@ -111,21 +111,21 @@ impl UdpPort {
         self.caveat.as_deref()
     }
 
-    /// Bytes that may be on their way to it: a quarter of the kernel's buffer, in which small datagrams take up to
-    /// four times their size.
+    /// Returns the number of bytes that may be in flight to this socket: a quarter of the kernel's buffer, in which
+    /// small datagrams take up to four times their size.
     pub(super) fn window(&self) -> u32 {
         u32::try_from(self.receive_buffer / 4).unwrap_or(u32::MAX)
     }
 
-    /// Datagrams of equal length that one system call sends.
+    /// Returns the largest number of datagrams of equal length that one system call sends.
     pub(super) fn max_segments(&self) -> usize {
         self.state.max_gso_segments()
     }
 
-    /// Sends datagrams that follow each other in `contents`, without waiting.
+    /// Sends the datagrams that are stored one after the other in `contents`. Never waits.
     ///
     /// # Errors
-    /// `WouldBlock` when the socket takes nothing more now.
+    /// `WouldBlock` if the socket accepts nothing more at present.
     pub(super) fn try_send(&self, route: Route, contents: &[u8], batch: Batch) -> io::Result<()> {
         let transmit = Transmit {
             destination: route.to,
@@ -137,11 +137,11 @@ impl UdpPort {
         self.socket.try_io(Interest::WRITABLE, || self.state.try_send((&self.socket).into(), &transmit))
     }
 
-    /// Receives what is there, without waiting: calls `each` for every datagram, with where it came from and the
-    /// address of this machine that it came to.
+    /// Receives the datagrams that have arrived and calls `each` for every one, with its source and the address of this
+    /// machine at which it arrived. Never waits.
     ///
     /// # Errors
-    /// `WouldBlock` when nothing is there; else what an earlier datagram met on its way.
+    /// `WouldBlock` if no datagram has arrived. Other errors concern a datagram that was sent before.
     pub(super) fn try_receive(
         &self,
         buffers: &mut ReceiveBuffers,
@@ -158,7 +158,7 @@ impl UdpPort {
             if meta.len == 0 {
                 each(meta.addr, meta.dst_ip, &[]);
             }
-            // Several of one sender come as one, all but the last of equal length.
+            // The kernel joins datagrams of one sender, all but the last of equal length.
             for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
                 each(meta.addr, meta.dst_ip, datagram);
             }
@@ -166,21 +166,21 @@ impl UdpPort {
         Ok(())
     }
 
-    /// Waits until something may be there.
+    /// Waits until a datagram may have arrived.
     ///
     /// # Errors
-    /// When the system reports a closed port at a destination.
+    /// If the system reports a closed port at a destination.
     pub(super) async fn readable(&self) -> io::Result<()> {
         let ready = self.socket.ready(Interest::READABLE | Interest::ERROR).await?;
         if !ready.is_error() {
             return Ok(());
         }
         let mut refusal = None;
-        // All of them: the socket counts as in error until none is left.
+        // All errors are read, because the socket counts as in error until none is left.
         let drained: io::Result<()> = self.socket.try_io(Interest::ERROR, || {
             while let Some(told) = self.state.recv_transport_error((&self.socket).into())? {
                 let error = io::Error::from_raw_os_error(told.raw_errno);
-                // Routes come back; a port that is closed does not by itself.
+                // Missing routes are ignored, because they may come back. A closed port does not open by itself.
                 refusal =
                     refusal.take().or((error.kind() == io::ErrorKind::ConnectionRefused).then_some(error));
             }

@@ -1,4 +1,4 @@
-//! How long a connection may take for what, without I/O.
+//! Deadlines of a connection, without I/O.
 
 use tokio::time::Instant;
 
@@ -6,23 +6,23 @@ use super::connection::Phase;
 use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
 use super::rejections::Rejection;
 
-/// The deadlines of one connection: of the phase that it is in, and of its silence.
+/// The deadlines of one connection: of its phase, and of its silence.
 pub(super) struct Deadlines {
     limits: ListenerLimits,
     phase: Phase,
     phase_began: Instant,
-    /// Whether bytes came since the last [`check`](Self::check).
+    /// `true` if bytes arrived since the last [`check`](Self::check).
     pub(super) has_received: bool,
     last_received: Instant,
 }
 
-/// What is due.
+/// Action that a deadline demands.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Due {
     Nothing,
-    /// A heartbeat: the peer is silent.
+    /// Send a heartbeat, because the peer is silent.
     Ping,
-    /// The end of the connection, and why.
+    /// End the connection, for this reason.
     End(Rejection, String),
 }
 
@@ -32,17 +32,17 @@ impl Deadlines {
         Self { limits, phase: Phase::Handshake, phase_began: now, has_received: false, last_received: now }
     }
 
-    /// The phase whose deadline is kept.
+    /// Returns the phase whose deadline is watched.
     pub(super) const fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Begins the deadline of a new phase.
+    /// Starts the deadline of a new phase.
     pub(super) const fn enter(&mut self, phase: Phase, now: Instant) {
         (self.phase, self.phase_began) = (phase, now);
     }
 
-    /// Returns what is due now.
+    /// Returns the action that is due now.
     pub(super) fn check(&mut self, now: Instant) -> Due {
         if std::mem::take(&mut self.has_received) {
             self.last_received = now;
@@ -66,7 +66,7 @@ impl Deadlines {
         if silence >= self.limits.heartbeat_interval { Due::Ping } else { Due::Nothing }
     }
 
-    /// Returns when to check next.
+    /// Returns the time of the next check.
     pub(super) fn next(&self, now: Instant) -> Instant {
         let heartbeat = now + self.limits.heartbeat_interval;
         match self.phase {

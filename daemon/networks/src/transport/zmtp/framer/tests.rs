@@ -13,7 +13,7 @@ fn allowance(stage: Stage) -> Allowance {
     }
 }
 
-/// A framer whose greeting has come.
+/// Returns a framer that has received the greeting.
 fn greeted(allowance: &Allowance) -> Framer {
     let mut framer = Framer::new(allowance);
     let mut out = Vec::new();
@@ -28,7 +28,7 @@ fn frame(flags: u8, body: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// The header of a frame that claims so many bytes.
+/// Returns the header of a frame that claims `claimed` bytes.
 fn header(flags: u8, claimed: u64) -> Vec<u8> {
     match u8::try_from(claimed) {
         Ok(short) => vec![flags, short],
@@ -107,7 +107,7 @@ fn a_long_frame_is_read_into_its_own_buffer() {
     }
     assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message.is_some())), Some((300_000, true)));
     assert_eq!(reads, 5, "64 KiB each");
-    // The next of its length has its whole buffer at once.
+    // The next frame of this length gets its whole buffer at once.
     framer.input(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
     let room =
         framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
