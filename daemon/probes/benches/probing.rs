@@ -1,4 +1,4 @@
-//! What probing costs: a hundred links at ten probes a second over loopback, all probers in one thread and their
+//! Cost of probing: one hundred links at ten probes per second over loopback. All probers run in one thread and their
 //! reflector in another, with the kernel's packet stamps and with the program's. Prints a table.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -44,20 +44,20 @@ fn main() {
             probed.refined as f64 / seconds,
             probed.lost,
             100.0 * probed.busy / seconds,
-            // It ran through the warm-up as well.
+            // The reflector ran during the warm-up as well.
             100.0 * reflector / (MEASURED + WARM_UP).as_secs_f64(),
             probed.round_trips[probed.round_trips.len() / 2].seconds() * 1e6,
         );
     }
 }
 
-/// What the probers told while they were measured.
+/// Results of the probers during the measurement.
 #[derive(Default)]
 struct Probed {
     round_trips: Vec<Span>,
     refined: usize,
     lost: usize,
-    /// Seconds of a core.
+    /// CPU time. Seconds.
     busy: f64,
 }
 
@@ -108,7 +108,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                 tokio::spawn(prober.run(rate_hz.clone(), tell.clone(), stop.clone()))
             })
             .collect();
-        // Nobody counts yet.
+        // Results of the warm-up are not counted.
         let warm_up = async { while results.recv().await.is_some() {} };
         let _ = tokio::time::timeout(WARM_UP, warm_up).await;
         let mut probed = Probed::default();
@@ -145,7 +145,7 @@ fn runtime() -> Runtime {
     Builder::new_current_thread().enable_all().build().expect("a runtime")
 }
 
-/// Seconds that this thread has been on a core.
+/// Returns the CPU time of this thread. Seconds.
 fn busy() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

@@ -1,13 +1,14 @@
-//! What is told of refused probes: enough to find the mistake, not so much that anyone could fill a log.
+//! Log lines about refused probes, at a limited rate. They say enough to find the mistake, and no sender can fill a
+//! log.
 
 use peernet_clock::{MonoTime, Span};
 
 use crate::Refusal;
 
-/// One reason is told at most so often, whoever it concerns.
+/// Shortest interval between two log lines with the same reason, whoever it concerns.
 const EVERY: Span = Span::from_seconds(60);
 
-/// When each reason was told last, and how many probes were refused for it since.
+/// Time of the last log line of each reason, and the number of probes refused for it since then.
 #[derive(Debug)]
 pub(crate) struct Complaints {
     key: bool,
@@ -15,13 +16,13 @@ pub(crate) struct Complaints {
 }
 
 impl Complaints {
-    /// Of a reflector with or without a key.
+    /// Creates the state for a reflector with or without a key.
     pub(crate) fn new(key: bool) -> Self {
         Self { key, reasons: [(None, 0); Refusal::ALL.len()] }
     }
 
-    /// Counts a refused probe. If it is time to tell the reason: how many there were since it was told last, and what
-    /// to do about it.
+    /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
+    /// last one, and the advice.
     pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
         let (told, count) = &mut self.reasons[why as usize];
         *count += 1;

@@ -1,4 +1,4 @@
-//! The UDP socket of both roles, with the kernel's stamps of its packets where there are any.
+//! The UDP socket of both roles, with the kernel's packet stamps if available.
 
 use std::fmt;
 use std::future::{pending, poll_fn};
@@ -15,33 +15,33 @@ use timestamped_socket::socket::{
 
 use crate::stamp::uncertainty::AGREEMENT;
 
-/// Longest wait for a packet to oneself.
+/// Longest wait for a packet to this machine itself.
 const LOOPBACK_PATIENCE: Duration = Duration::from_millis(200);
 
-/// Packets to oneself during which the clock may be set before it is given up to ask.
+/// Number of packets to this machine itself that may fail because the clock was set meanwhile.
 const LOOPBACK_TRIES: u32 = 3;
 
-/// Where the stamps of packets are made.
+/// Source of the packet stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stamps {
-    /// By the kernel as the packet passes, where it can; otherwise as [`Program`](Self::Program).
+    /// The kernel stamps packets as they pass, if it can; otherwise as [`Program`](Self::Program).
     #[default]
     Kernel,
-    /// By this program around its system calls: for a false clock that the kernel knows nothing of.
+    /// The program stamps packets around its system calls. Needed for a false clock that the kernel does not know.
     Program,
 }
 
-/// Names a packet that was sent, until the kernel's stamp of its departure comes.
+/// Identifies a packet that was sent, until the kernel's stamp of its departure comes.
 pub(crate) type Token = SendTimestampToken;
 
-/// A packet was received.
+/// A packet that was received.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Received {
     pub(crate) bytes: usize,
     pub(crate) source: SocketAddr,
-    /// Our address that it was sent to.
+    /// Address of this machine to which it was sent.
     pub(crate) local: SocketAddr,
-    /// When it arrived, by the kernel and as our clock would have shown it.
+    /// Kernel's stamp of the arrival, converted to the program's clock.
     pub(crate) kernel: Option<WallTime>,
 }
 
@@ -49,7 +49,7 @@ pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
     clock: SharedClock,
-    /// The kernel's stamps are of another clock than the program's: they are dropped.
+    /// `true` if the kernel's stamps are of another clock than the program's and are therefore dropped.
     distrusted: bool,
 }
 
@@ -60,8 +60,8 @@ impl fmt::Debug for ProbeSocket {
 }
 
 impl ProbeSocket {
-    /// Bound to `address`, with the best stamps of those wanted that the kernel grants; those of departures cost a
-    /// system call each.
+    /// Binds a socket to `address`, with the best of the wanted stamps that the kernel supports. Each departure stamp
+    /// costs a system call.
     pub(crate) fn bind(
         address: SocketAddr,
         stamps: Stamps,
@@ -78,7 +78,7 @@ impl ProbeSocket {
         for &mode in modes {
             match open_ip(address, mode, false) {
                 Ok(inner) => return Ok(Self { inner, mode, clock, distrusted: false }),
-                // No such option, or not all of it: as in some sandboxes and old kernels.
+                // The kernel does not support the option, as some sandboxes and old kernels do not.
                 Err(error) if is_no_option(&error) => {
                     tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
                 }
@@ -89,7 +89,8 @@ impl ProbeSocket {
         Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, distrusted: false })
     }
 
-    /// For sending to `target`: of its family, on any address and port, so that it follows changes of the route.
+    /// Opens a socket for sending to `target`. It is bound to any address and port of the same family, so that it
+    /// follows changes of the route.
     pub(crate) fn towards(target: SocketAddr, stamps: Stamps, clock: SharedClock) -> io::Result<Self> {
         let any = match target {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
@@ -111,13 +112,14 @@ impl ProbeSocket {
         }
     }
 
-    /// Whether the kernel stamps departures.
+    /// Returns whether the kernel stamps departures.
     pub(crate) fn stamps_departures(&self) -> bool {
         self.mode == GeneralTimestampMode::SoftwareAll
     }
 
-    /// Finds out by a packet to this machine itself whether the kernel stamps by the clock that the program reads:
-    /// `libfaketime`, say, shows its time to the program alone. If not, only the program's stamps count from now on.
+    /// Checks, with a packet to this machine itself, that the kernel stamps by the clock that the program reads.
+    /// `libfaketime`, for example, shows a false time to the program alone. If the clocks differ, only the program's
+    /// stamps are used from now on.
     pub(crate) async fn check(&mut self) {
         if self.mode == GeneralTimestampMode::None || self.distrusted {
             return;
@@ -136,12 +138,12 @@ impl ProbeSocket {
         }
     }
 
-    /// Whether the kernel's stamps are dropped.
+    /// Returns whether the kernel's stamps are dropped.
     pub(crate) const fn is_distrusted(&self) -> bool {
         self.distrusted
     }
 
-    /// From now on only the program's stamps count.
+    /// Uses only the program's stamps from now on.
     pub(crate) fn distrust(&mut self) {
         static TOLD: Once = Once::new();
         TOLD.call_once(|| {
@@ -153,7 +155,7 @@ impl ProbeSocket {
         self.distrusted = true;
     }
 
-    /// The next packet. May be dropped while it waits.
+    /// Waits for the next packet. Cancel safe.
     pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<Received> {
         let received = self.inner.recv(buffer).await?;
         Ok(Received {
@@ -164,7 +166,8 @@ impl ProbeSocket {
         })
     }
 
-    /// Sends within `patience`, which is zero for now or never: a stamp in a packet must not grow old.
+    /// Sends a packet within `patience`. With a patience of zero, sends at once or fails. The time is limited because
+    /// the stamp in the packet becomes old.
     pub(crate) async fn send(
         &self,
         packet: &[u8],
@@ -190,7 +193,7 @@ impl ProbeSocket {
             .unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
-    /// The kernel's next stamp of a departure; waits for ever where it makes none. May be dropped while it waits.
+    /// Waits for the kernel's next stamp of a departure; forever if it makes none. Cancel safe.
     pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
         if !self.stamps_departures() {
             return pending().await;
@@ -210,8 +213,8 @@ fn adopted(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     Some(clock.adopt(WallTime::from_unix_nanos(system)))
 }
 
-/// Whether the kernel's stamp of a packet lies between two looks at the clock, one before it was sent and one after it
-/// was received. `None` if the clock was set meanwhile, or there is no stamp.
+/// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and
+/// one after it was received. `None` if the clock was set in between, or there is no stamp.
 async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;

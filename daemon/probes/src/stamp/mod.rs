@@ -1,4 +1,4 @@
-//! The protocol itself: packets, authentication, and what the two roles decide. No sockets, no timers.
+//! The protocol: packets, authentication, and the state machines of the two roles, without sockets and timers.
 
 pub mod auth;
 pub mod figures;

@@ -1,4 +1,4 @@
-//! The packet of a sender's requests, which is written anew for each.
+//! The packet of a sender's requests, which is rewritten for each request.
 
 use std::ops::Range;
 
@@ -9,15 +9,15 @@ use super::packet::{self, Mode, Request};
 use super::sender::SendingConfig;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 
-/// Random octets of one request.
+/// Random octets of one request, which tie the answer to it.
 pub type Nonce = [u8; NONCE_BYTES];
 const NONCE_BYTES: usize = 16;
 
-/// A request's packet: the fields of STAMP, and empty TLVs that the reflector fills in.
+/// Packet of a request: the fields of STAMP, and empty TLVs that the reflector fills in.
 #[derive(Debug)]
 pub(super) struct RequestPacket {
     bytes: Vec<u8>,
-    /// Where the random octets stand.
+    /// Position of the random octets.
     nonce: Option<Range<usize>>,
 }
 
@@ -42,8 +42,8 @@ impl RequestPacket {
         Self { bytes, nonce }
     }
 
-    /// Writes and seals the TLVs of request `sequence`: what can be done before its departure is stamped. Returns the octets if requests
-    /// carry them.
+    /// Writes and seals the TLVs of request `sequence`, so that this is done before its departure is stamped. Returns
+    /// the octets if requests carry them.
     pub(super) fn prepare(&mut self, key: Option<&Key>, sequence: u32, octets: Nonce) -> Option<Nonce> {
         let nonce = self.nonce.clone().map(|place| {
             self.bytes[place].copy_from_slice(&octets);
@@ -56,7 +56,7 @@ impl RequestPacket {
         nonce
     }
 
-    /// Writes and seals the fields of a request, and returns the packet.
+    /// Writes and seals the fields of a request. Returns the packet.
     pub(super) fn finish(&mut self, key: Option<&Key>, request: &Request) -> &[u8] {
         request.write(Mode::of(key), &mut self.bytes);
         if let Some(key) = key {

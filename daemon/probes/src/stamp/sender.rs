@@ -1,4 +1,4 @@
-//! What a sender asks and what it makes of replies (the session-sender of RFC 8762, section 4.2).
+//! State machine of a sender (session-sender of RFC 8762, section 4.2).
 
 use std::collections::VecDeque;
 
@@ -15,35 +15,36 @@ use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty::{self, AGREEMENT};
 
-/// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
+/// Largest number of remembered probes, waiting or answered. A further one replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
-/// Longest time between the program's stamp and the kernel's that is believed.
+/// Longest plausible time between the program's stamp and the kernel's.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
-/// Whom a sender asks, and how.
+/// Configuration of a sender.
 #[derive(Clone, Debug)]
 pub struct SendingConfig {
-    /// The key shared with the reflector.
+    /// Key shared with the reflector.
     pub key: Option<Key>,
-    /// The only reflector that is believed, by its [`Origin::instance`]; any at `None`.
+    /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
-    /// With a key, whether each request carries random octets that its answer must bring back: what the TLVs say was then written
-    /// for this request, and not for another one of the same number that the same key authenticated.
+    /// `true` if each request carries random octets that its answer must return; only used with a key. The TLVs of such
+    /// an answer were written for this request, and not for another one of the same number that the same key
+    /// authenticated.
     pub bound: bool,
-    /// Which clock of the reflector is asked for. Reflectors of other implementations have the wall clock alone.
+    /// Clock of the reflector that is requested. Reflectors of other implementations only have the wall clock.
     pub clocks: RelatedClocks,
-    /// Tells the session from other sessions between the same ports.
+    /// Distinguishes the session from other sessions between the same ports.
     pub ssid: u16,
     /// Number of the first packet.
     pub first: u32,
     /// Bytes of padding.
     pub padding_bytes: u16,
-    /// After this a probe without an answer is lost.
+    /// Time after which a probe without an answer counts as lost.
     pub timeout: Span,
 }
 
-/// A sender's state.
+/// State of a sender.
 #[derive(Debug)]
 pub struct Sending {
     key: Option<Key>,
@@ -54,27 +55,27 @@ pub struct Sending {
     packet: RequestPacket,
     timeout: Span,
     pending: VecDeque<Pending>,
-    /// Requests that were lost lately: their answers are late. At most [`MAX_PENDING`].
+    /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
     lost: VecDeque<Departure>,
-    /// The kernel's stamps are of another clock than the program's.
+    /// `true` if the kernel's stamps are of another clock than the program's.
     distrusts_kernel: bool,
 }
 
-/// A request that was stamped.
+/// A request with its departure stamp.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure {
     sequence: u32,
     timestamp: u64,
     sent: Stamp,
     nonce: Option<Nonce>,
-    /// How far the wall clock was ahead before.
+    /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// The edge's epoch, read before: the stamp belongs to this one or a later one.
+    /// Edge's epoch, read before: the stamp belongs to this epoch or a later one.
     epoch: u32,
 }
 
 impl Departure {
-    /// The request's number, by which [`Sending::departed`] knows it.
+    /// Returns the number of the request, for [`Sending::departed`].
     pub const fn sequence(&self) -> u32 {
         self.sequence
     }
@@ -83,66 +84,67 @@ impl Departure {
 #[derive(Debug)]
 struct Pending {
     departure: Departure,
-    /// When it left, by the kernel and not later than the truth.
+    /// Departure by the kernel's stamp, not later than the true one.
     left: Option<RawTime>,
-    /// The kernel says that it left before the program stamped it.
+    /// `true` if the kernel's stamp is before the program's.
     left_early: bool,
     answer: Option<Answered>,
 }
 
 #[derive(Debug)]
 struct Answered {
-    /// The reply's own number.
+    /// Number of the reply.
     sequence: u32,
-    /// `None` if the edge's clock was interrupted meanwhile.
+    /// `None` if the edge's clock was interrupted in between.
     observation: Option<ExchangeObservation>,
 }
 
-/// When a packet came back.
+/// Arrival of a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct Return {
-    /// The kernel's stamp of the arrival, if it made one.
+    /// Kernel's stamp of the arrival, if it made one.
     pub kernel: Option<WallTime>,
-    /// The clocks, read by the program thereafter.
+    /// Clocks, read by the program afterwards.
     pub read: Stamp,
-    /// How far the wall clock was ahead of the free-running one, read thereafter.
+    /// Difference wall clock minus free-running clock, read afterwards.
     pub ahead: Interval,
-    /// The edge's epoch, read thereafter.
+    /// Edge's epoch, read afterwards.
     pub epoch: u32,
 }
 
-/// What a reply told.
+/// Result of a valid reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heard {
-    /// An earlier exchange, now with the stamp of when its reply really left.
+    /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
-    /// The exchange that it completes; `None` if the edge's clock was interrupted meanwhile: nothing follows from its stamps.
+    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between: nothing follows
+    /// from its stamps.
     pub answered: Option<ExchangeObservation>,
 }
 
-/// What the TLVs of a reply told.
+/// Values of the TLVs of a reply.
 #[derive(Clone, Copy, Debug, Default)]
 struct Told {
     follow_up: Option<FollowUp>,
     origin: Option<Origin>,
     raw: Option<RawStamps>,
     nonce: Option<Nonce>,
-    /// Why nothing of it is believed, where the TLVs are not as they were written.
+    /// Reason why none of them is believed, if the TLVs were altered.
     altered: Option<&'static str>,
 }
 
-/// What a reply tells of the reflector's related clock.
+/// Times of the reflector's related clock in a reply.
 #[derive(Clone, Copy, Debug)]
 struct There {
     received: RawTime,
     replied: RawTime,
     epoch: Option<u32>,
-    /// Number of an earlier reply, and when it really left.
+    /// Number of an earlier reply, and its true departure.
     previous: Option<(u32, RawTime)>,
 }
 
 impl Sending {
-    /// A session that has sent nothing.
+    /// Creates a session that has sent nothing.
     pub fn new(config: SendingConfig) -> Self {
         let packet = RequestPacket::new(&config);
         let SendingConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
@@ -151,17 +153,19 @@ impl Sending {
         Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, lost, distrusts_kernel }
     }
 
-    /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
+    /// Returns the next request with its stamp. It must be sent at once and then passed to [`sent`](Self::sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
         self.request_with(clock, rand::random())
     }
 
-    /// The same with octets that are given, where requests carry them; nobody else may know them before it is sent.
+    /// Returns the next request with the given octets, if requests carry octets. Nobody else may know them before the
+    /// request is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next, octets);
         let ahead = clock.wall_ahead();
-        // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
+        // Read before the stamp, while the epoch at the return is read after its stamp. If both are equal, the clock
+        // was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
         let timestamp = Format::Ntp.encode(sent.wall);
@@ -171,7 +175,7 @@ impl Sending {
         (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
-    /// The request was sent; returns how many earlier ones are given up for it.
+    /// Notes that the request was sent. Returns the number of earlier ones that are given up for it.
     pub fn sent(&mut self, departure: Departure) -> usize {
         self.next = departure.sequence.wrapping_add(1);
         let given_up = self.pending.len().saturating_sub(MAX_PENDING - 1);
@@ -180,8 +184,8 @@ impl Sending {
         lost
     }
 
-    /// The kernel's stamp of a request's departure, and how far the wall clock was ahead when it was looked at thereafter. Believed
-    /// if it fits between the program's and the longest that a packet can wait here.
+    /// Handles the kernel's stamp of a request's departure; `ahead` is the difference of the clocks that was read
+    /// afterwards. A time outside the range from the program's stamp to the longest wait of a packet is ignored.
     pub fn departed(&mut self, sequence: u32, left: WallTime, ahead: Interval) {
         if self.distrusts_kernel {
             return;
@@ -195,8 +199,8 @@ impl Sending {
         }
     }
 
-    /// Whether the kernel's stamps were found to be of another clock than the program's, as when something shows the
-    /// program a false time. They are ignored from then on.
+    /// Returns whether the kernel's stamps were found to be of another clock than the program's, for example if a tool
+    /// shows the program a false time. They are then ignored.
     pub const fn distrusts_kernel(&self) -> bool {
         self.distrusts_kernel
     }
@@ -209,14 +213,14 @@ impl Sending {
         }
     }
 
-    /// Forgets what is older than the timeout; returns how many of them are lost.
+    /// Forgets probes that are older than the timeout. Returns how many of them are lost.
     pub fn expire(&mut self, now: MonoTime) -> usize {
         let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
         let old = old.count();
         self.forget(old)
     }
 
-    /// Forgets the oldest; returns how many of them are lost.
+    /// Forgets the `oldest` oldest probes. Returns how many of them are lost.
     fn forget(&mut self, oldest: usize) -> usize {
         let unanswered = self.pending.drain(..oldest).filter(|pending| pending.answer.is_none());
         let before = self.lost.len();
@@ -226,23 +230,23 @@ impl Sending {
         lost
     }
 
-    /// When the next probe will be lost if it is not answered.
+    /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
         let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
         Some(waiting.departure.sent.mono + self.timeout)
     }
 
-    /// A packet from the target. Expire first.
+    /// Handles a packet from the target. [`expire`](Self::expire) must be called before.
     ///
     /// # Errors
-    /// Why it is no answer.
+    /// The reason why it is not an answer.
     pub fn receive(&mut self, packet: &[u8], returned: &Return) -> Result<Heard, &'static str> {
         let mode = Mode::of(self.key.as_ref());
         let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
         if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
             return Err("not authenticated by the key");
         }
-        // A reflector that does not know of identifiers leaves zero (RFC 8972, section 3).
+        // A reflector that does not know session identifiers leaves zero (RFC 8972, section 3).
         if reply.asked.ssid != self.ssid && reply.asked.ssid != 0 {
             return Err("of another session");
         }
@@ -267,7 +271,7 @@ impl Sending {
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
-        // Between two equal epochs all stamps are of one clock.
+        // If the two epochs are equal, all stamps are of one clock.
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
             pending.answer = Some(Answered { sequence: reply.sequence, observation: None });
@@ -283,7 +287,7 @@ impl Sending {
         }
         let kernel = kernel.filter(|_| !self.distrusts_kernel);
         let pending = find(&mut self.pending, reply.asked.sequence).ok_or(UNKNOWN)?;
-        // The program's reads are the outer bounds, which the kernel's stamps may narrow.
+        // The program's readings are the outer bounds, which the kernel's stamps may narrow.
         let exchange = Exchange {
             sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
             received: there.received,
@@ -304,7 +308,7 @@ impl Sending {
         Ok(Heard { refined, answered: Some(answered) })
     }
 
-    /// What a reply tells of the clock that was asked for.
+    /// Returns the times of the requested clock in a reply.
     fn there(&self, reply: &Reply, told: &Told, near: WallTime) -> Result<There, &'static str> {
         if self.clocks == RelatedClocks::Raw {
             let RawStamps { epoch, received, replied, previous } = told.raw.ok_or(NOT_RAW)?;
@@ -319,30 +323,30 @@ impl Sending {
     }
 }
 
-/// Of a valid reply to a probe that is lost already: the only reason that says nothing against the reply.
+/// Reason for a valid reply to a probe that is already lost. It is the only reason that says nothing against the reply.
 pub const LATE: &str = "later than the timeout of the probe";
-/// Of a reply that nothing waits for.
+/// Reason for a reply that no probe waits for.
 const UNKNOWN: &str = "to no probe of ours, or to one of long ago";
-/// Of a reply with what another one told.
+/// Reason for a reply with the values of another reply.
 const NOT_BOUND: &str = "with what was told to another probe";
-/// Of a reply by another reflector of ours than was expected.
+/// Reason for a reply of another PEERNet reflector than the expected one.
 pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
-/// Of a reply by no reflector of ours where one was expected.
+/// Reason for a reply that is not of a PEERNet reflector although one was expected.
 pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
 
-/// Of an authentic reply with TLVs that do not fit their code (RFC 8972, section 4.8).
+/// Reason for an authentic reply with TLVs that do not match their code (RFC 8972, section 4.8).
 pub const ALTERED_ANSWER: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
                                   does not know them";
-/// Of an authentic reply with flag I: its reflector found that of the request.
+/// Reason for an authentic reply with flag I: the code of the request's TLVs did not match at the reflector.
 pub const ALTERED_PROBE: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
-/// Of an authentic reply without the TLV that names its reflector.
+/// Reason for an authentic reply without the TLV that names its reflector.
 pub const UNNAMED: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
                            reflector is not of PEERNet";
 
-/// Of a reply by a reflector of ours that lacks the stamps of its free-running clock where they are asked for.
+/// Reason for a reply of a PEERNet reflector without the requested stamps of its free-running clock.
 const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
 
-/// Checks that a reply brings back what its request told.
+/// Checks that a reply returns the stamp and the octets of its request.
 fn is_answer_to(request: &Departure, reply: &Reply, told: &Told) -> Result<(), &'static str> {
     if request.timestamp != reply.asked.timestamp {
         return Err("to another stamp than was sent");
@@ -353,14 +357,15 @@ fn is_answer_to(request: &Departure, reply: &Reply, told: &Told) -> Result<(), &
     Ok(())
 }
 
-/// The probe of that number: they stand in order and without holes.
+/// Returns the probe with this number. The probes are in order and without gaps.
 fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
     let first = pending.front()?.departure.sequence;
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
 
-/// The exchange whose reply had the number `sequence`, corrected: it left at `left`. A later stamp of departure is a
-/// better one. It was made after that reply's epoch was read, but before this one's: both must agree.
+/// Corrects the departure of the reply with the number `sequence` to `left`, and returns the exchange. A later stamp of
+/// departure is a better one. The stamp was made after that reply's epoch was read and before this one's, so that both
+/// epochs must be equal.
 fn refine(
     pending: &mut VecDeque<Pending>,
     now: u32,
@@ -381,10 +386,11 @@ fn refine(
     Some(*observation)
 }
 
-/// What the TLVs tell, as far as they may be believed (RFC 8972, section 4).
+/// Returns the values of the TLVs that may be believed (RFC 8972, section 4).
 fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
     let mut told = Told::default();
-    // A reflector that says so gives them back as they came: their code does not fit then.
+    // A reflector that sets this flag returns the TLVs unchanged, so that their code does not match. The flag is
+    // therefore checked first.
     if tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0) {
         return Told { altered: Some(ALTERED_PROBE), ..told };
     }
@@ -392,7 +398,7 @@ fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
         return Told { altered: Some(ALTERED_ANSWER), ..told };
     }
     for place in tlv::places(tlvs) {
-        // What follows it is not authenticated.
+        // The TLVs after it are not authenticated.
         if place.overruns || place.flags & tlv::MALFORMED != 0 || place.kind == tlv::HMAC {
             break;
         }

@@ -1,8 +1,8 @@
-//! The files in `tests/fixtures/wire/probe`: requests and replies of both modes, byte by byte.
+//! Tests that compare requests and replies of both modes with the files in `tests/fixtures/wire/probe`.
 //!
-//! Hosts of two versions probe each other, so that a reflector answers a stored request with the stored reply, and a
-//! sender takes the stored reply for the answer to its own request. `write_missing_fixtures` writes a file that is not
-//! there and never changes one that is.
+//! Hosts of different versions probe each other. Therefore a reflector must answer a stored request with the stored
+//! reply, and a sender must accept the stored reply as the answer to its request. `write_missing_fixtures` writes
+//! missing files and never changes an existing one.
 
 use std::fs;
 use std::net::SocketAddr;
@@ -14,7 +14,7 @@ use peernet_probes::stamp::sender::{Heard, Return, Sending, SendingConfig};
 
 use crate::support::{INSTANCE, key};
 
-/// One way, and what the reflector takes.
+/// Delay of one direction, and time that the reflector takes.
 const WAY: Span = Span::from_micros(700);
 const REFLECTION: Span = Span::from_micros(50);
 
@@ -22,7 +22,7 @@ fn file(mode: &str, name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
 }
 
-/// The requests and replies of two probes, the second of which is told when the first reply really left.
+/// Requests and replies of two probes. The second reply reports when the first one really left.
 struct Conversation {
     requests: [Vec<u8>; 2],
     replies: [Vec<u8>; 2],
@@ -31,7 +31,7 @@ struct Conversation {
 impl Conversation {
     const NAMES: [(&str, &str); 2] = [("request-1", "reply-1"), ("request-2", "reply-2")];
 
-    /// Returns the packets with their files' names.
+    /// Returns the packets with the names of their files.
     fn files(&self) -> impl Iterator<Item = (&'static str, &[u8])> {
         let pairs = Self::NAMES.into_iter().zip(self.requests.iter().zip(&self.replies));
         pairs.flat_map(|((request, reply), (asked, answered))| {
@@ -51,7 +51,7 @@ impl Conversation {
     }
 }
 
-/// Sends two probes. The packets that arrive are those of `stored` where it is given.
+/// Sends two probes. If `stored` is given, its packets arrive in place of those that were sent.
 fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
     let key = mode.with_key.then(|| key(7));
     let edge = ManualClock::new(
@@ -78,7 +78,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
         sender.sent(departure);
         edge.advance(WAY);
 
-        // Its free-running clock shows what the edge's does.
+        // The reflector's free-running clock shows the same time as the edge's.
         let elapsed = edge.raw() - ManualClock::FIRST_RAW;
         let began = edge.wall() + Span::from_seconds(3) - elapsed;
         let cloud = ManualClock::new(began, ClockIdentity::new("fixture", "cloud"));
@@ -104,12 +104,12 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
     (conversation, heard)
 }
 
-/// Which packets are sent.
+/// Mode of the packets.
 struct Mode {
     name: &'static str,
     with_key: bool,
     clocks: RelatedClocks,
-    /// Octets tie an answer to its request. They are random elsewhere.
+    /// `true` if octets tie an answer to its request. They are random in other code, and fixed here.
     bound: bool,
 }
 
@@ -163,7 +163,7 @@ fn stored_request_gets_stored_reply() {
             };
             assert_eq!(exchange.received - exchange.sent, WAY + ahead, "{mode}");
         }
-        // The second reply says when the first one really left.
+        // The second reply reports when the first one really left.
         let refined = second.refined.expect("the first exchange is refined").exchange;
         assert_eq!(refined.replied - answered[0].replied, Span::from_micros(5), "{mode}");
     }

@@ -1,4 +1,4 @@
-//! A reflector among forged probes.
+//! Tests of a reflector that receives forged probes.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -8,13 +8,13 @@ use tokio::net::UdpSocket;
 
 use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
 
-/// Probes that the reflector took from its socket.
+/// Returns the number of probes that the reflector has read from its socket.
 fn looked_at(running: &Running) -> u64 {
     let counts = running.figures.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
 
-/// Forged sources, as far as loopback has them: each packet comes from an address of its own.
+/// Sends forged sources as far as loopback supports them: each packet comes from another address.
 #[tokio::test]
 async fn peers_are_answered_while_forged_sources_flood() {
     let config = ReflectorConfig { max_per_source_hz: 20, ..reflector_config() };
@@ -37,7 +37,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
                 socket.send_to(&[0; 44], running.address).await.expect("sent");
                 sent += 1;
             }
-            // The socket's buffer holds some 250 packets: what is beyond is lost before anybody can choose.
+            // The socket's buffer holds about 250 packets. Further ones would be lost before the reflector can choose.
             let looked_at = async {
                 while looked_at(&running) < sent {
                     tokio::task::yield_now().await;

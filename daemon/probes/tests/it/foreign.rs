@@ -1,4 +1,4 @@
-//! Interoperability with stamp-suite, in both roles.
+//! Tests of interoperability with stamp-suite, in both roles.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -22,12 +22,12 @@ fn stamp_suite() -> Command {
         program.display()
     );
     let mut command = Command::new(program);
-    // Its key would come from there too.
+    // Removed, because stamp-suite would read its key from it.
     command.env_remove("STAMP_HMAC_KEY").env("RUST_LOG", "warn").stdin(Stdio::null());
     command
 }
 
-/// A key that both read from one file.
+/// A key that both programs read from one file.
 struct SharedKey {
     _folder: TempDir,
     path: PathBuf,
@@ -52,12 +52,12 @@ impl SharedKey {
     }
 }
 
-/// Ends with the test.
+/// A process that is killed when the test ends.
 struct Foreign(Child);
 
 impl Drop for Foreign {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // Fails if it has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -97,7 +97,7 @@ async fn asked_by_their_sender(
     serde_json::from_str(summary).expect("JSON")
 }
 
-/// What their sender says of twenty probes over one clock.
+/// Checks their sender's summary of twenty probes over one clock.
 fn is_content(summary: &Value) {
     let measured = "/measurements";
     assert_eq!(number(summary, "/packets_received"), 20.0, "{summary}");
@@ -105,7 +105,7 @@ fn is_content(summary: &Value) {
     for flag in ["malformed", "integrity_failed"] {
         assert_eq!(number(summary, &format!("{measured}/tlv_validation/flags/{flag}")), 0.0, "{summary}");
     }
-    // One clock: both directions take time, and no more than the round trip.
+    // With one clock, both directions take time, and no more than the round trip.
     let round_trip = number(summary, "/max_rtt_ms");
     for way in ["forward", "reverse"] {
         let least = number(summary, &format!("/owd/{way}_min_ms"));
@@ -144,7 +144,7 @@ async fn answered_by_their_reflector(
     key: Option<&SharedKey>,
     more: &[&str],
 ) -> Vec<ProbeResult> {
-    // Out of the range from which the system gives ports away, on an address that only this test uses.
+    // A port outside the range from which the system assigns ports, on an address that only this test uses.
     let target = std::net::SocketAddr::new(address.parse().expect("an address"), 18_620);
     assert!(target.ip().is_loopback());
     let mut command = stamp_suite();
@@ -178,7 +178,7 @@ fn of_one_clock(observation: &ExchangeObservation) {
     assert_eq!((observation.cloud_epoch, observation.exchange.uncertainty), (None, uncertainty::FOREIGN));
 }
 
-/// Nothing is refused or lost. Their follow-up may repeat the program's stamp: then there is nothing to refine.
+/// Checks that nothing is refused or lost. Their follow-up may repeat the program's stamp; then nothing is refined.
 fn is_sound(results: &[ProbeResult]) {
     for result in results {
         match result {

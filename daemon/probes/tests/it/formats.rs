@@ -1,4 +1,4 @@
-//! Stamps, packets and codes as they travel.
+//! Tests of the wire forms of stamps, packets and codes.
 
 use std::os::unix::fs::PermissionsExt;
 

@@ -1,4 +1,4 @@
-//! How many probes are answered, and whose.
+//! Tests of the rates at which a reflector answers.
 
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -69,7 +69,7 @@ fn reopened_sessions_do_not_refill_the_bucket() {
 }
 
 proptest! {
-    /// A peer with a session that asks at its rate is always answered, whatever forged sources do.
+    /// A peer with a session that asks at its rate is always answered, whatever forged sources send.
     #[test]
     fn peers_are_answered_during_any_flood(
         rate in 1u32..200,
@@ -89,7 +89,8 @@ proptest! {
         }
     }
 
-    /// Neither one source nor all without a session together get more than one second's worth beyond their rate.
+    /// Neither one source nor all sources without a session together get more than one second's replies beyond their
+    /// rate.
     #[test]
     fn replies_never_exceed_the_rates(
         rate in 1u32..50,
@@ -100,7 +101,7 @@ proptest! {
         let mut replies: Vec<(u32, bool, MonoTime)> = Vec::new();
         for (source, pause, is_peer) in arrivals {
             now = now + Span::from_nanos(pause);
-            // Sessions come and go meanwhile.
+            // Sessions are opened and closed in between.
             if source == 0 {
                 let peers = [forged(0)];
                 limiter.set_peers(&peers[..usize::from(is_peer)]);

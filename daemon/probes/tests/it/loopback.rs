@@ -1,4 +1,4 @@
-//! Both roles over real sockets.
+//! Tests of both roles over real sockets.
 
 use std::time::Duration;
 
@@ -23,7 +23,7 @@ fn refined(result: &ProbeResult) -> Option<ExchangeObservation> {
     if let ProbeResult::Refined(observation) = result { Some(*observation) } else { None }
 }
 
-/// On one clock the offset is zero: the bounds must hold it, every time.
+/// Returns whether the bounds of an exchange on one clock contain the true offset of zero.
 fn holds_zero(observation: &ExchangeObservation) -> bool {
     let Interval { lo, hi } = observation.exchange.bounds();
     lo <= Span::ZERO && Span::ZERO <= hi
@@ -139,7 +139,8 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
     running.stop().await;
 }
 
-/// A wall clock that is set again and again, a thousand times: by much and by as little as a kernel's stamp gains.
+/// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the gain of a kernel's
+/// stamp.
 fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
@@ -206,7 +207,7 @@ async fn who_has_another_key_or_none_gets_no_answer() {
     let running = Running::start(config, system_clock("cloud"));
     for wrong in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
-        // Without the room for raw stamps an open request is shorter than an authenticated one can be.
+        // Without the TLV for raw stamps, an open request is shorter than an authenticated one.
         (config.key, config.clocks) = (wrong, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
         let mut probing = Probing::start(config, 100.0, system_clock("edge"));
@@ -226,7 +227,7 @@ async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
     let running = Running::start(config, system_clock("cloud"));
     let socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let request = [0; 44];
-    // Far more than five seconds' worth, in far less time, or the limit would allow more anyway.
+    // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
     let clock = system_clock("edge");
     let begun = clock.mono();
     for _ in 0..200 {
@@ -254,7 +255,8 @@ async fn the_rate_can_be_changed_and_zero_pauses() {
     let mut probing = Probing::start(prober_config(running.address), 0.0, system_clock("edge"));
     let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
     assert!(quiet.is_err(), "nothing is sent while paused: {quiet:?}");
-    // From once in a quarter of an hour to a hundred a second: only "at once" ends this test in time.
+    // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
+    // at once.
     probing.rate_hz.send(0.001).expect("it listens");
     probing.until(answered).await;
     probing.rate_hz.send(100.0).expect("it listens");
@@ -262,7 +264,7 @@ async fn the_rate_can_be_changed_and_zero_pauses() {
         probing.until(answered).await;
     }
     probing.rate_hz.send(0.0).expect("it listens");
-    // What was under way may still be told; then nothing more.
+    // Results of probes in flight may still arrive, but nothing afterwards.
     while tokio::time::timeout(Duration::from_millis(300), probing.results.recv()).await.is_ok() {}
     probing.stop().await;
     running.stop().await;
@@ -277,12 +279,12 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
-    // Now nobody has the port, and the system says so.
+    // No program has the port now, and the system reports it.
     drop(silent);
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
-    // And here comes a reflector.
+    // A reflector starts on the port.
     let running = Running::start(
         ReflectorConfig { listen: config.target, ..reflector_config() },
         system_clock("cloud"),
@@ -292,7 +294,7 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
     running.stop().await;
 }
 
-/// The system's clock as a program sees it that is shown a false time, of which the kernel knows nothing: as under
+/// The system's clock as seen by a program to which a false time is shown, of which the kernel knows nothing, as under
 /// libfaketime.
 #[derive(Debug)]
 struct Shown {
@@ -324,7 +326,7 @@ fn shown(ahead: Span) -> SharedClock {
 
 #[tokio::test]
 async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels() {
-    // By so little that the kernel's stamps of departures look as if they could be true, and by much.
+    // A small difference, with which the kernel's departure stamps look plausible, and a large one.
     let (little, much) = (Span::from_millis(900), Span::from_seconds(3600));
     for (edge, cloud) in [
         (-little, Span::ZERO),
@@ -407,7 +409,7 @@ async fn a_prober_ends_when_nobody_listens() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let config = prober_config(silent.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
-    // The rate stays at zero: there is nothing to tell by which it could notice.
+    // The rate stays at zero, so that there is no result through which the prober could notice.
     let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
     let (tell, results) = tokio::sync::mpsc::channel(1);
     let task = tokio::spawn(prober.run(rate_hz, tell, CancellationToken::new()));

@@ -1,4 +1,4 @@
-//! Any bytes at both roles, and what the fuzz target has found worth keeping.
+//! Tests of both roles with arbitrary bytes, and with the corpus of the fuzz target.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ proptest! {
         any_packet(&data);
     }
 
-    /// Long enough for a packet, with TLVs of plausible types and lengths.
+    /// Bytes of the length of a packet, with TLVs of plausible types and lengths.
     #[test]
     fn almost_packets_are_survived(
         how: u8,
@@ -26,7 +26,7 @@ proptest! {
         for (flags, kind, length, bytes) in tlvs {
             data.extend([flags, kind]);
             data.extend(length.to_be_bytes());
-            // Most have the length that they say.
+            // Most TLVs have the length that they claim.
             let bytes = if bytes < 30 { usize::from(length) } else { bytes };
             data.extend(vec![flags; bytes]);
         }

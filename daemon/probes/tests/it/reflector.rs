@@ -1,4 +1,4 @@
-//! What a reflector makes of packets.
+//! Tests of the reflector's state machine.
 
 use std::net::SocketAddr;
 
@@ -26,7 +26,7 @@ fn arrival(clock: &ManualClock) -> Arrival {
     Arrival { source: source(), received: clock.wall(), received_raw: clock.raw(), now: clock.mono() }
 }
 
-/// A request with the given TLVs (type, value).
+/// Returns a request with these TLVs (type, value).
 fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) -> Vec<u8> {
     let mode = Mode::of(key);
     let mut packet = vec![0; mode.base_bytes()];
@@ -108,7 +108,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     let mut first = request(None, 5, 1, &[room]);
     let answered = answer(&mut reflector, &clock, &mut first).expect("answered");
     assert_eq!(follow_up(&first), None, "there was none before");
-    // Neither before the program's stamp nor absurdly late, nor of another reply.
+    // Ignored: a stamp before the program's, one that is absurdly late, and one of another reply.
     let (session, left) = (answered.session(), NOW + Span::from_micros(17));
     let mut departed = |sequence, after| {
         reflector.departed(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
@@ -154,7 +154,7 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
             (3, b""),
         ],
     );
-    // The last one claims more than there is.
+    // The last TLV claims more bytes than there are.
     let length = packet.len();
     packet[length - 1] = 200;
     clock.step_wall(Span::from_micros(1));
@@ -242,7 +242,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
     assert!(packet::is_sealed(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
     assert_eq!(packet.len(), asked.len());
-    // Neither it nor another process of this kind answers the answer, and a changed one is none for long.
+    // Neither this reflector nor that of another process answers the answer.
     let mut other = Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
     for reflector in [&mut reflector, &mut other] {
         let back = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
@@ -256,7 +256,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     touched[20] ^= 1;
     assert_eq!(answer(&mut reflector, &clock, &mut touched).expect_err("touched"), Refusal::Unauthenticated);
 
-    // Those who have no key, of whatever length: as without one.
+    // Requests without a key, of any length, are answered as without a session key.
     let padding: &[u8] = &[0; 300];
     for tlvs in [&[][..], &[(tlv::FOLLOW_UP, room)], &[(tlv::FOLLOW_UP, room), (tlv::EXTRA_PADDING, padding)]]
     {
@@ -268,7 +268,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
         });
         assert_eq!(with, without);
     }
-    // The key that all must have comes first.
+    // A mandatory key takes precedence.
     let mut strict =
         Reflecting::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
     let mut packet = sealed_by(ours);
@@ -293,7 +293,7 @@ fn two_reflectors_do_not_play_ping_pong() {
                 packet::seal(key, &mut packet);
             }
             answer(&mut one, &clock, &mut packet).expect("a request");
-            // The other host's clock is years away, and its packet was long on the way.
+            // The other host's clock is years away, and its packet took long to arrive.
             clock.advance(Span::from_seconds(7));
             clock.step_wall(Span::from_seconds(86_400 * 3000));
             assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);

@@ -1,4 +1,4 @@
-//! What a sender asks and what it makes of replies.
+//! Tests of the sender's state machine.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -30,8 +30,8 @@ fn config() -> SendingConfig {
     }
 }
 
-/// A sender and a reflector with nothing but two hosts' clocks between them. The reflector's wall clock is ahead by a second, and its
-/// free-running clock shows what the sender's does.
+/// A sender and a reflector that are connected directly, with the clocks of two hosts. The reflector's wall clock is
+/// ahead by a second, and its free-running clock shows the same time as the sender's.
 struct Pair {
     clock: Arc<ManualClock>,
     sender: Sending,
@@ -51,7 +51,7 @@ impl Pair {
         }
     }
 
-    /// One whose exchanges are of the free-running clocks.
+    /// Returns a pair whose exchanges are of the free-running clocks.
     fn raw(with_key: bool) -> Self {
         let mut pair = Self::new(0, with_key);
         let key = with_key.then(|| key(7));
@@ -59,7 +59,7 @@ impl Pair {
         pair
     }
 
-    /// The reflector's clocks now.
+    /// Returns the reflector's clocks at the present time.
     fn there(&self) -> ManualClock {
         let elapsed = self.clock.raw() - ManualClock::FIRST_RAW;
         let there = ManualClock::new(self.clock.wall() + self.ahead - elapsed, ClockIdentity::new("b", "d"));
@@ -106,7 +106,7 @@ impl Pair {
         self.hear(&reply).expect("an answer")
     }
 
-    /// The next answer, whose arrival the kernel stamped when the program's clock showed `kernel`.
+    /// Returns the next answer. The kernel stamped its arrival when the program's clock showed `kernel`.
     fn stamped(&mut self, kernel: WallTime) -> ExchangeObservation {
         let (departure, packet) = self.send();
         self.sender.departed(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
@@ -121,7 +121,7 @@ fn answered(heard: &Heard) -> ExchangeObservation {
 }
 
 impl Pair {
-    /// The reply with another origin.
+    /// Returns the reply with another origin.
     fn from_elsewhere(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
         let mut reply = reply.to_vec();
         let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::ORIGIN).expect("we ask for it");
@@ -263,10 +263,10 @@ fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // Both of its halves are authentic, each by itself.
+    // Both halves are authentic, each by itself.
     let spliced = [&reply[..112], &told[112..]].concat();
     assert_eq!(pair.hear(&spliced), Err("with what was told to another probe"));
-    // The octets of the right one, where nothing is authenticated any more.
+    // The octets are right, but in a place that is not authenticated.
     let octets = tlv::places(&reply[112..]).find(|place| place.kind == tlv::EXTRA_PADDING).expect("bound");
     let mut appended = spliced;
     tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
@@ -284,7 +284,7 @@ fn a_reflector_that_knows_no_tlvs_is_believed_without() {
         if cut {
             reply.truncate(44);
         } else {
-            // It gives everything back as it came.
+            // It returns everything unchanged.
             reply[44..].copy_from_slice(&packet[44..]);
         }
         let answered = answered(&pair.hear(&reply).expect("an answer"));
@@ -298,7 +298,7 @@ fn a_step_at_the_reflector_keeps_a_follow_up_from_refining() {
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // As if the reflector had noticed a step between the two.
+    // As if the reflector had noticed a step between the two replies.
     let reply = Pair::from_elsewhere(&reply, |origin| origin.epoch = 1);
     let heard = pair.hear(&reply).expect("an answer");
     assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, Some(1)));
@@ -341,7 +341,7 @@ fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
     let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
     pair.clock.sleep(Span::from_micros(30));
-    // The first one brings the news, the others are from before it all the same.
+    // The first reply shows the interruption; the others were in flight during it, too.
     for reply in replies {
         let heard = pair.hear(&reply).expect("an answer");
         assert_eq!(heard, Heard { refined: None, answered: None });
@@ -419,7 +419,7 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
         let mut pair = Pair::new(0, false);
         let back = pair.clock.stamp() + there_and_back;
         let got = pair.stamped(back.wall - early).exchange.returned;
-        // Whatever the kernel says, it had arrived when the program looked.
+        // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
         let earlier = early.max(Span::ZERO);
         assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
         assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
@@ -447,7 +447,7 @@ fn wall_clock_set_meanwhile_moves_no_stamp_and_is_no_reason_to_distrust_kernel()
         let mut pair = Pair::raw(false);
         let begun = pair.clock.raw();
         let (departure, packet) = pair.send();
-        // It really left a little later; then the clock is set, and only then is the kernel's stamp read.
+        // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
         let left = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
@@ -475,7 +475,7 @@ fn raw_exchange_is_of_both_free_running_clocks() {
         assert_eq!(first.exchange.received, begun + WAY, "the same by both");
         assert_eq!(first.exchange.replied, begun + WAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
-        // Steps of wall clocks reach nothing.
+        // Steps of wall clocks have no effect.
         pair.clock.step_wall(Span::from_seconds(60));
         pair.ahead = -Span::from_seconds(3600);
         let second = pair.exchange();
@@ -495,7 +495,7 @@ fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::RAW_STAMPS).expect("we ask for it");
-    // As a release answers that does not know the type, and one that leaves it empty.
+    // Answers of a release that does not know the type, and of one that leaves it empty.
     let mut unknown = reply.clone();
     unknown[44 + place.at] = tlv::UNRECOGNISED;
     let mut empty = reply.clone();
