@@ -1,4 +1,4 @@
-//! Round trips: decoding returns the value that was encoded, in both wire forms.
+//! Tests of round trips: decoding returns the encoded value in both wire forms.
 
 use std::fmt::Debug;
 
@@ -17,7 +17,7 @@ fn pass_through<M: Message>(message: &M, form: WireForm) -> M {
     M::decode(form, bytes).unwrap()
 }
 
-/// Compares in both forms; `without_seq` removes what ROS 2 does not carry.
+/// Compares in both forms; `without_seq` removes the field that ROS 2 does not have.
 fn check<M: Message + PartialEq + Debug>(message: M, without_seq: impl FnOnce(M) -> M) {
     assert_eq!(pass_through(&message, WireForm::Ros1), message);
     let read = pass_through(&message, WireForm::Cdr);

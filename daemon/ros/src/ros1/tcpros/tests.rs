@@ -19,7 +19,7 @@ fn subscription(kind: TopicType) -> Subscription {
     Subscription { node: "/sub".into(), topic: "/t".into(), kind }
 }
 
-/// Passes a header through its bytes.
+/// Returns a header after encoding and decoding it.
 fn sent(header: &ConnectionHeader) -> ConnectionHeader {
     ConnectionHeader::decode(&header.encode()[4..]).unwrap()
 }
@@ -114,7 +114,7 @@ fn frames_share_memory_by_what_has_arrived() {
         buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.option() });
         buffer
     };
-    // All claim much and send little.
+    // All claim long frames and send few bytes.
     let mut claiming: Vec<FrameBuffer> = (0..8).map(|_| new()).collect();
     for buffer in &mut claiming {
         buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
@@ -136,7 +136,7 @@ fn frames_share_memory_by_what_has_arrived() {
     assert_eq!((frame.len(), limit.taken()), (200_000, claimed + 200_004));
     drop(memory);
     assert_eq!(limit.taken(), claimed);
-    // One sends what it claims, until the limit is reached.
+    // One of them sends what it claims, until the limit is reached.
     let refused = loop {
         match claiming[0].input() {
             Ok(mut input) => {
@@ -180,7 +180,7 @@ proptest! {
         let mut found = Vec::new();
         let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
         while !rest.is_empty() {
-            // As a socket does: no more than fits.
+            // At most as many bytes as fit, like a socket.
             let mut input = buffer.input().unwrap();
             let room = input.remaining_mut();
             prop_assert!(room > 0);

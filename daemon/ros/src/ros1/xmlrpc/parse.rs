@@ -1,4 +1,4 @@
-//! Calls and responses from XML. Sizes, depth and numbers are bounded, and document types are refused.
+//! Parser of calls and responses. Sizes, depth and numbers are bounded, and document types are refused.
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesRef, Event};
@@ -6,39 +6,40 @@ use thiserror::Error;
 
 use super::{Call, Response, Value};
 
-/// Values within values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
+/// Largest nesting depth of values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
 const MAX_DEPTH: usize = 16;
 
-/// Values of one document. The largest answer is the system state of a large robot: a few thousand names.
+/// Largest number of values in a document. The largest answer is the system state of a large robot, a few thousand
+/// names.
 const MAX_VALUES: usize = 100_000;
 
-/// A text that is not a call or response.
+/// Error: a text is not a call or response.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ParseError {
-    /// It is not XML.
+    /// The text is not XML.
     #[error("the XML is malformed: {reason}")]
     Malformed {
         /// Reason.
         reason: String,
     },
-    /// It has a document type, which can define entities.
+    /// The text has a document type, which can define entities.
     #[error("the XML has a document type, which XML-RPC has no use for")]
     DocumentType,
-    /// An entity that XML does not define itself.
+    /// The text refers to an entity that XML does not define itself.
     #[error("the XML refers to the unknown entity {name:?}")]
     UnknownEntity {
         /// Name of the entity.
         name: String,
     },
-    /// Another element or text than XML-RPC has there.
+    /// The text has another element or text than XML-RPC expects there.
     #[error("expected {expected} in the XML-RPC message, found {found}")]
     Unexpected {
-        /// The element or text that should be there.
+        /// Expected element or text.
         expected: &'static str,
-        /// The element or text that is there.
+        /// Element or text that was found.
         found: String,
     },
-    /// A value that is not of its type.
+    /// A value does not fit its type.
     #[error("{text:?} is not a value of the XML-RPC type {kind}")]
     Value {
         /// The type.
@@ -46,10 +47,10 @@ pub enum ParseError {
         /// The text.
         text: String,
     },
-    /// Values within values within values.
+    /// Values are nested too deeply.
     #[error("the XML-RPC message has more than {MAX_DEPTH} values within each other")]
     TooDeep,
-    /// Too many values.
+    /// There are too many values.
     #[error("the XML-RPC message has more than {MAX_VALUES} values")]
     TooManyValues,
 }
