@@ -35,7 +35,7 @@ pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 /// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Smallest payload frame that is read from the kernel straight into a buffer of its own. Bytes.
+/// Smallest payload frame that is read from the kernel straight into a separate buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
 /// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.

@@ -78,7 +78,7 @@ pub struct Request {
     pub timestamp: u64,
     /// Error estimate of the sender's stamp.
     pub estimate: ErrorEstimate,
-    /// Identifier of the session; zero if there is none.
+    /// Identifier of the session; zero means no identifier.
     pub ssid: u16,
 }
 

@@ -158,8 +158,8 @@ impl Sending {
         self.request_with(clock, rand::random())
     }
 
-    /// Returns the next request with the given octets, if requests carry octets. Nobody else may know them before the
-    /// request is sent.
+    /// Returns the next request with the given octets, if requests carry octets. They must be secret until the request
+    /// is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next, octets);

@@ -1,7 +1,8 @@
-//! Topics of either version of ROS, for callers that block, such as sensors and actuators.
+//! Blocking readers and writers of topics of either version of ROS, for callers such as sensors and actuators.
 //!
-//! [`TopicReader`] and [`TopicWriter`] exchange the messages of one topic. All of a process share one node for each
-//! master or domain, and a thread on which the nodes' sockets are served.
+//! [`TopicReader`] and [`TopicWriter`] exchange the messages of one topic. Those of a process share one node for each
+//! master or domain, and a thread that serves the sockets of the nodes, so that the threads of samples do no work for
+//! ROS.
 
 mod error;
 mod message_type;

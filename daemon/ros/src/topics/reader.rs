@@ -1,4 +1,4 @@
-//! Receiving messages.
+//! Blocking readers of topics.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,36 +20,37 @@ use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 /// Options of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderOptions {
-    /// Messages that wait to be read at most; beyond it the oldest is dropped and counted.
+    /// Largest number of messages that wait to be read. Beyond it the oldest one is dropped and counted, because a
+    /// robot needs the newest.
     pub queue: u32,
-    /// Whether lost messages are sent again. ROS 2 only; a reliable reader gets nothing of a best-effort publisher.
+    /// Reliability in ROS 2. A reliable reader gets no messages of a best-effort publisher.
     pub reliability: Reliability,
 }
 
 /// A message of a topic.
 #[derive(Clone, Debug)]
 pub struct TopicMessage {
-    /// Serialisation of `bytes`.
+    /// Serialization of `bytes`.
     pub form: WireForm,
     /// Type of the message, as its publisher names it.
     pub of: Arc<str>,
-    /// The message.
+    /// Bytes of the message.
     pub bytes: Bytes,
-    /// When this host had received the whole message, by its wall clock.
+    /// Time at which this host had received the whole message, by its wall clock.
     pub received: WallTime,
-    /// Messages since the one that was read before this one that were not read: replaced by newer ones in the queue, or, in
-    /// ROS 2, lost or in an encoding that is not read.
+    /// Number of messages between the previously read one and this one that were not read. They were replaced by newer
+    /// ones in the queue or, in ROS 2, lost or in an unsupported encoding.
     pub dropped: u64,
 }
 
 /// Receives the messages of a topic from all its publishers. Its methods block.
 pub struct TopicReader {
     ends: Ends,
-    /// Dropped messages that were told.
+    /// Number of dropped messages that were reported.
     told: u64,
 }
 
-/// The subscriber goes before its node: the node tells the master.
+/// The fields are dropped in order: the subscriber before its node, which then informs the master.
 enum Ends {
     Ros1 {
         subscriber: Subscriber,
@@ -66,12 +67,12 @@ enum Ends {
 }
 
 impl TopicReader {
-    /// Subscribes to a topic. `of` is the type of its messages; ROS 1 takes any without it. Blocks while the
+    /// Subscribes to a topic. `of` is the type of its messages; ROS 1 accepts any type without it. Blocks while the
     /// subscription is registered.
     ///
     /// # Errors
-    /// The environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build has no
-    /// ROS 2.
+    /// If the environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build
+    /// has no ROS 2.
     pub fn open(
         version: RosVersion,
         topic: &str,
@@ -88,11 +89,11 @@ impl TopicReader {
         Ok(Self { ends, told: 0 })
     }
 
-    /// Waits for the next message.
+    /// Waits for the next message. Blocks.
     ///
     /// # Errors
-    /// [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2, says what is known of the publishers when none
-    /// comes within `patience`. The node may have ended ([`TopicError::is_end`]).
+    /// If no message arrives within `patience`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
+    /// with the state of the publishers. If the node has ended ([`TopicError::is_end`]).
     pub fn read(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
         runtime()?.block_on(self.read_within(patience))
     }
@@ -117,7 +118,7 @@ impl TopicReader {
             }
             Ends::Ros2 { subscription, of, .. } => {
                 let Ok(sample) = timeout(patience, subscription.receive()).await else {
-                    // Without a publisher the error says what discovery has seen.
+                    // If there is no publisher, the error says what discovery has seen.
                     subscription.await_peer(Duration::ZERO).await?;
                     let reason = "its publishers are there, but publish nothing".to_owned();
                     let topic = subscription.topic().to_owned();
@@ -145,7 +146,7 @@ async fn open_ros1(
     clock: &SharedClock,
 ) -> Result<Ends, TopicError> {
     let environment = Environment::from_process()?;
-    // By its name alone: publishers know the sum, and messages of types that are not known here are read as bytes.
+    // The sum is a wildcard, because publishers know it and messages of unknown types are read as bytes.
     let kind = match of {
         Some(of) => TopicType { name: of.as_str().into(), ..TopicType::any() },
         None => TopicType::any(),
@@ -173,7 +174,7 @@ async fn open_ros2(
     Ok(Ends::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
 }
 
-/// Says why no message comes, as far as the publishers' connections show it.
+/// Returns the reason why no message arrives, from the connections to publishers.
 async fn absence(subscriber: &Subscriber, environment: &Environment) -> String {
     let publishers = subscriber.publishers();
     let failures = publishers.iter().filter_map(|publisher| match &publisher.state {

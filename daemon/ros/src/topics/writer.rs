@@ -1,4 +1,4 @@
-//! Publishing messages.
+//! Blocking writers of topics.
 
 use std::sync::Arc;
 
@@ -10,11 +10,11 @@ use crate::messages::{Message, WireForm};
 use crate::ros1::{Environment, Publisher, PublisherOptions, TopicType};
 use crate::ros2::{QosProfile, Ros2Node, Ros2Publisher};
 
-/// What became of a message.
+/// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Written {
-    /// Subscribers in ROS 1 that do not get it, because they are too slow and their queues are full. In ROS 2 the
-    /// publisher waits for them instead.
+    /// Number of ROS 1 subscribers that do not get the message, because their queues are full. In ROS 2 the publisher
+    /// waits for them instead.
     pub dropped: usize,
 }
 
@@ -25,7 +25,7 @@ pub struct TopicWriter {
     clock: SharedClock,
 }
 
-/// The publisher goes before its node: the node tells the master.
+/// The fields are dropped in order: the publisher before its node, which then informs the master.
 enum Ends {
     Ros1(Publisher, #[expect(dead_code, reason = "keeps the node")] Arc<SharedNode>),
     Ros2(Box<Ros2Publisher>, #[expect(dead_code, reason = "keeps the node")] Arc<Ros2Node>),
@@ -35,7 +35,7 @@ impl TopicWriter {
     /// Publishes a topic with messages of the type `M`. Blocks while it is registered.
     ///
     /// # Errors
-    /// The environment or the name cannot be used, no master answers, or this build has no ROS 2.
+    /// If the environment or the name cannot be used, no master answers, or this build has no ROS 2.
     pub fn open<M: Message>(
         version: RosVersion,
         topic: &str,
@@ -61,17 +61,17 @@ impl TopicWriter {
         Ok(Self { ends, topic: topic.to_owned(), clock: SharedClock::clone(clock) })
     }
 
-    /// Publishes a message of the type that the topic was opened with.
+    /// Publishes a message of the type with which the topic was opened.
     ///
     /// # Errors
-    /// The node has ended, the message cannot be encoded, or subscriptions of ROS 2 do not keep up for 5 seconds.
+    /// If the node has ended, the message cannot be encoded, or subscriptions of ROS 2 do not keep up for 5 seconds.
     pub fn write<M: Message>(&self, message: &M) -> Result<Written, TopicError> {
         let encode = |form| {
             message.encode(form).map_err(|source| TopicError::Encode { topic: self.topic.clone(), source })
         };
         match &self.ends {
             Ends::Ros1(publisher, _) => {
-                // What the kernel does not take at once is sent on the runtime.
+                // Bytes that the kernel does not accept at once are sent on the runtime.
                 let _entered = runtime()?.enter();
                 let published = publisher.publish(encode(WireForm::Ros1)?)?;
                 Ok(Written { dropped: published.dropped })

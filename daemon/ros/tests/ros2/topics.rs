@@ -1,4 +1,4 @@
-//! ROS 2 between nodes of one process, over the loopback interface.
+//! Tests of ROS 2 between nodes of one process, over the loopback interface.
 
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
@@ -11,10 +11,10 @@ use peernet_ros::ros2::{
 };
 
 const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
-/// A bound for what hangs, far above what anything here takes.
+/// Time limit of every wait, far above what is needed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Returns settings of a domain that no other test of this process has.
+/// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     let of_process = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
@@ -48,7 +48,7 @@ fn payload(size: usize, seed: usize) -> Bytes {
     cdr.freeze()
 }
 
-/// Whether received bytes are what was sent, but for the padding of DDS.
+/// Returns whether the received bytes are those that were sent, apart from the padding of DDS.
 fn is_same(sent: &Bytes, received: &Bytes) -> bool {
     received.starts_with(sent) && received.len() < sent.len() + 4
 }

@@ -41,7 +41,7 @@ pub(super) fn heard(
             return None;
         }
     };
-    // In a statement of its own, so that the lock is released before the branches below take it.
+    // A separate statement, so that the lock is released before the branches below take it.
     let heard = shared.machine().receive(peer, header);
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &heard
         && let Some(counters) = shared.machine().counters(*session)

@@ -272,7 +272,7 @@ mod tests {
     fn numbers_go_on_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
-        // The numbers are a day apart, so that the peer can have sent so many datagrams in between.
+        // The numbers are a day apart, so that the peer can have sent all datagrams in between.
         for (day, number) in numbers.into_iter().enumerate() {
             counter.arrive(number, at(day as i64 * 86_400_000));
         }

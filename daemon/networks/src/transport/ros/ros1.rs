@@ -79,7 +79,7 @@ impl Ros1Node {
     }
 
     /// Returns a running node, other than this one, that serves a name. Nodes that only watch the topic do not count.
-    /// Of two nodes with this node's name the master knows only the newer one.
+    /// If another node has this node's name, the master only knows the newer one.
     async fn other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
         let own = base_name(self.node.name());

@@ -282,7 +282,7 @@ impl<S: Sink> Serving<S> {
 
     fn collect(&mut self, waiting: &mut VecDeque<S::Delivery>) {
         loop {
-            // In a statement of its own, so that the lock is released before the event is handled.
+            // A separate statement, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
             waiting.extend(self.sink.take(&self.channel, event));

@@ -156,7 +156,7 @@ impl Machine for EdgeEnd {
     type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
 
     fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
-        // Only the IP addresses are compared, because a RADIO socket sends from a port of its own.
+        // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
         let is_elsewhere = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
             Ok(Packet::PathConfirmed { connection, token })

@@ -55,10 +55,10 @@ pub enum ParseError {
     TooManyValues,
 }
 
-/// Reads a call.
+/// Parses a call.
 ///
 /// # Errors
-/// The text is not one: [`ParseError`].
+/// If the text is not a call: [`ParseError`].
 pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     let mut parser = Parser::new(utf8(xml)?);
     parser.open("methodCall")?;
@@ -75,10 +75,10 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     Ok(Call { method, params })
 }
 
-/// Reads a response.
+/// Parses a response.
 ///
 /// # Errors
-/// The text is not one: [`ParseError`].
+/// If the text is not a response: [`ParseError`].
 pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
     let mut parser = Parser::new(utf8(xml)?);
     parser.open("methodResponse")?;
@@ -150,7 +150,7 @@ impl<'a> Parser<'a> {
         Self { reader, depth: 0, values: 0 }
     }
 
-    /// Returns the next token; a text comes in one or several pieces.
+    /// Returns the next token. A text may come in several pieces.
     fn next(&mut self) -> Result<Token, ParseError> {
         loop {
             let event = self.reader.read_event().map_err(malformed)?;
@@ -162,7 +162,7 @@ impl<'a> Parser<'a> {
                 Event::GeneralRef(reference) => Token::Text(resolve(&reference)?),
                 Event::DocType(_) => return Err(ParseError::DocumentType),
                 Event::Eof => Token::End,
-                // Elements without content come as a start and an end.
+                // Elements without content are reported as a start and an end.
                 Event::Empty(_) | Event::Comment(_) | Event::Decl(_) | Event::PI(_) => continue,
             });
         }
@@ -182,7 +182,7 @@ impl<'a> Parser<'a> {
         if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.is_not(expected)) }
     }
 
-    /// Returns whether the expected element begins; otherwise the element around it has ended.
+    /// Returns `true` if the expected element begins, `false` if the element around it has ended.
     fn open_or_close(&mut self, expected: &'static str) -> Result<bool, ParseError> {
         match self.markup()? {
             Token::Open(name) if name == expected => Ok(true),
@@ -198,7 +198,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Takes what may follow the last element that was read: ends of elements, and then the end.
+    /// Reads the rest of the document: ends of elements, and then the end.
     fn end(&mut self) -> Result<(), ParseError> {
         loop {
             match self.markup()? {
@@ -238,7 +238,7 @@ impl<'a> Parser<'a> {
         if self.depth > MAX_DEPTH {
             return Err(ParseError::TooDeep);
         }
-        // A value without a type is a string; with a type only white space is around it.
+        // A value without a type is a string. If there is a type, only white space may surround it.
         let mut text = String::new();
         let value = loop {
             match self.next()? {
@@ -311,7 +311,7 @@ fn utf8(bytes: &[u8]) -> Result<&str, ParseError> {
     std::str::from_utf8(bytes).map_err(malformed)
 }
 
-/// Returns what a reference such as `&amp;` or `&#13;` stands for.
+/// Returns the character that a reference such as `&amp;` or `&#13;` denotes.
 fn resolve(reference: &BytesRef<'_>) -> Result<String, ParseError> {
     if let Some(character) = reference.resolve_char_ref().map_err(malformed)? {
         return Ok(character.to_string());

@@ -1,10 +1,10 @@
-//! Tests of the texts of XML-RPC.
+//! Tests of parsing and writing XML-RPC.
 
 use proptest::prelude::*;
 
 use super::{Call, ParseError, Response, Value, parse_call, parse_response, write_call, write_response};
 
-/// Texts without the characters that XML cannot have.
+/// Returns texts without the characters that XML cannot contain.
 fn texts() -> impl Strategy<Value = String> {
     "[\t\n\r -~äß€]{0,12}"
 }
@@ -55,7 +55,7 @@ proptest! {
 
 #[test]
 fn python_response_is_read() {
-    // What Python's xmlrpc writes.
+    // A response as Python's xmlrpc writes it.
     let xml = "<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n<value><array><data>\n\
                <value><int>1</int></value>\n<value><string>a &lt; b</string></value>\n\
                <value><boolean>1</boolean></value>\n</data></array></value>\n</param>\n</params>\n</methodResponse>\n";

@@ -1,4 +1,4 @@
-//! Discovery as one node sees it, whatever others announce.
+//! Tests of discovery, including arbitrary announcements.
 
 use std::ops::Range;
 
@@ -126,11 +126,11 @@ fn endpoints_of_others_are_found_by_topic_and_role() {
     assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
 }
 
-/// Bounds that short scripts reach.
+/// Limits that short scripts reach.
 const FEW: DiscoveryBounds =
     DiscoveryBounds { participants: 3, endpoints: 5, listed: 9, matched: 2, refused: 2 };
 
-/// Participants that announce; the first is our own.
+/// Participants that announce; the first one is our own.
 const ANNOUNCING: Range<u8> = 0..8;
 
 fn own(participant: u8) -> ParticipantId {
@@ -183,7 +183,7 @@ fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     ]
 }
 
-/// Fails when more is remembered than the bounds allow.
+/// Checks that no more is remembered than the limits allow.
 fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
     let listed: usize = state.nodes.values().flatten().map(|node| 1 + node.endpoints.len()).sum::<usize>();
     let remembered =
@@ -214,7 +214,7 @@ proptest! {
             prop_assert_eq!(*state.changes().borrow(), count + 1);
             prop_assert!(!is_too_long || state.ignored() == ignored + 1, "what is not remembered is counted");
             check_bounds(&state, &peers.borrow());
-            // Whoever asks gets an answer.
+            // Every query must return.
             let _ = (state.node_of(asked), state.nodes_of(asked.participant()), state.topics());
             let _ = (state.endpoints_of("rt/a"), state.is_other_type(LOCAL, asked));
         }
