@@ -44,6 +44,7 @@ impl DescriptorShare {
     /// Returns the number of connections of each port under `limit`. `None` means no limit: the result is the maximum
     /// of the kind of port.
     fn connections_of(self, limit: Option<u64>, ports: NonZeroUsize) -> usize {
+        // The shares of the table in the module documentation.
         let (sixteenths, most) = match self {
             Self::EventPort | Self::DataPort => (5, 4_096),
             Self::Web => (2, 1_024),

@@ -55,6 +55,7 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
 
 /// Returns whether an interface is wireless. `folder` is its directory in sysfs.
 pub fn is_wireless(folder: &Path) -> bool {
+    // `wireless` is the older interface of the kernel, which some drivers still have instead of `phy80211`.
     ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
 }
 

@@ -243,6 +243,7 @@ impl Prober {
     fn hear(&mut self, packet: &[u8], received: &Received, news: &mut News) {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
+        // A packet from elsewhere is not an answer, even if its contents fit.
         if from.port() != target.port() || from.ip() != target.ip() {
             news.push(ProbeResult::Refused("not from the target"));
             return;

@@ -257,6 +257,7 @@ impl Reflector {
             now: read.mono,
         };
         let answer = self.logic.prepare(packet, &arrival)?;
+        // The answer comes from the address that was asked, if the system reported it.
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
         let stamp = self.logic.complete(&answer, packet, &*self.clock);
         let sent = self.socket.send(packet, from, received.source, Duration::ZERO).await;

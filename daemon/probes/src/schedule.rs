@@ -52,6 +52,7 @@ impl Schedule {
         if let Some(interval) = self.interval {
             let interval = jittered(interval);
             let next = self.due + interval;
+            // Probes that were missed meanwhile are skipped.
             self.due = if next > now { next } else { now + interval };
         }
     }

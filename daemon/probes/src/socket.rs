@@ -85,6 +85,7 @@ impl ProbeSocket {
                 Err(error) => return Err(error),
             }
         }
+        // A socket without kernel stamps is used if the kernel supports none of the wanted modes.
         let mode = GeneralTimestampMode::None;
         Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, distrusted: false })
     }

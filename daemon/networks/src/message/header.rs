@@ -204,6 +204,7 @@ impl Header {
     pub(crate) fn encode(&self) -> Result<Bytes, HeaderError> {
         let mut wire = Vec::with_capacity(256);
         let written = match self {
+            // Field names would take most of the bytes of these frequent messages.
             Self::Request(_) | Self::Reply(_) => rmp_serde::encode::write(&mut wire, self),
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
@@ -221,6 +222,7 @@ impl Header {
         }
         let mut reader = rmp_serde::Deserializer::new(wire);
         reader.set_max_depth(MAX_DEPTH);
+        // Only the versions of a later hello are certain to be readable.
         let header = Self::deserialize(&mut reader).map_err(|error| {
             mismatch(wire)
                 .map_or_else(|| HeaderError::Unreadable(error.to_string()), HeaderError::NoCommonVersion)

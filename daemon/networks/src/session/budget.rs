@@ -68,6 +68,7 @@ impl Budget {
     /// If there is no room for the frames now.
     pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
+        // `held == 0` lets a request of any size pass if it is alone.
         let fits = |held: u64| (held == 0 || held.saturating_add(bytes) <= self.most).then(|| held + bytes);
         self.held
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)

@@ -125,6 +125,7 @@ impl<W> Client<W> {
             }
             Header::Reply(reply) => match self.waiting.remove(&reply.request) {
                 Some(waiter) => CloudMessage::Answer(waiter, reply),
+                // An answer may arrive after its request timed out; it must not be mistaken for an invalid one.
                 None => CloudMessage::Late,
             },
             Header::Clock(news) if news.session == self.session => CloudMessage::Clock(news.clock),

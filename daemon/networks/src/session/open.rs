@@ -131,6 +131,7 @@ pub(crate) async fn handshake(
                     Opened::Incompatible(mismatch) => {
                         return Err(OpenError::Incompatible { address: address.clone(), mismatch });
                     }
+                    // Some other message; the answer may still come.
                     Opened::Nonsense => continue,
                 }
             }

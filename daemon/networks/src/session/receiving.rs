@@ -111,6 +111,7 @@ impl Receiving {
                 }
             }
         };
+        // A goodbye is only sent if this side closes; in all other cases the other end knows that the session is over.
         if reason == CloseReason::Local {
             self.say_goodbye();
         }

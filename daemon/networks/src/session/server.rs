@@ -131,6 +131,7 @@ impl Server {
             Err(mismatch) => return EdgeMessage::Answer(Self::incompatible(&mismatch)),
         };
         let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
+        // Otherwise one edge could take the place of many with a single socket.
         if of_connection >= SESSIONS_PER_CONNECTION {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
@@ -176,6 +177,7 @@ impl Server {
             ));
         }
         let group = AddressGroup::of(peer.address?);
+        // All programs of this machine share the loopback address.
         if group.is_loopback() {
             return None;
         }

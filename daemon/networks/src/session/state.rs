@@ -157,6 +157,7 @@ impl SessionState {
     ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
         let header = SampleHeader::of(sample)?;
         let tree = encode_tree(log.tree())?;
+        // Checked before sending, so that an error names the sample and the connection survives.
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
         let most = self.terms.max_message_bytes;
         if bytes > most {

@@ -133,6 +133,7 @@ fn read(info: &[u8]) -> TransportStatistics {
     let field = |at: usize| Some(u32::from_ne_bytes(*info.get(at..)?.first_chunk()?));
     let total = |at: usize| field(at).map(u64::from);
     let micros = |value: u32| Span::from_micros(value.into());
+    // tcpi_rtt and tcpi_rttvar; 0 before the first measurement.
     let round_trip = field(68).zip(field(72)).filter(|(smoothed, _)| *smoothed > 0);
     TransportStatistics {
         sent: DatagramStatistics {

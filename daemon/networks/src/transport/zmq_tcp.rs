@@ -66,6 +66,7 @@ fn options(settings: &SessionSettings) -> Options {
         .recv_hwm(queue)
         .heartbeat_interval(settings.heartbeat_interval())
         .heartbeat_timeout(settings.heartbeat_timeout())
+        // Bytes that stay unacknowledged end the connection as silence does.
         .tcp_user_timeout(settings.heartbeat_timeout())
         .reconnect(ReconnectPolicy::Fixed(NEVER))
         .linger(Duration::ZERO)
@@ -73,6 +74,7 @@ fn options(settings: &SessionSettings) -> Options {
 
 fn to_message(frames: Frames) -> Message {
     Message::multipart_payloads(frames.into_iter().map(|frame| {
+        // Short frames are stored inside the payload without an allocation.
         if frame.len() <= MAX_INLINE_PAYLOAD {
             Payload::from_slice(&frame)
         } else {
@@ -195,6 +197,7 @@ impl EdgeReceiver for Dealer {
         Box::pin(async {
             let arrived = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
             loop {
+                // Messages that arrived before the end are still returned.
                 if let Some(reason) = &self.ended {
                     return self
                         .socket

@@ -78,6 +78,7 @@ impl Limiter {
     /// session gains nothing.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         let sources: HashSet<Source> = addresses.iter().copied().map(Source::from).collect();
+        // Keeps the contents of the bucket of a source whose session has ended.
         for (source, bucket) in self.peers.extract_if(|source, _| !sources.contains(source)) {
             *self.others.entry(source, TokenBucket::default) = bucket;
         }

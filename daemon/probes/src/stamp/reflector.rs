@@ -150,6 +150,7 @@ impl Reflecting {
             return Err(Refusal::Reply);
         }
         let address = arrival.source.ip();
+        // After the checks, so that only requests that would be answered use the rate.
         self.limiter.admit(address, arrival.now)?;
 
         let is_peer = self.limiter.is_peer(address);

@@ -168,6 +168,7 @@ impl Sending {
         // was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
+        // NTP's format, because a stamp is returned exactly in it.
         let timestamp = Format::Ntp.encode(sent.wall);
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
@@ -268,6 +269,7 @@ impl Sending {
             return Err(LATE);
         };
         is_answer_to(&pending.departure, &reply, &told)?;
+        // A reply may come to a probe that is answered; it must not replace the first answer.
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }

@@ -123,6 +123,7 @@ impl MasterClient {
         match self.call("lookupNode", &[node]).await {
             Ok(Value::Text(uri)) => Ok(Some(uri)),
             Ok(_) => Err(self.not_a_master("lookupNode")),
+            // The master answers with a refusal if it does not know the node.
             Err(NodeError::MasterRefused { .. }) => Ok(None),
             Err(error) => Err(error),
         }

@@ -129,10 +129,12 @@ impl PublisherLink {
             if topic.remove_unlisted(self) {
                 return;
             }
+            // A connection worked in between, so the next failure starts with the short pause again.
             if self.state().counts.connections > connections {
                 pause = MIN_PAUSE;
             }
             let reason = error.to_string();
+            // Logged once for each reason, because the attempts repeat.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
                 // A publisher that ends closes the connection before the master reports it, and does not publish the

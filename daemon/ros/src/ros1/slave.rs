@@ -121,6 +121,7 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
             };
             success(topics.iter().map(pair).collect::<Vec<Value>>())
         }
+        // Parameters are not cached here.
         SlaveCall::ParamUpdate => success(0),
         // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
         // that ended may have reached the master late. Therefore the registrar asks which node has the name.

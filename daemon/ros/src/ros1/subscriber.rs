@@ -130,6 +130,7 @@ impl Subscriber {
     /// If the node has ended.
     pub async fn recv(&mut self) -> Result<ReceivedMessage, NodeError> {
         tokio::select! {
+            // Biased, so that messages that arrived before the end are returned before the error.
             biased;
             message = self.topic.queue.pop() => Ok(message),
             () = self.topic.stop.cancelled() => {

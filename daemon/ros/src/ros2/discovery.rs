@@ -192,6 +192,7 @@ impl DiscoveryState {
             DiscoveryEvent::EndpointFound { id, topic, type_name } => {
                 let has_room =
                     self.endpoints.len() < self.bounds.endpoints || self.endpoints.contains_key(&id);
+                // Names beyond the limit of DDS are invented, and would only take memory.
                 if has_room && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
                 } else {

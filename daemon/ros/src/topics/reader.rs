@@ -107,6 +107,7 @@ impl TopicReader {
                     return Err(TopicError::NoMessage { topic, waited: patience, reason });
                 };
                 let message = message?;
+                // The counts are totals; the message reports the increase since the last one.
                 let dropped = subscriber.counts().dropped;
                 Ok(TopicMessage {
                     form: WireForm::Ros1,

@@ -199,6 +199,7 @@ impl Connection {
 
     /// Applies a heartbeat of the other end.
     fn learn(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+        // A duplicated heartbeat says nothing new, and must not count as a second contradiction.
         if !self.heartbeats.receive(heartbeat) {
             return;
         }
@@ -233,6 +234,7 @@ impl Connection {
         let count = self.shutdown.receive_bye();
         let expected = self.receiving.expect(next, count.into(), now);
         self.refuse(expected);
+        // The other end does not wait any longer, so its unfinished messages will never be completed.
         if self.shutdown.is_impatient() {
             self.receiving.give_up_all();
         }

@@ -124,7 +124,9 @@ impl Endpoint {
                     return self.receive_known(connection, back, body.len(), packet, now);
                 }
                 match packet {
+                    // The connection is gone here, and the other end repeats its goodbye until it is confirmed.
                     Packet::Bye { .. } => self.answers.push(back, &Packet::ByeHeard { connection }),
+                    // Only an end that still uses the connection has to learn that it is gone.
                     Packet::Data { .. } | Packet::Ping { .. } => {
                         self.answers
                             .push(back, &Packet::Reset { id: connection, reason: ResetReason::Unknown });
@@ -200,6 +202,7 @@ impl Endpoint {
         } else if let Packet::PathConfirmed { token, .. } = packet {
             let to = reply_address(back.to, entry.reply_port);
             let is_token = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
+            // The token may have been made in the previous period.
             if is_token(now) || is_token(now - Span::from_seconds(10)) {
                 self.table.relocate(id, back.to, back.from);
                 self.arrivals.push(Arrival::Moved(ConnectionId(id), back.to), None);
@@ -234,6 +237,7 @@ impl Endpoint {
                 Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
                 Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
                 Event::Garbage(problem) => (Arrival::Garbage(Some(entry.source), problem), None),
+                // The layer above has not heard of a connection without a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
                 Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
             };

@@ -66,6 +66,7 @@ impl CookieKey {
             IpAddr::V6(ip) => ip,
         };
         let (port, nonce, period) = (address.port().to_be_bytes(), nonce.to_be_bytes(), period.to_be_bytes());
+        // A code over the address and the nonce, so that the cookie is checked without stored state.
         let code = self.code(b"cookie", &[&ip.octets(), &port, &nonce, &period]);
         let mut cookie = Cookie::default();
         cookie.copy_from_slice(&code[..16]);

@@ -171,6 +171,7 @@ impl Reassembly {
             progress: now,
             sent: (fragment.sequence < self.sent).then_some(now),
         };
+        // Too long for this end: counted as lost like a message without memory, so that the sender learns of it.
         let added = if fragment.total > self.limits.max_message_bytes {
             unfinished.received = 1;
             Err(Exhausted)

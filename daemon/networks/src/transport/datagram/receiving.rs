@@ -148,6 +148,7 @@ impl Receiving {
         let lost = self.reassembly.take_lost();
         let mut known = Vec::new();
         for lost in lost {
+            // If no fragment has arrived, the tag is unknown here. The confirmation of the other end brings it.
             if let Some(tag) = lost.tag {
                 known.push(MessageLoss { tag: read_tag(tag), received: lost.received, total: lost.total });
             }

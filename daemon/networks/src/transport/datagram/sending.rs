@@ -91,6 +91,7 @@ impl Sending {
     }
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
+        // Messages without a tag open and close sessions, and are retransmitted.
         let kept = (tag == 0).then(|| frames.clone());
         let message = OutgoingMessage::new(frames, self.outstanding.next(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
@@ -148,6 +149,7 @@ impl Sending {
             if count >= most || (count > 0 && out.len() - start + full > MAX_BATCH_BYTES) {
                 break;
             }
+            // At least 1, because 0 means no deadline.
             let lifetime_ms = message.deadline.map_or(0, |deadline| {
                 ((deadline - now).nanos() / 1_000_000).clamp(1, u16::MAX.into()) as u16
             });
@@ -230,6 +232,7 @@ impl Sending {
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
+        // The message is settled or too old; the answer only ends the reports about it.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {

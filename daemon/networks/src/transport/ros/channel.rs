@@ -96,6 +96,7 @@ impl Channel {
     pub(super) fn announce(&self, kind: u8) {
         let info = self.begin(kind);
         let tells_buffer = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
+        // The other end cannot know the size of these buffers, so hello and welcome state it.
         let buffer = self.node.receive_buffer_bytes().filter(|_| tells_buffer);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
@@ -158,6 +159,7 @@ impl Channel {
         if !frames::pack(&mut info, message, has_payload) {
             return Err(gone("a frame has 4 GiB or more".into()));
         }
+        // Each part takes the number of the message, which gets the next one: numbers are in the order of sending.
         let mut companions = Vec::new();
         for frames in parts::split(&mut info.frames, self.node.max_companion_bytes()) {
             companions.push(MessageInfo { frames, ..state.begin_part(&mut info) });

@@ -123,6 +123,7 @@ async fn open(
     let companions = (TopicUse::Companions, TopicType::of::<MessageInfo>());
     let payloads = (TopicUse::Payloads, TopicType::any());
     let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
+    // All topics are opened before the hello is sent, so that no answer is missed.
     Ok(Opened {
         response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
         response: node.subscribe(&topics.response.payload, payloads, receiving.clone()).await?,

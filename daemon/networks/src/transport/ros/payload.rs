@@ -34,6 +34,7 @@ impl PayloadType {
     pub(super) fn of(part: &Description, length: usize) -> Self {
         match part.media {
             MediaType::Jpeg | MediaType::Png => Self::CompressedImage,
+            // Only a shape of rows, columns and channels that matches the length can be an `Image`.
             MediaType::Pixels(_) if part.shape.len() == 3 && part.shaped_bytes() == Some(length as u64) => {
                 Self::Image
             }

@@ -34,6 +34,7 @@ impl SecondPublishers {
         (peer, node): (&str, &dyn SessionNode),
         now: Instant,
     ) -> Option<String> {
+        // Bounded, because every host on the network can publish the topic.
         let has_room = self.remarked.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
         if self.remarked.contains(second) || !has_room && !self.unnamed.contains_key(second) {
             return None;

@@ -52,6 +52,7 @@ pub(crate) async fn bind(
         hello_timeout: Span::from(settings.hello_timeout()),
         terms: own_terms(settings, &socket),
     };
+    // Two random UUIDs have 244 random bits.
     let mut secret = [0; 32];
     secret[..16].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
     secret[16..].copy_from_slice(uuid::Uuid::new_v4().as_bytes());

@@ -44,6 +44,7 @@ pub(crate) async fn dial(
     let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
     let socket = UdpPort::bind(SocketAddr::new(any_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable(&error))?;
+    // A closed port of the cloud then ends the connection at once and not by silence.
     socket.report_errors().map_err(|error| unreachable(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, own_terms(settings, &socket), start).await?;

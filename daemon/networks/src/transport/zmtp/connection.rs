@@ -144,6 +144,7 @@ impl ZmtpConnection {
         let message = Message::multipart_payloads(frames.into_iter().map(Payload::from_bytes));
         let mut codec = self.codec();
         let queued = codec.zmtp.pending_transmit_size();
+        // An empty queue accepts every message, whatever its size.
         if queued > 0
             && (queued.saturating_add(bytes) > self.max_queued_bytes
                 || codec.ends.len() >= self.max_queued_messages)

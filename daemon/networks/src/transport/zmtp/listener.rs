@@ -259,6 +259,7 @@ fn has_given_up(error: &io::Error) -> bool {
 }
 
 fn prepare(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
+    // A small message must not wait for the acknowledgement of the one before.
     stream.set_nodelay(true)?;
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }
@@ -291,6 +292,7 @@ async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::S
     let arrival = match (has_delivered, is_ready) {
         (true, _) => Arrival::Gone(id, reason),
         (false, false) => Arrival::Garbage(Some(address), reason),
+        // The layer above does not know a connection without a message.
         (false, true) => return,
     };
     // Fails only while the listener is closing.

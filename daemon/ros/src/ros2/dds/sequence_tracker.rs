@@ -27,6 +27,7 @@ impl SequenceTracker {
             return 0;
         };
         if sequence <= *highest {
+            // It was counted as lost when a later one arrived.
             counts.late += 1;
             counts.lost = counts.lost.saturating_sub(1);
             return 0;

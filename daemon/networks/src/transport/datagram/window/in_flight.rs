@@ -66,6 +66,7 @@ impl BytesInFlight {
     /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
     pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
+        // Reports are cumulative: progress up to `end` includes all datagrams sent before.
         while let Some(mark) = self.marks.pop_front_if(|mark| mark.end <= end) {
             self.arrived = mark.sent;
         }

@@ -85,6 +85,7 @@ impl Ros2SessionPublisher {
         }
         let bytes: usize = messages.iter().map(EncodedMessage::len).sum();
         let is_empty = queue.messages.is_empty() && !queue.is_busy;
+        // One message alone always fits, whatever the limit.
         if !is_empty && queue.bytes.saturating_add(bytes) > queue.most_bytes {
             return Ok(Delivery::Full);
         }

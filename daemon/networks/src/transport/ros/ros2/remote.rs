@@ -31,6 +31,7 @@ pub(super) fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
 fn local_address(remote: SocketAddr) -> Option<SocketAddr> {
     let any = if remote.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
     let socket = UdpSocket::bind(any).ok()?;
+    // Port 9 is arbitrary: connecting a datagram socket only looks up the route.
     socket.connect(SocketAddr::new(remote.ip(), 9)).ok()?;
     Some(SocketAddr::new(socket.local_addr().ok()?.ip(), 0))
 }

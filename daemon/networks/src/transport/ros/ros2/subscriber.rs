@@ -211,6 +211,7 @@ impl Receiving {
             }
             let (bytes, waiting) = (message.payload.len(), self.bounds.waiting_bytes.load(Ordering::Relaxed));
             let longest = self.bounds.max_message_bytes.load(Ordering::Relaxed);
+            // Dropped: a ROS 2 publisher cannot be slowed down, and the queue must not grow.
             if bytes > longest || waiting.saturating_add(bytes) > MAX_WAITING_BYTES {
                 tracing::debug!(
                     topic = subscription.topic(),
