@@ -7,8 +7,8 @@ use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, Wall
 use crate::Refusal;
 use crate::stamp::auth::Key;
 use crate::stamp::packet::{self, Mode, Reply};
-use crate::stamp::reflector::{Arrival, Reflecting};
-use crate::stamp::sender::{Return, Sending, SendingConfig};
+use crate::stamp::reflector::{Arrival, ReflectorState};
+use crate::stamp::sender::{ReplyArrival, SenderConfig, SenderState};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
@@ -38,7 +38,7 @@ pub fn any_packet(data: &[u8]) {
 fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut packet = bytes.to_vec();
     authenticate(how, key, &mut packet);
-    let mut reflector = Reflecting::new(key.cloned(), 1, 10, how & STATEFUL != 0);
+    let mut reflector = ReflectorState::new(key.cloned(), 1, 10, how & STATEFUL != 0);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
     // Twice, because the second request finds a session.
     for _ in 0..2 {
@@ -59,7 +59,7 @@ fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock)
 
 fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mode = Mode::of(key);
-    let mut sender = Sending::new(SendingConfig {
+    let mut sender = SenderState::new(SenderConfig {
         key: key.cloned(),
         instance: None,
         bound: false,
@@ -87,7 +87,8 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         }
         authenticate(how, key, &mut packet);
         clock.advance(Span::from_millis(3));
-        let returned = Return { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
+        let returned =
+            ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
         if let Ok(heard) = sender.receive(&packet, &returned) {
             let answered = heard.answered.expect("no step");
             assert_eq!(answered.exchange.returned, returned.read.raw);

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, Received, Token};
-use crate::stamp::sender::{LATE, Return, Sending, SendingConfig};
+use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
 use crate::{Key, Stamps};
 
 /// Largest reply without its padding. Bytes.
@@ -89,7 +89,7 @@ pub struct Prober {
     config: ProberConfig,
     clock: SharedClock,
     socket: ProbeSocket,
-    logic: Sending,
+    logic: SenderState,
     /// Probes whose departure stamps may still come.
     departing: VecDeque<(Token, u32)>,
 }
@@ -105,7 +105,7 @@ impl Prober {
             .map_err(|error| OpenError::Socket { target, error })?;
         // Not zero: reflectors that do not know session identifiers leave zero.
         let ssid = rand::random_range(1..=u16::MAX);
-        let logic = Sending::new(SendingConfig {
+        let logic = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
             // Other implementations need not return the octets.
@@ -154,7 +154,7 @@ impl Prober {
         let mut buffer = vec![0; MAX_REPLY + usize::from(self.config.padding_bytes)];
         let mut rate_is_fixed = false;
         loop {
-            let mut news = News::default();
+            let mut pending_results = PendingResults::default();
             let wake = [schedule.due(), self.logic.deadline()].into_iter().flatten().min();
             tokio::select! {
                 biased;
@@ -166,7 +166,9 @@ impl Prober {
                     Err(error) => self.failed(&error).await,
                 },
                 received = self.socket.receive(&mut buffer) => match received {
-                    Ok(received) => self.hear(&buffer[..received.bytes], &received, &mut news),
+                    Ok(received) => {
+                        self.handle_packet(&buffer[..received.bytes], &received, &mut pending_results);
+                    }
                     Err(error) => self.failed(&error).await,
                 },
                 changed = rate_hz.changed(), if !rate_is_fixed => match changed {
@@ -175,14 +177,14 @@ impl Prober {
                 },
                 () = sleep_until(wake, &self.clock) => {
                     let now = self.clock.mono();
-                    news.lost(self.logic.expire(now));
+                    pending_results.lost(self.logic.expire(now));
                     if schedule.is_due(now) {
                         schedule.advance(now);
-                        self.send(&mut news).await;
+                        self.send(&mut pending_results).await;
                     }
                 }
             }
-            for result in news.0 {
+            for result in pending_results.0 {
                 tokio::select! {
                     biased;
                     () = stop.cancelled() => return,
@@ -192,22 +194,22 @@ impl Prober {
         }
     }
 
-    async fn send(&mut self, news: &mut News) {
+    async fn send(&mut self, pending_results: &mut PendingResults) {
         let (departure, packet) = self.logic.request(&*self.clock);
         match self.socket.send(packet, None, self.config.target, SEND_PATIENCE).await {
             Ok(token) => {
-                news.lost(self.logic.sent(departure));
+                pending_results.lost(self.logic.sent(departure));
                 if let Some(token) = token {
                     if self.departing.len() >= MAX_DEPARTING {
                         self.departing.pop_front();
                     }
                     self.departing.push_back((token, departure.sequence()));
                 }
-                news.push(ProbeResult::Sent);
+                pending_results.push(ProbeResult::Sent);
             }
             Err(error) => {
                 tracing::debug!(target = %self.config.target, %error, "a probe could not be sent");
-                news.push(ProbeResult::Refused(not_sent_in_words(&error)));
+                pending_results.push(ProbeResult::Refused(not_sent_in_words(&error)));
                 self.renew();
             }
         }
@@ -240,29 +242,29 @@ impl Prober {
         }
     }
 
-    fn hear(&mut self, packet: &[u8], received: &Received, news: &mut News) {
+    fn handle_packet(&mut self, packet: &[u8], received: &Received, pending_results: &mut PendingResults) {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
         // A packet from elsewhere is not an answer, even if its contents fit.
         if from.port() != target.port() || from.ip() != target.ip() {
-            news.push(ProbeResult::Refused("not from the target"));
+            pending_results.push(ProbeResult::Refused("not from the target"));
             return;
         }
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
-        let returned = Return { kernel: received.kernel, read, ahead, epoch };
-        news.lost(self.logic.expire(read.mono));
+        let returned = ReplyArrival { kernel: received.kernel, read, ahead, epoch };
+        pending_results.lost(self.logic.expire(read.mono));
         let heard = self.logic.receive(packet, &returned);
         if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {
             self.distrust_kernel();
         }
         match heard {
             Ok(heard) => {
-                news.0.extend(heard.refined.map(ProbeResult::Refined));
+                pending_results.0.extend(heard.refined.map(ProbeResult::Refined));
                 let stepped = ProbeResult::Stepped(returned.epoch);
-                news.push(heard.answered.map_or(stepped, ProbeResult::Answered));
+                pending_results.push(heard.answered.map_or(stepped, ProbeResult::Answered));
             }
-            Err(LATE) => news.push(ProbeResult::Late),
-            Err(why) => news.push(ProbeResult::Refused(why)),
+            Err(LATE) => pending_results.push(ProbeResult::Late),
+            Err(why) => pending_results.push(ProbeResult::Refused(why)),
         }
     }
 
@@ -276,9 +278,9 @@ impl Prober {
 
 /// Events of one pass of the loop.
 #[derive(Default)]
-struct News(Vec<ProbeResult>);
+struct PendingResults(Vec<ProbeResult>);
 
-impl News {
+impl PendingResults {
     fn push(&mut self, result: ProbeResult) {
         self.0.push(result);
     }

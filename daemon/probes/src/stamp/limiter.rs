@@ -6,7 +6,7 @@ use std::net::IpAddr;
 use peernet_clock::{MonoTime, Span};
 
 use super::figures::Refusal;
-use super::recent::Recent;
+use super::recent_map::RecentMap;
 
 /// Smallest number of sources without a session whose rates are remembered.
 const SOURCES: usize = 4096;
@@ -54,7 +54,7 @@ impl TokenBucket {
 #[derive(Debug)]
 pub struct Limiter {
     peers: HashMap<Source, TokenBucket>,
-    others: Recent<Source, TokenBucket>,
+    others: RecentMap<Source, TokenBucket>,
     shared: TokenBucket,
     interval: Span,
     shared_interval: Span,
@@ -67,7 +67,7 @@ impl Limiter {
         let interval = |hz: u32| Span::from_nanos(1_000_000_000 / i64::from(hz.max(1)));
         Self {
             peers: HashMap::new(),
-            others: Recent::new(SOURCES),
+            others: RecentMap::new(SOURCES),
             shared: TokenBucket::default(),
             interval: interval(per_second),
             shared_interval: interval(per_second.max(1).saturating_mul(SHARED_FACTOR)),

@@ -5,7 +5,7 @@ pub mod figures;
 pub mod kernel;
 pub mod limiter;
 pub mod packet;
-mod recent;
+mod recent_map;
 pub mod reflector;
 mod request_packet;
 pub mod sender;

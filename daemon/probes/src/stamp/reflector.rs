@@ -11,7 +11,7 @@ use super::auth::{CODE_BYTES, Key};
 use super::figures::Refusal;
 use super::limiter::Limiter;
 use super::packet::{self, Mode, Reply, Request};
-use super::recent::Recent;
+use super::recent_map::RecentMap;
 use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
@@ -24,7 +24,7 @@ const LONGEST_ANSWER: Span = Span::from_seconds(4);
 
 /// State of a reflector.
 #[derive(Debug)]
-pub struct Reflecting {
+pub struct ReflectorState {
     key: Option<Key>,
     /// Key of the peers that have a session.
     session_key: Option<Key>,
@@ -37,16 +37,16 @@ pub struct Reflecting {
 /// forget the latter.
 #[derive(Debug)]
 struct Sessions {
-    peers: Recent<SessionId, Session>,
-    others: Recent<SessionId, Session>,
+    peers: RecentMap<SessionId, Session>,
+    others: RecentMap<SessionId, Session>,
 }
 
 impl Sessions {
     fn new() -> Self {
-        Self { peers: Recent::new(SESSIONS), others: Recent::new(SESSIONS) }
+        Self { peers: RecentMap::new(SESSIONS), others: RecentMap::new(SESSIONS) }
     }
 
-    fn table(&mut self, session: &SessionId) -> &mut Recent<SessionId, Session> {
+    fn table(&mut self, session: &SessionId) -> &mut RecentMap<SessionId, Session> {
         if session.is_peer { &mut self.peers } else { &mut self.others }
     }
 }
@@ -75,12 +75,12 @@ pub struct SessionId {
 #[derive(Debug, Default)]
 struct Session {
     next: u32,
-    last: Option<Left>,
+    last: Option<LastReply>,
 }
 
 /// The latest reply of a session, and its departure by the wall clock and by the free-running clock.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct LastReply {
     sequence: u32,
     wall: WallTime,
     raw: RawTime,
@@ -98,7 +98,7 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// Returns the number of the reply, for [`Reflecting::departed`].
+    /// Returns the number of the reply, for [`ReflectorState::departed`].
     pub const fn sequence(&self) -> u32 {
         self.reply.sequence
     }
@@ -109,7 +109,7 @@ impl Answer {
     }
 }
 
-impl Reflecting {
+impl ReflectorState {
     /// Creates a reflector without any sessions. With a `key` it answers only requests that the key authenticates.
     /// `stateful` makes it distinguish sessions. Its answers carry `instance`.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
@@ -237,7 +237,7 @@ impl Reflecting {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next = answer.sequence().wrapping_add(1);
-            session.last = Some(Left { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
+            session.last = Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
         }
     }
 

@@ -6,7 +6,7 @@ use peernet_clock::RelatedClocks;
 
 use super::auth::{CODE_BYTES, Key};
 use super::packet::{self, Mode, Request};
-use super::sender::SendingConfig;
+use super::sender::SenderConfig;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 
 /// Random octets of one request, which tie the answer to it.
@@ -22,7 +22,7 @@ pub(super) struct RequestPacket {
 }
 
 impl RequestPacket {
-    pub(super) fn new(config: &SendingConfig) -> Self {
+    pub(super) fn new(config: &SenderConfig) -> Self {
         let mut bytes = vec![0; Mode::of(config.key.as_ref()).base_bytes()];
         tlv::push(&mut bytes, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
         tlv::push(&mut bytes, tlv::ORIGIN, &Origin::default().to_value());

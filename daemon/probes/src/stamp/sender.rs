@@ -23,7 +23,7 @@ const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
 /// Configuration of a sender.
 #[derive(Clone, Debug)]
-pub struct SendingConfig {
+pub struct SenderConfig {
     /// Key shared with the reflector.
     pub key: Option<Key>,
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
@@ -46,7 +46,7 @@ pub struct SendingConfig {
 
 /// State of a sender.
 #[derive(Debug)]
-pub struct Sending {
+pub struct SenderState {
     key: Option<Key>,
     instance: Option<u64>,
     clocks: RelatedClocks,
@@ -75,7 +75,7 @@ pub struct Departure {
 }
 
 impl Departure {
-    /// Returns the number of the request, for [`Sending::departed`].
+    /// Returns the number of the request, for [`SenderState::departed`].
     pub const fn sequence(&self) -> u32 {
         self.sequence
     }
@@ -101,7 +101,7 @@ struct Answered {
 
 /// Arrival of a packet.
 #[derive(Clone, Copy, Debug)]
-pub struct Return {
+pub struct ReplyArrival {
     /// Kernel's stamp of the arrival, if it made one.
     pub kernel: Option<WallTime>,
     /// Clocks, read by the program afterwards.
@@ -114,7 +114,7 @@ pub struct Return {
 
 /// Result of a valid reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heard {
+pub struct ReplyResult {
     /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
     /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between: nothing follows
@@ -124,7 +124,7 @@ pub struct Heard {
 
 /// Values of the TLVs of a reply.
 #[derive(Clone, Copy, Debug, Default)]
-struct Told {
+struct TlvValues {
     follow_up: Option<FollowUp>,
     origin: Option<Origin>,
     raw: Option<RawStamps>,
@@ -135,7 +135,7 @@ struct Told {
 
 /// Times of the reflector's related clock in a reply.
 #[derive(Clone, Copy, Debug)]
-struct There {
+struct ReflectorTimes {
     received: RawTime,
     replied: RawTime,
     epoch: Option<u32>,
@@ -143,11 +143,11 @@ struct There {
     previous: Option<(u32, RawTime)>,
 }
 
-impl Sending {
+impl SenderState {
     /// Creates a session that has sent nothing.
-    pub fn new(config: SendingConfig) -> Self {
+    pub fn new(config: SenderConfig) -> Self {
         let packet = RequestPacket::new(&config);
-        let SendingConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
+        let SenderConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
         let (pending, lost) = (VecDeque::new(), VecDeque::new());
         let distrusts_kernel = false;
         Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, lost, distrusts_kernel }
@@ -241,7 +241,7 @@ impl Sending {
     ///
     /// # Errors
     /// The reason why it is not an answer.
-    pub fn receive(&mut self, packet: &[u8], returned: &Return) -> Result<Heard, &'static str> {
+    pub fn receive(&mut self, packet: &[u8], returned: &ReplyArrival) -> Result<ReplyResult, &'static str> {
         let mode = Mode::of(self.key.as_ref());
         let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
         if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
@@ -251,24 +251,24 @@ impl Sending {
         if reply.asked.ssid != self.ssid && reply.asked.ssid != 0 {
             return Err("of another session");
         }
-        let told = told(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
-        match (self.instance, told.origin) {
+        let tlv_values = read_tlvs(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
+        match (self.instance, tlv_values.origin) {
             (Some(expected), Some(origin)) if origin.instance != expected => return Err(ANOTHER_PROCESS),
             (Some(_), None) => {
                 let found = if self.key.is_some() { UNNAMED } else { NOT_OURS };
-                return Err(told.altered.unwrap_or(found));
+                return Err(tlv_values.altered.unwrap_or(found));
             }
             _ => {}
         }
-        let there = self.there(&reply, &told, returned.read.wall)?;
+        let reflector_times = self.reflector_times(&reply, &tlv_values, returned.read.wall)?;
         let Some(pending) = find(&mut self.pending, reply.asked.sequence) else {
             let late =
                 self.lost.iter().position(|lost| lost.sequence == reply.asked.sequence).ok_or(UNKNOWN)?;
-            is_answer_to(&self.lost[late], &reply, &told)?;
+            is_answer_to(&self.lost[late], &reply, &tlv_values)?;
             self.lost.remove(late);
             return Err(LATE);
         };
-        is_answer_to(&pending.departure, &reply, &told)?;
+        is_answer_to(&pending.departure, &reply, &tlv_values)?;
         // A reply may come to a probe that is answered; it must not replace the first answer.
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
@@ -277,7 +277,7 @@ impl Sending {
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
             pending.answer = Some(Answered { sequence: reply.sequence, observation: None });
-            return Ok(Heard { refined: None, answered: None });
+            return Ok(ReplyResult { refined: None, answered: None });
         }
         let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
         let is_impossible = |kernel: KernelStamp| {
@@ -292,36 +292,48 @@ impl Sending {
         // The program's readings are the outer bounds, which the kernel's stamps may narrow.
         let exchange = Exchange {
             sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
-            received: there.received,
-            replied: there.replied,
+            received: reflector_times.received,
+            replied: reflector_times.replied,
             returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
-            uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
+            uncertainty: if tlv_values.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
         let answered = ExchangeObservation {
             exchange,
             cloud_elapsed: None,
             edge_epoch: returned.epoch,
-            cloud_epoch: there.epoch,
+            cloud_epoch: reflector_times.epoch,
         };
         pending.answer = Some(Answered { sequence: reply.sequence, observation: Some(answered) });
-        let refined = there.previous.and_then(|(sequence, left)| {
+        let refined = reflector_times.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
         });
-        Ok(Heard { refined, answered: Some(answered) })
+        Ok(ReplyResult { refined, answered: Some(answered) })
     }
 
     /// Returns the times of the requested clock in a reply.
-    fn there(&self, reply: &Reply, told: &Told, near: WallTime) -> Result<There, &'static str> {
+    fn reflector_times(
+        &self,
+        reply: &Reply,
+        tlv_values: &TlvValues,
+        near: WallTime,
+    ) -> Result<ReflectorTimes, &'static str> {
         if self.clocks == RelatedClocks::Raw {
-            let RawStamps { epoch, received, replied, previous } = told.raw.ok_or(NOT_RAW)?;
-            return Ok(There { received, replied, epoch: Some(epoch), previous });
+            let RawStamps { epoch, received, replied, previous } = tlv_values.raw.ok_or(NOT_RAW)?;
+            return Ok(ReflectorTimes { received, replied, epoch: Some(epoch), previous });
         }
         let format = reply.estimate.format();
         let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::of_wall) };
         let stamps = decode(reply.received).zip(decode(reply.timestamp));
         let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
-        let previous = told.follow_up.and_then(|told| Some((told.sequence, decode(told.timestamp)?)));
-        Ok(There { received, replied, epoch: told.origin.map(|origin| origin.epoch), previous })
+        let previous = tlv_values
+            .follow_up
+            .and_then(|follow_up| Some((follow_up.sequence, decode(follow_up.timestamp)?)));
+        Ok(ReflectorTimes {
+            received,
+            replied,
+            epoch: tlv_values.origin.map(|origin| origin.epoch),
+            previous,
+        })
     }
 }
 
@@ -349,11 +361,11 @@ pub const UNNAMED: &str = "an authentic reply that does not say which process wr
 const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
 
 /// Checks that a reply returns the stamp and the octets of its request.
-fn is_answer_to(request: &Departure, reply: &Reply, told: &Told) -> Result<(), &'static str> {
+fn is_answer_to(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {
     if request.timestamp != reply.asked.timestamp {
         return Err("to another stamp than was sent");
     }
-    if request.nonce.is_some_and(|nonce| told.nonce != Some(nonce)) {
+    if request.nonce.is_some_and(|nonce| tlv_values.nonce != Some(nonce)) {
         return Err(NOT_BOUND);
     }
     Ok(())
@@ -389,15 +401,15 @@ fn refine(
 }
 
 /// Returns the values of the TLVs that may be believed (RFC 8972, section 4).
-fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
-    let mut told = Told::default();
+fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
+    let mut tlv_values = TlvValues::default();
     // A reflector that sets this flag returns the TLVs unchanged, so that their code does not match. The flag is
     // therefore checked first.
     if tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0) {
-        return Told { altered: Some(ALTERED_PROBE), ..told };
+        return TlvValues { altered: Some(ALTERED_PROBE), ..tlv_values };
     }
     if !tlv::are_intact(key, sequence, tlvs) {
-        return Told { altered: Some(ALTERED_ANSWER), ..told };
+        return TlvValues { altered: Some(ALTERED_ANSWER), ..tlv_values };
     }
     for place in tlv::places(tlvs) {
         // The TLVs after it are not authenticated.
@@ -406,15 +418,17 @@ fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
         }
         if place.flags & tlv::UNRECOGNISED == 0 {
             match place.kind {
-                tlv::EXTRA_PADDING => told.nonce = told.nonce.or(tlvs[place.value].try_into().ok()),
-                tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
-                tlv::ORIGIN => told.origin = Origin::from_value(&tlvs[place.value]),
+                tlv::EXTRA_PADDING => {
+                    tlv_values.nonce = tlv_values.nonce.or(tlvs[place.value].try_into().ok())
+                }
+                tlv::FOLLOW_UP => tlv_values.follow_up = FollowUp::from_value(&tlvs[place.value]),
+                tlv::ORIGIN => tlv_values.origin = Origin::from_value(&tlvs[place.value]),
                 tlv::RAW_STAMPS => {
-                    told.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
+                    tlv_values.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
                 }
                 _ => {}
             }
         }
     }
-    told
+    tlv_values
 }

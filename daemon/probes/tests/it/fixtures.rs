@@ -9,8 +9,8 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, WallTime};
-use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Heard, Return, Sending, SendingConfig};
+use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
+use peernet_probes::stamp::sender::{ReplyArrival, ReplyResult, SenderConfig, SenderState};
 
 use crate::support::{INSTANCE, key};
 
@@ -52,13 +52,13 @@ impl Conversation {
 }
 
 /// Sends two probes. If `stored` is given, its packets arrive in place of those that were sent.
-fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
+fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<ReplyResult>) {
     let key = mode.with_key.then(|| key(7));
     let edge = ManualClock::new(
         WallTime::from_unix_nanos(1_800_000_000_123_456_789),
         ClockIdentity::new("fixture", "edge"),
     );
-    let mut sender = Sending::new(SendingConfig {
+    let mut sender = SenderState::new(SenderConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
         bound: mode.bound,
@@ -68,7 +68,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
         padding_bytes: 24,
         timeout: Span::from_seconds(1),
     });
-    let mut reflector = Reflecting::new(key, INSTANCE, 1000, true);
+    let mut reflector = ReflectorState::new(key, INSTANCE, 1000, true);
     let source: SocketAddr = "192.0.2.1:40000".parse().expect("an address");
     let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
     let mut heard = Vec::new();
@@ -96,7 +96,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
 
         edge.advance(REFLECTION + WAY);
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
-        let returned = Return { kernel: None, read: edge.stamp(), ahead, epoch };
+        let returned = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
         heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));

@@ -6,10 +6,12 @@ use std::time::Duration;
 use peernet_probes::{ProbeResult, ReflectorConfig, Refusal};
 use tokio::net::UdpSocket;
 
-use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
+use crate::support::{
+    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+};
 
 /// Returns the number of probes that the reflector has read from its socket.
-fn looked_at(running: &Running) -> u64 {
+fn looked_at(running: &RunningReflector) -> u64 {
     let counts = running.figures.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
@@ -18,7 +20,7 @@ fn looked_at(running: &Running) -> u64 {
 #[tokio::test]
 async fn peers_are_answered_while_forged_sources_flood() {
     let config = ReflectorConfig { max_per_source_hz: 20, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     running.peers.send_replace(vec![running.address.ip()]);
     let mut sockets = Vec::new();
     for number in 0..500u32 {
@@ -29,7 +31,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
     let begun = clock.mono();
     let mut config = prober_config(running.address);
     config.timeout = Duration::from_secs(2);
-    let mut probing = Probing::start(config, 20.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 20.0, system_clock("edge"));
     let (mut answered, mut sent) = (0, 0);
     while answered < 40 {
         for some in sockets.chunks(100) {

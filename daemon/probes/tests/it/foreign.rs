@@ -10,7 +10,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    PATIENCE, Probing, Running, prober_config, reflector_config, system_clock, wall_ahead_of_this_host,
+    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+    wall_ahead_of_this_host,
 };
 
 fn stamp_suite() -> Command {
@@ -53,9 +54,9 @@ impl SharedKey {
 }
 
 /// A process that is killed when the test ends.
-struct Foreign(Child);
+struct ForeignProcess(Child);
 
-impl Drop for Foreign {
+impl Drop for ForeignProcess {
     fn drop(&mut self) {
         // Fails if it has already exited.
         let _ = self.0.kill();
@@ -74,7 +75,7 @@ async fn asked_by_their_sender(
     more: &[&str],
 ) -> Value {
     let config = ReflectorConfig { key: key.map(SharedKey::ours), stamps, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     let mut command = stamp_suite();
     command
         .args(["--remote-addr", "127.0.0.1", "--remote-port", &running.address.port().to_string()])
@@ -155,12 +156,12 @@ async fn answered_by_their_reflector(
     if let Some(key) = key {
         key.give(&mut command);
     }
-    let _foreign = Foreign(command.spawn().expect("it runs"));
+    let _foreign = ForeignProcess(command.spawn().expect("it runs"));
     let mut config = prober_config(target);
     config.key = key.map(SharedKey::ours);
     config.padding_bytes = 50;
     config.clocks = RelatedClocks::RawToWall;
-    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
     let mut results = Vec::new();
     let answered = async {
         while results.iter().filter(|result| matches!(result, ProbeResult::Answered(_))).count() < 30 {

@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
 use crate::support::{
-    INSTANCE, Probing, Running, key, loopback, prober_config, reflector_config, system_clock,
+    INSTANCE, RunningProber, RunningReflector, key, loopback, prober_config, reflector_config, system_clock,
     wall_ahead_of_this_host,
 };
 
@@ -30,11 +30,11 @@ fn holds_zero(observation: &ExchangeObservation) -> bool {
 }
 
 async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
-    let running = Running::start(reflector, system_clock("cloud"));
+    let running = RunningReflector::start(reflector, system_clock("cloud"));
     let mut config = prober_config(running.address);
     config.stamps = stamps;
     config.key = with_key.then(|| key(7));
-    let mut probing = Probing::start(config, 500.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 500.0, system_clock("edge"));
     let mut results = Vec::new();
     while results.iter().filter_map(answered).count() < 100 {
         results.push(probing.next().await);
@@ -76,7 +76,7 @@ async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both
 
 #[tokio::test]
 async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_next() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
     assert_eq!(prober.stamps_in_words(), "kernel, send and receive");
     drop(prober);
@@ -85,7 +85,7 @@ async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_
         let reflector = Reflector::bind(config, system_clock("cloud")).expect("a free port");
         assert_eq!(reflector.stamps_in_words(), words);
     }
-    let mut probing = Probing::start(prober_config(running.address), 200.0, system_clock("edge"));
+    let mut probing = RunningProber::start(prober_config(running.address), 200.0, system_clock("edge"));
     let mut known = Vec::new();
     for _ in 0..20 {
         let (better, before) = probing.until(refined).await;
@@ -128,8 +128,8 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
         ClockIdentity::new("test", "rehearsal"),
         description,
     ));
-    let running = Running::start(reflector_config(), cloud);
-    let mut probing = Probing::start(prober_config(running.address), 200.0, truth);
+    let running = RunningReflector::start(reflector_config(), cloud);
+    let mut probing = RunningProber::start(prober_config(running.address), 200.0, truth);
     for _ in 0..50 {
         let (observation, _) = probing.until(answered).await;
         let Interval { lo, hi } = observation.exchange.bounds();
@@ -161,8 +161,8 @@ async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
         let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
         let cloud = set_all_the_time("cloud", Span::from_millis(7), by);
         let edge = set_all_the_time("edge", Span::from_millis(5), by);
-        let running = Running::start(reflector_config(), cloud.clone());
-        let mut probing = Probing::start(prober_config(running.address), 500.0, edge.clone());
+        let running = RunningReflector::start(reflector_config(), cloud.clone());
+        let mut probing = RunningProber::start(prober_config(running.address), 500.0, edge.clone());
         let (mut answers, mut corrections) = (0, 0);
         while answers < 300 {
             match probing.next().await {
@@ -188,12 +188,13 @@ async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
 #[tokio::test]
 async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
     let listen = "[::]:0".parse().expect("an address");
-    let running = Running::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
+    let running =
+        RunningReflector::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
     for host in ["::1", "127.0.0.1"] {
         let target = std::net::SocketAddr::new(host.parse().expect("an address"), running.address.port());
         let mut config = prober_config(target);
         config.padding_bytes = 1000;
-        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
         let (observation, _) = probing.until(answered).await;
         assert!(holds_zero(&observation), "{host}: {observation:?}");
         probing.stop().await;
@@ -204,13 +205,13 @@ async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
 #[tokio::test]
 async fn who_has_another_key_or_none_gets_no_answer() {
     let config = ReflectorConfig { key: Some(key(7)), ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     for wrong in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
         // Without the TLV for raw stamps, an open request is shorter than an authenticated one.
         (config.key, config.clocks) = (wrong, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
-        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
         let (_, before) = probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
         assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
         probing.stop().await;
@@ -224,7 +225,7 @@ async fn who_has_another_key_or_none_gets_no_answer() {
 #[tokio::test]
 async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
     let config = ReflectorConfig { max_per_source_hz: 5, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     let socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let request = [0; 44];
     // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
@@ -251,8 +252,8 @@ async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
 
 #[tokio::test]
 async fn the_rate_can_be_changed_and_zero_pauses() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
-    let mut probing = Probing::start(prober_config(running.address), 0.0, system_clock("edge"));
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
+    let mut probing = RunningProber::start(prober_config(running.address), 0.0, system_clock("edge"));
     let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
     assert!(quiet.is_err(), "nothing is sent while paused: {quiet:?}");
     // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
@@ -275,7 +276,7 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut config = prober_config(silent.local_addr().expect("bound"));
     config.timeout = Duration::from_millis(20);
-    let mut probing = Probing::start(config.clone(), 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config.clone(), 100.0, system_clock("edge"));
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
@@ -285,7 +286,7 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
     // A reflector starts on the port.
-    let running = Running::start(
+    let running = RunningReflector::start(
         ReflectorConfig { listen: config.target, ..reflector_config() },
         system_clock("cloud"),
     );
@@ -297,12 +298,12 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
 /// The system's clock as seen by a program to which a false time is shown, of which the kernel knows nothing, as under
 /// libfaketime.
 #[derive(Debug)]
-struct Shown {
+struct ShownClock {
     system: SystemClock,
     ahead: Span,
 }
 
-impl Clock for Shown {
+impl Clock for ShownClock {
     fn wall(&self) -> WallTime {
         self.system.wall() + self.ahead
     }
@@ -321,7 +322,7 @@ impl Clock for Shown {
 }
 
 fn shown(ahead: Span) -> SharedClock {
-    std::sync::Arc::new(Shown { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
+    std::sync::Arc::new(ShownClock { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
 }
 
 #[tokio::test]
@@ -336,10 +337,10 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
         (-little, much),
     ] {
         for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
-            let running = Running::start(reflector_config(), shown(cloud));
+            let running = RunningReflector::start(reflector_config(), shown(cloud));
             let mut config = prober_config(running.address);
             (config.instance, config.clocks) = (Some(INSTANCE), clocks);
-            let mut probing = Probing::start(config, 200.0, shown(edge));
+            let mut probing = RunningProber::start(config, 200.0, shown(edge));
             let holds = |observation: &ExchangeObservation| {
                 let bounds = observation.exchange.bounds();
                 let offset = match clocks {
@@ -373,9 +374,9 @@ async fn where_stamps_are_made_is_known_before_the_first_probe() {
 
 #[tokio::test]
 async fn another_process_than_was_expected_is_refused() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let config = peernet_probes::ProberConfig { instance: Some(7), ..prober_config(running.address) };
-    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
     let refusal =
         |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
     let (why, before) = probing.until(refusal).await;
@@ -390,7 +391,7 @@ async fn only_the_target_is_believed() {
     let target = UdpSocket::bind(loopback()).await.expect("a socket");
     let other = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut probing =
-        Probing::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
+        RunningProber::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
     let mut packet = [0; 2048];
     let (bytes, prober) = target.recv_from(&mut packet).await.expect("a probe");
     other.send_to(&packet[..bytes], prober).await.expect("sent");

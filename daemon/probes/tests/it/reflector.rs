@@ -6,7 +6,7 @@ use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
 use peernet_probes::Refusal;
 use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
-use peernet_probes::stamp::reflector::{Answer, Arrival, Reflecting};
+use peernet_probes::stamp::reflector::{Answer, Arrival, ReflectorState};
 use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
 use peernet_probes::stamp::tlv::{self, FollowUp, Origin, RawStamps};
 
@@ -43,7 +43,7 @@ fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) ->
     packet
 }
 
-fn answer(reflector: &mut Reflecting, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
+fn answer(reflector: &mut ReflectorState, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
     let answer = reflector.prepare(packet, &arrival(clock))?;
     let stamp = reflector.complete(&answer, packet, clock);
     reflector.sent(&answer, stamp);
@@ -59,7 +59,7 @@ fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
 fn the_answer_holds_both_stamps_and_the_question() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
-        let mut reflector = Reflecting::new(None, INSTANCE, 100, false);
+        let mut reflector = ReflectorState::new(None, INSTANCE, 100, false);
         let asked = Request {
             sequence: 77,
             timestamp: format.encode(NOW - Span::from_seconds(3)),
@@ -82,8 +82,8 @@ fn the_answer_holds_both_stamps_and_the_question() {
 #[test]
 fn a_reflector_with_sessions_numbers_its_replies_for_each() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
-    let number = |reflector: &mut Reflecting, sequence, ssid| {
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+    let number = |reflector: &mut ReflectorState, sequence, ssid| {
         let mut packet = request(None, sequence, ssid, &[]);
         answer(reflector, &clock, &mut packet).expect("answered").sequence()
     };
@@ -99,7 +99,7 @@ fn a_reflector_with_sessions_numbers_its_replies_for_each() {
 #[test]
 fn the_follow_up_tells_when_the_previous_reply_left() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
     let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
         [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
@@ -123,7 +123,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     answer(&mut reflector, &clock, &mut second).expect("answered");
     assert_eq!(follow_up(&second), Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(left) }));
 
-    let mut stateless = Reflecting::new(None, INSTANCE, 100, false);
+    let mut stateless = ReflectorState::new(None, INSTANCE, 100, false);
     for _ in 0..2 {
         let mut packet = request(None, 7, 1, &[(tlv::FOLLOW_UP, &[9; FollowUp::BYTES])]);
         answer(&mut stateless, &clock, &mut packet).expect("answered");
@@ -138,7 +138,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
 #[test]
 fn tlvs_are_flagged_and_go_back_in_their_order() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let mut packet = request(
         None,
         1,
@@ -181,7 +181,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
     let (clock, key) = (clock(), key(7));
     let room: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
-    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 100, true);
     let mut flags = |tlvs: &[(u8, &[u8])], touch: bool| {
         let mut packet = request(Some(&key), 1, 1, tlvs);
         if touch {
@@ -204,7 +204,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
         [0; 3]
     );
 
-    let mut keyless = Reflecting::new(None, INSTANCE, 100, true);
+    let mut keyless = ReflectorState::new(None, INSTANCE, 100, true);
     let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
     answer(&mut keyless, &clock, &mut packet).expect("answered");
     assert!(tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == bad), "nobody here can verify it");
@@ -213,7 +213,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
 #[test]
 fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
     let (clock, key) = (clock(), key(7));
-    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 3, true);
+    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 3, true);
     let good = request(Some(&key), 1, 1, &[]);
     for at in [0, 20, 60, 111] {
         let mut packet = good.clone();
@@ -232,7 +232,7 @@ fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
 #[test]
 fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     let (clock, ours, theirs) = (clock(), &key(7), &key(8));
-    let keyed = || Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
+    let keyed = || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
     let mut reflector = keyed();
     let (room, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
     let sealed_by = |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
@@ -243,7 +243,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     assert!(packet::is_sealed(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
     assert_eq!(packet.len(), asked.len());
     // Neither this reflector nor that of another process answers the answer.
-    let mut other = Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
+    let mut other = ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
     for reflector in [&mut reflector, &mut other] {
         let back = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
         assert!(matches!(back, Err(Refusal::Reply | Refusal::Unauthenticated)), "{back:?}");
@@ -260,7 +260,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     let padding: &[u8] = &[0; 300];
     for tlvs in [&[][..], &[(tlv::FOLLOW_UP, room)], &[(tlv::FOLLOW_UP, room), (tlv::EXTRA_PADDING, padding)]]
     {
-        let mut reflectors = [keyed(), Reflecting::new(None, INSTANCE, 100, true)];
+        let mut reflectors = [keyed(), ReflectorState::new(None, INSTANCE, 100, true)];
         let [with, without] = reflectors.each_mut().map(|reflector| {
             let mut packet = request(None, 1, 1, tlvs);
             answer(reflector, &clock, &mut packet).expect("answered");
@@ -270,7 +270,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     }
     // A mandatory key takes precedence.
     let mut strict =
-        Reflecting::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
+        ReflectorState::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
     let mut packet = sealed_by(ours);
     assert_eq!(answer(&mut strict, &clock, &mut packet).expect_err("another"), Refusal::Unauthenticated);
     let refused = answer(&mut strict, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
@@ -283,8 +283,8 @@ fn two_reflectors_do_not_play_ping_pong() {
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
             let mode = Mode::of(key.as_ref());
-            let mut one = Reflecting::new(key.clone(), INSTANCE, 100, true);
-            let mut other = Reflecting::new(key.clone(), INSTANCE, 100, false);
+            let mut one = ReflectorState::new(key.clone(), INSTANCE, 100, true);
+            let mut other = ReflectorState::new(key.clone(), INSTANCE, 100, false);
             let mut packet = request(key.as_ref(), 1, 1, &[]);
             let mut asked = Request::parse(mode, &packet).expect("long enough");
             asked.estimate = ErrorEstimate::new(format, Span::ZERO);
@@ -299,7 +299,7 @@ fn two_reflectors_do_not_play_ping_pong() {
             assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);
         }
     }
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let from_nowhere = Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
     let refused = reflector.prepare(&mut request(None, 1, 1, &[]), &from_nowhere);
     assert_eq!(refused.expect_err("port 0"), Refusal::NoPort);
@@ -308,7 +308,7 @@ fn two_reflectors_do_not_play_ping_pong() {
 #[test]
 fn twamp_light_senders_are_answered_whatever_their_padding() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 1000, false);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 1000, false);
     for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {
         let mut packet = vec![padding; length];
         packet[..4].copy_from_slice(&9u32.to_be_bytes());

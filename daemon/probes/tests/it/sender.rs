@@ -7,8 +7,8 @@ use peernet_clock::{
     Clock, ClockIdentity, ExchangeObservation, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime,
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
-use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Departure, Heard, LATE, Return, Sending, SendingConfig};
+use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
+use peernet_probes::stamp::sender::{Departure, LATE, ReplyArrival, ReplyResult, SenderConfig, SenderState};
 use peernet_probes::stamp::tlv::{self, Origin, RawStamps};
 use peernet_probes::stamp::uncertainty;
 
@@ -17,8 +17,8 @@ use crate::support::{INSTANCE, key};
 const TIMEOUT: Span = Span::from_seconds(1);
 const WAY: Span = Span::from_micros(700);
 
-fn config() -> SendingConfig {
-    SendingConfig {
+fn config() -> SenderConfig {
+    SenderConfig {
         key: None,
         instance: None,
         bound: false,
@@ -34,8 +34,8 @@ fn config() -> SendingConfig {
 /// ahead by a second, and its free-running clock shows the same time as the sender's.
 struct Pair {
     clock: Arc<ManualClock>,
-    sender: Sending,
-    reflector: Reflecting,
+    sender: SenderState,
+    reflector: ReflectorState,
     ahead: Span,
 }
 
@@ -45,8 +45,8 @@ impl Pair {
         let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
         Self {
             clock: Arc::new(ManualClock::new(start, ClockIdentity::new("b", "c"))),
-            sender: Sending::new(SendingConfig { key: key.clone(), ssid: 99, first, ..config() }),
-            reflector: Reflecting::new(key, INSTANCE, 1_000_000, true),
+            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, first, ..config() }),
+            reflector: ReflectorState::new(key, INSTANCE, 1_000_000, true),
             ahead: Span::from_seconds(1),
         }
     }
@@ -55,7 +55,8 @@ impl Pair {
     fn raw(with_key: bool) -> Self {
         let mut pair = Self::new(0, with_key);
         let key = with_key.then(|| key(7));
-        pair.sender = Sending::new(SendingConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
+        pair.sender =
+            SenderState::new(SenderConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
         pair
     }
 
@@ -67,9 +68,9 @@ impl Pair {
         there
     }
 
-    fn returned(&self, kernel: Option<WallTime>) -> Return {
+    fn returned(&self, kernel: Option<WallTime>) -> ReplyArrival {
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
-        Return { kernel, read: self.clock.stamp(), ahead, epoch }
+        ReplyArrival { kernel, read: self.clock.stamp(), ahead, epoch }
     }
 
     fn send(&mut self) -> (Departure, Vec<u8>) {
@@ -95,12 +96,12 @@ impl Pair {
         packet
     }
 
-    fn hear(&mut self, packet: &[u8]) -> Result<Heard, &'static str> {
+    fn hear(&mut self, packet: &[u8]) -> Result<ReplyResult, &'static str> {
         let returned = self.returned(None);
         self.sender.receive(packet, &returned)
     }
 
-    fn exchange(&mut self) -> Heard {
+    fn exchange(&mut self) -> ReplyResult {
         let (_, packet) = self.send();
         let reply = self.reflect(packet);
         self.hear(&reply).expect("an answer")
@@ -116,7 +117,7 @@ impl Pair {
     }
 }
 
-fn answered(heard: &Heard) -> ExchangeObservation {
+fn answered(heard: &ReplyResult) -> ExchangeObservation {
     heard.answered.expect("no step")
 }
 
@@ -253,7 +254,7 @@ fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
         let mut pair = Pair::raw(true);
         let clocks = RelatedClocks::Raw;
         let (key, instance) = (Some(key(7)), Some(INSTANCE));
-        pair.sender = Sending::new(SendingConfig { key, instance, bound: true, ssid, clocks, ..config() });
+        pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, ssid, clocks, ..config() });
         pair
     };
     let mut earlier = bound(1);
@@ -321,16 +322,16 @@ fn what_is_remembered_is_bounded() {
 fn requests_are_authentic_and_padded_as_configured() {
     let clock = ManualClock::new(WallTime::from_unix_nanos(1), ClockIdentity::new("b", "c"));
     let mut sender =
-        Sending::new(SendingConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
+        SenderState::new(SenderConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
     let (departure, packet) = sender.request(&clock);
     assert_eq!(departure.sequence(), 5);
     assert!(packet::is_sealed(&key(7), packet));
     assert!(tlv::are_intact(Some(&key(7)), 5, &packet[112..]));
     assert_eq!(packet.len(), 112 + 20 + 20 + 20 + 104);
-    let mut sender = Sending::new(config());
+    let mut sender = SenderState::new(config());
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20);
-    let mut sender = Sending::new(SendingConfig { clocks: RelatedClocks::Raw, ..config() });
+    let mut sender = SenderState::new(SenderConfig { clocks: RelatedClocks::Raw, ..config() });
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20 + 40);
 }
@@ -344,7 +345,7 @@ fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
     // The first reply shows the interruption; the others were in flight during it, too.
     for reply in replies {
         let heard = pair.hear(&reply).expect("an answer");
-        assert_eq!(heard, Heard { refined: None, answered: None });
+        assert_eq!(heard, ReplyResult { refined: None, answered: None });
         assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
     }
     let after = pair.exchange();
@@ -357,7 +358,7 @@ fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
 fn another_process_is_not_believed_where_one_is_expected() {
     for (expected, believed) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
         let mut pair = Pair::new(0, false);
-        pair.sender = Sending::new(SendingConfig { instance: expected, ..config() });
+        pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
         let told = pair.hear(&reply);
@@ -373,7 +374,7 @@ fn another_process_is_not_believed_where_one_is_expected() {
 #[test]
 fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
     let mut pair = Pair::new(0, false);
-    pair.sender = Sending::new(SendingConfig { instance: Some(INSTANCE), ..config() });
+    pair.sender = SenderState::new(SenderConfig { instance: Some(INSTANCE), ..config() });
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let foreign = [&reply[..44], &packet[44..]].concat();
@@ -388,7 +389,7 @@ fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
 fn authentic_reply_with_damaged_tlvs_is_refused_by_what_was_found() {
     let mut pair = Pair::raw(true);
     let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
-    pair.sender = Sending::new(SendingConfig { key, instance, bound: true, clocks, ..config() });
+    pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, clocks, ..config() });
     let (_, packet) = pair.send();
     let mut altered_request = packet.clone();
     altered_request[112 + tlv::HEADER_BYTES] ^= 1;

@@ -64,7 +64,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
 }
 
 /// A running reflector.
-pub(crate) struct Running {
+pub(crate) struct RunningReflector {
     pub(crate) address: SocketAddr,
     pub(crate) figures: ReflectorFigures,
     pub(crate) peers: watch::Sender<Vec<IpAddr>>,
@@ -72,7 +72,7 @@ pub(crate) struct Running {
     task: JoinHandle<Result<(), ReceiveError>>,
 }
 
-impl Running {
+impl RunningReflector {
     pub(crate) fn start(config: ReflectorConfig, clock: SharedClock) -> Self {
         let reflector = Reflector::bind(config, clock).expect("loopback has free ports");
         let (address, figures) = (reflector.address(), reflector.figures());
@@ -89,14 +89,14 @@ impl Running {
 }
 
 /// A running prober.
-pub(crate) struct Probing {
+pub(crate) struct RunningProber {
     pub(crate) rate_hz: watch::Sender<f64>,
     pub(crate) results: mpsc::Receiver<ProbeResult>,
     stop: CancellationToken,
     task: JoinHandle<()>,
 }
 
-impl Probing {
+impl RunningProber {
     pub(crate) fn start(config: ProberConfig, rate_hz: f64, clock: SharedClock) -> Self {
         let prober = Prober::open(config, clock).expect("a socket");
         let (rate_hz, rate) = watch::channel(rate_hz);

@@ -7,13 +7,13 @@ use std::hash::Hash;
 /// one, and the previous old generation is forgotten. All operations take constant time. A crowd of new keys makes the
 /// table forget old ones, but the table never refuses a key.
 #[derive(Debug)]
-pub(super) struct Recent<K, V> {
+pub(super) struct RecentMap<K, V> {
     young: HashMap<K, V>,
     old: HashMap<K, V>,
     generation: usize,
 }
 
-impl<K: Eq + Hash, V> Recent<K, V> {
+impl<K: Eq + Hash, V> RecentMap<K, V> {
     /// Creates a table that remembers at least the `generation` most recently used keys, and at most twice as many.
     pub(super) fn new(generation: usize) -> Self {
         Self { young: HashMap::new(), old: HashMap::new(), generation }

@@ -6,16 +6,16 @@ use peernet_clock::{MonoTime, Span};
 use crate::Refusal;
 
 /// Shortest interval between two log lines with the same reason, whoever it concerns.
-const EVERY: Span = Span::from_seconds(60);
+const LOG_INTERVAL: Span = Span::from_seconds(60);
 
 /// Time of the last log line of each reason, and the number of probes refused for it since then.
 #[derive(Debug)]
-pub(crate) struct Complaints {
+pub(crate) struct RefusalLog {
     key: bool,
     reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
 }
 
-impl Complaints {
+impl RefusalLog {
     /// Creates the state for a reflector with or without a key.
     pub(crate) fn new(key: bool) -> Self {
         Self { key, reasons: [(None, 0); Refusal::ALL.len()] }
@@ -26,7 +26,7 @@ impl Complaints {
     pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
         let (told, count) = &mut self.reasons[why as usize];
         *count += 1;
-        if told.is_some_and(|told| now - told < EVERY) {
+        if told.is_some_and(|told| now - told < LOG_INTERVAL) {
             return None;
         }
         *told = Some(now);
@@ -60,22 +60,22 @@ mod tests {
     #[test]
     fn each_reason_is_told_once_a_minute_and_names_the_key_where_that_is_the_matter() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
-        let mut complaints = Complaints::new(true);
+        let mut refusal_log = RefusalLog::new(true);
         let mut told = Vec::new();
         for _ in 0..1_210 {
-            told.extend(complaints.due(Refusal::Short, clock.mono()));
+            told.extend(refusal_log.due(Refusal::Short, clock.mono()));
             clock.advance(Span::from_millis(100));
         }
         let counts: Vec<u64> = told.iter().map(|(count, _)| *count).collect();
         assert_eq!(counts, [1, 600, 600], "{told:?}");
         assert!(told.iter().all(|(_, advice)| advice.contains("key_file")), "{told:?}");
-        assert!(complaints.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
+        assert!(refusal_log.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
         assert!(
-            complaints
+            refusal_log
                 .due(Refusal::TooOften, clock.mono())
                 .is_some_and(|(_, advice)| !advice.contains("key"))
         );
-        let advice = Complaints::new(false).due(Refusal::Short, clock.mono());
+        let advice = RefusalLog::new(false).due(Refusal::Short, clock.mono());
         assert!(advice.is_some_and(|(_, advice)| !advice.contains("key")), "{advice:?}");
     }
 }

@@ -9,10 +9,10 @@ use peernet_clock::{Interval, RawTime, SharedClock, WallTime};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::complaints::Complaints;
+use crate::refusal_log::RefusalLog;
 use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::kernel::KernelStamp;
-use crate::stamp::reflector::{Arrival, Reflecting, SessionId};
+use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
 use crate::stamp::uncertainty::AGREEMENT;
 use crate::{Key, ReflectorFigures, Refusal, Stamps};
 
@@ -26,7 +26,7 @@ const MAX_FAILURES: u32 = 100;
 const MAX_DEPARTING: usize = 1024;
 
 /// Largest number of remembered comparisons of the two clocks.
-const MAX_LOOKS: usize = 8;
+const MAX_COMPARISONS: usize = 8;
 
 /// Configuration of a reflector.
 #[derive(Clone, Debug)]
@@ -95,15 +95,15 @@ pub struct ReceiveError {
 #[derive(Debug)]
 pub struct Reflector {
     socket: ProbeSocket,
-    logic: Reflecting,
+    logic: ReflectorState,
     clock: SharedClock,
     figures: ReflectorFigures,
     peers: watch::Sender<Vec<IpAddr>>,
     /// Replies whose departure stamps may still come.
     departing: VecDeque<Departing>,
     /// Latest comparisons of the two clocks, oldest first.
-    looks: VecDeque<Look>,
-    complaints: Complaints,
+    comparisons: VecDeque<ClockComparison>,
+    refusal_log: RefusalLog,
 }
 
 /// A reply whose departure stamp may still come.
@@ -118,7 +118,7 @@ struct Departing {
 
 /// A comparison of the two clocks: the difference wall clock minus free-running clock, and a time after it was read.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct ClockComparison {
     at: RawTime,
     ahead: Interval,
 }
@@ -141,14 +141,19 @@ impl Reflector {
         })?;
         Ok(Self {
             socket,
-            complaints: Complaints::new(config.key.is_some()),
-            logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful)
-                .with_session_key(config.session_key),
+            refusal_log: RefusalLog::new(config.key.is_some()),
+            logic: ReflectorState::new(
+                config.key,
+                config.instance,
+                config.max_per_source_hz,
+                config.stateful,
+            )
+            .with_session_key(config.session_key),
             clock,
             figures: ReflectorFigures::default(),
             peers: watch::Sender::default(),
             departing: VecDeque::new(),
-            looks: VecDeque::new(),
+            comparisons: VecDeque::new(),
         })
     }
 
@@ -179,7 +184,7 @@ impl Reflector {
     /// If the socket is lost.
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
         self.socket.check().await;
-        self.look();
+        self.compare_clocks();
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
         let mut peers = self.peers.subscribe();
@@ -207,7 +212,7 @@ impl Reflector {
                             Ok(()) => self.figures.count_answered(),
                             Err(why) => {
                                 self.figures.count_refused(why);
-                                self.complain(why, received.source);
+                                self.log_refusal(why, received.source);
                             }
                         }
                         None
@@ -229,8 +234,8 @@ impl Reflector {
         }
     }
 
-    fn complain(&mut self, why: Refusal, source: SocketAddr) {
-        if let Some((count, advice)) = self.complaints.due(why, self.clock.mono()) {
+    fn log_refusal(&mut self, why: Refusal, source: SocketAddr) {
+        if let Some((count, advice)) = self.refusal_log.due(why, self.clock.mono()) {
             let (why, listen) = (why.in_words(), self.address());
             tracing::warn!(
                 %source, %listen, count,
@@ -247,7 +252,7 @@ impl Reflector {
             self.socket.check().await;
         }
         let before = kernel.and_then(|stamp| self.ahead_before(stamp));
-        let ahead = self.look();
+        let ahead = self.compare_clocks();
         let latest = |stamp| before.map(|before| KernelStamp::between(stamp, before, ahead).latest);
         let arrival = Arrival {
             source: received.source,
@@ -283,27 +288,29 @@ impl Reflector {
         };
         let named = self.departing.drain(..=found).next_back();
         if let (Some(Departing { session, sequence, ahead, .. }), Some(left)) = (named, left) {
-            let left_raw = KernelStamp::between(left, ahead, self.look()).earliest;
+            let left_raw = KernelStamp::between(left, ahead, self.compare_clocks()).earliest;
             self.logic.departed(&session, sequence, left, left_raw);
         }
     }
 
     /// Compares the two clocks, and remembers and returns the difference.
-    fn look(&mut self) -> Interval {
+    fn compare_clocks(&mut self) -> Interval {
         let ahead = self.clock.wall_ahead();
         let at = self.clock.raw();
-        if self.looks.len() >= MAX_LOOKS {
-            self.looks.pop_front();
+        if self.comparisons.len() >= MAX_COMPARISONS {
+            self.comparisons.pop_front();
         }
-        self.looks.push_back(Look { at, ahead });
+        self.comparisons.push_back(ClockComparison { at, ahead });
         ahead
     }
 
     /// Returns the difference of the clocks at the newest comparison that was certainly before the kernel's stamp.
     /// `None` if all remembered ones may have been after it.
     fn ahead_before(&self, stamp: WallTime) -> Option<Interval> {
-        let newest = self.looks.back()?.ahead;
-        let is_before = |look: &&Look| look.at < KernelStamp::between(stamp, look.ahead, newest).earliest;
-        self.looks.iter().rev().find(is_before).map(|look| look.ahead)
+        let newest = self.comparisons.back()?.ahead;
+        let is_before = |comparison: &&ClockComparison| {
+            comparison.at < KernelStamp::between(stamp, comparison.ahead, newest).earliest
+        };
+        self.comparisons.iter().rev().find(is_before).map(|comparison| comparison.ahead)
     }
 }
