@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn all_ports_together_leave_a_quarter() {
+    fn all_ports_leave_a_quarter_of_descriptors() {
         for limit in [256, 1_024, 4_096, 1 << 20] {
             let connections = SHARES.map(|share| one(share, Some(limit)) as u64 + PORT_OVERHEAD);
             assert!(connections.iter().sum::<u64>() <= limit * 3 / 4, "{limit}: {connections:?}");

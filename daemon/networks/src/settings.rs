@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_work_is_named_and_the_defaults_can() {
+    fn invalid_settings_are_named_and_defaults_are_valid() {
         let with = |change: fn(&mut SessionSettings)| {
             let mut settings = SessionSettings::default();
             change(&mut settings);

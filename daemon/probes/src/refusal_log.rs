@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_reason_is_told_once_a_minute_and_names_the_key_where_that_is_the_matter() {
+    fn each_reason_is_logged_once_a_minute() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
         let mut refusal_log = RefusalLog::new(true);
         let mut told = Vec::new();

@@ -95,14 +95,14 @@ mod tests {
     }
 
     #[test]
-    fn what_was_missed_stays_missed() {
+    fn missed_probes_are_skipped() {
         let mut schedule = Schedule::new(10.0, at(0));
         schedule.advance(at(5000));
         assert!(schedule.due().is_some_and(|due| due >= at(5080) && due <= at(5120)), "{schedule:?}");
     }
 
     #[test]
-    fn a_new_rate_holds_at_once_and_zero_pauses() {
+    fn new_rate_applies_at_once_and_zero_pauses() {
         let mut schedule = Schedule::new(0.01, at(0));
         schedule.advance(at(100));
         assert!(schedule.due().is_some_and(|due| due > at(70_000)));

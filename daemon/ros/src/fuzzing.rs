@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn corpora_are_survived() {
+    fn corpora_are_read_without_panic() {
         for (name, run) in TARGETS {
             let corpus = corpus(name);
             assert!(!corpus.is_empty(), "{name}");
@@ -136,12 +136,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..400)) {
+        fn any_bytes_are_read_without_panic(data in proptest::collection::vec(any::<u8>(), 0..400)) {
             TARGETS.into_iter().for_each(|(_, run)| run(&data));
         }
 
         #[test]
-        fn damaged_corpora_are_survived(
+        fn damaged_corpora_are_read_without_panic(
             (run, mut data) in inputs(),
             changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
         ) {

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_prefix_and_32_digits_make_a_name() {
+    fn name_is_prefix_and_32_digits() {
         let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
         assert_eq!(good.parse::<ClockSocketName>().map(|name| name.to_string()).as_deref(), Ok(good));
         let bad = [
@@ -99,13 +99,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn text_of_a_name_leads_back_to_it(bytes: [u8; ClockSocketName::BYTES]) {
+        fn name_parses_from_its_text(bytes: [u8; ClockSocketName::BYTES]) {
             let name = ClockSocketName::new(bytes);
             prop_assert_eq!(name.to_string().parse(), Ok(name));
         }
 
         #[test]
-        fn whatever_is_parsed_has_the_one_form(text in "(peernet-clock-)?[0-9a-fA-F/+]{28,34}") {
+        fn parsed_names_have_canonical_form(text in "(peernet-clock-)?[0-9a-fA-F/+]{28,34}") {
             if let Ok(name) = text.parse::<ClockSocketName>() {
                 prop_assert_eq!(name.to_string(), text);
             }

@@ -304,12 +304,12 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_can_panic(wire in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn any_header_bytes_are_read_without_panic(wire in proptest::collection::vec(any::<u8>(), 0..200)) {
             let _ = Header::decode(&wire);
         }
 
         #[test]
-        fn no_damage_can_panic_and_no_part_is_a_whole(
+        fn damaged_or_truncated_header_is_refused(
             header in strategies::header(Vec::new()),
             at: prop::sample::Index,
             byte: u8,
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_is_put_together_only_from_all_of_its_parts() {
+    fn sample_is_assembled_from_all_its_parts_only() {
         let part = |text: &'static str| Part { description: Description::bytes(), bytes: text.into() };
         let sample = Sample { parts: vec![part("a"), part("b")], source: "s".into(), label: None };
         let header = SampleHeader::of(&sample).expect("two parts");
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_hold_when_writing_and_when_reading() {
+    fn limits_hold_for_writing_and_reading() {
         let many = Sample {
             parts: vec![Part { description: Description::bytes(), bytes: Bytes::new() }; MAX_PARTS + 1],
             source: String::new(),
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peers_words_cannot_drive_a_terminal() {
+    fn text_of_peer_contains_no_control_characters() {
         let session = SessionId::random();
         let goodbye = |reason: &str| {
             Header::Goodbye(super::super::Goodbye { session, reason: reason.to_owned(), ordered: None })
@@ -372,7 +372,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nor_can_what_a_cloud_says_of_itself(mut accepted in strategies::accepted()) {
+        fn cloud_information_contains_no_control_characters(mut accepted in strategies::accepted()) {
             let evil = || "cpu\u{1b}[2J".to_owned();
             (accepted.version, accepted.device, accepted.facts) = (evil(), evil(), vec![(evil(), evil())]);
             let (protocol, session) = (SESSION_VERSIONS.newest(), SessionId::random());

@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_count_until_the_last_part_of_them_is_dropped() {
+    fn bytes_are_reserved_until_last_part_is_dropped() {
         let budget = Budget::new(100);
         let held = budget.hold(frames(&[10, 50])).expect("fits");
         assert_eq!((held[0].len(), held[1].len()), (10, 50));

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_is_delivered_once_and_is_late_after_that() {
+    fn second_answer_to_a_request_is_late() {
         let session = SessionId::random();
         let mut client = Client::new(session);
         let (a, b) = (client.begin('a').expect("open"), client.begin('b').expect("open"));
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_reason_for_the_end_stays() {
+    fn first_end_reason_is_kept() {
         let session = SessionId::random();
         let mut client = Client::new(session);
         client.begin('a').expect("open");
@@ -234,7 +234,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_arrives_every_request_ends_once(
+        fn every_request_ends_once(
             (session, steps) in any::<()>().prop_map(|()| SessionId::random()).prop_flat_map(|s| (Just(s), steps(s)))
         ) {
             let mut client = Client::new(session);
@@ -290,7 +290,7 @@ mod tests {
         }
 
         #[test]
-        fn only_an_answer_opens_a_session(header in strategies::header(Vec::new())) {
+        fn session_opens_on_answer_only(header in strategies::header(Vec::new())) {
             let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
             prop_assert_eq!(matches!(opened(header), Opened::Accepted(_)), answers);

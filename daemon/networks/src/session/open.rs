@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reason_that_says_what_to_do_is_not_followed_by_a_question() {
+    fn reason_with_advice_gets_no_hint() {
         let told = |reason: &str| {
             let address = "tcp://a:1".parse().expect("an address");
             OpenError::Unreachable { address, reason: reason.to_owned() }.to_string()

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn end_tells_all_requests_and_gives_out_no_place() {
+    async fn session_end_fails_all_requests() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
         let place = requests.place(&mut log(), soon).await.expect("one is free");

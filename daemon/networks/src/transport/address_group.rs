@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ipv6_network_counts_as_one_address() {
+    fn ipv6_network_counts_as_one_address() {
         let group = |text: &str| AddressGroup::of(text.parse().expect("an address"));
         assert_eq!(group("[2001:db8::1]:1"), group("[2001:db8::ffff:1]:2"));
         assert_ne!(group("[2001:db8:0:1::1]:1"), group("[2001:db8::1]:1"));

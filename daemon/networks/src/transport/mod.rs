@@ -453,7 +453,7 @@ mod tests {
     use crate::{SESSION_VERSIONS, SessionSettings};
 
     #[tokio::test]
-    async fn one_name_may_stand_for_several_schemes() {
+    async fn listener_name_may_have_several_schemes() {
         let schemes = NetworkKind::ALL.iter().map(|kind| (kind.name(), kind.schemes()));
         let expected: [(&str, &[&str]); 2] = [("wire", &["wire"]), ("robot", &["robot1", "robot2"])];
         assert_eq!(schemes.collect::<Vec<_>>(), expected);

@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_that_kernel_lacks_are_unknown() {
+    fn fields_missing_in_kernel_are_unknown() {
         let mut info = [0_u8; 104];
         info[68..72].copy_from_slice(&1_500_u32.to_ne_bytes());
         info[72..76].copy_from_slice(&300_u32.to_ne_bytes());

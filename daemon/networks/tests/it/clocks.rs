@@ -181,7 +181,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
 }
 
 #[tokio::test]
-async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does() {
+async fn time_at_cloud_is_measured_despite_clock_steps() {
     let clock = Set::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
@@ -209,7 +209,7 @@ async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does()
 }
 
 #[tokio::test]
-async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
+async fn moved_cloud_clock_yields_no_observation() {
     let clock = Set::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
@@ -238,7 +238,7 @@ async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
 }
 
 #[tokio::test]
-async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
+async fn interrupted_raw_clock_of_edge_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let mut open = Vec::new();
     for version in [4, 5] {
@@ -259,7 +259,7 @@ async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
 }
 
 #[tokio::test]
-async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_learn_from_either() {
+async fn clock_moved_after_first_stamp_yields_no_observation() {
     let clock = Set::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
@@ -281,7 +281,7 @@ async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_l
 }
 
 #[tokio::test]
-async fn what_no_model_answered_is_no_exchange() {
+async fn request_without_model_answer_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "forgotten", PATIENCE);
@@ -316,7 +316,7 @@ fn raw_news() -> PeerClock {
 }
 
 #[tokio::test]
-async fn an_announcement_reaches_open_sessions_and_those_to_come() {
+async fn announcement_reaches_all_open_and_later_sessions() {
     let mut cloud = Cloud::start().await;
     let announcer = cloud.listener.announcer();
     let (session, _) = cloud.session(settings()).await;
@@ -343,7 +343,7 @@ async fn an_announcement_reaches_open_sessions_and_those_to_come() {
 }
 
 #[tokio::test]
-async fn any_zeromq_program_can_read_an_announcement() {
+async fn plain_zeromq_socket_reads_announcement() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     cloud.listener.announcer().announce(news());

@@ -30,12 +30,12 @@ async fn work(session: Session, task: usize) -> Result<(), RequestError> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_request_of_a_crowd_gets_its_own_answer() {
+async fn every_request_of_many_edges_is_answered() {
     crowd(TestNetwork::ZmqTcp).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_datagram_request_of_a_crowd_gets_its_own_answer() {
+async fn every_datagram_request_of_many_edges_is_answered() {
     crowd(TestNetwork::ZmqUdp).await;
 }
 

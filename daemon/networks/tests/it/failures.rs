@@ -87,7 +87,7 @@ async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
 }
 
 #[tokio::test]
-async fn a_silent_connection_is_given_up_after_the_heartbeat_timeout() {
+async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
     let wire = Wire::before(cloud.address()).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };

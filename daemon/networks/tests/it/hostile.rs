@@ -54,7 +54,7 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
 }
 
 #[tokio::test]
-async fn any_zeromq_program_can_be_an_edge() {
+async fn plain_zeromq_socket_is_served_as_edge() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     plain.say(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
@@ -120,7 +120,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
 }
 
 #[tokio::test]
-async fn requests_that_make_no_sense_are_answered_as_failed() {
+async fn invalid_requests_are_answered_as_failed() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     let cases: Vec<(usize, Vec<Bytes>)> = vec![
@@ -149,7 +149,7 @@ async fn requests_that_make_no_sense_are_answered_as_failed() {
 }
 
 #[tokio::test]
-async fn a_session_is_its_own_connections_and_unknown_to_all_others() {
+async fn session_of_another_connection_is_unknown() {
     let mut cloud = Cloud::start().await;
     let (_owner, session) = plain_session(&mut cloud).await;
     let (thief, _) = plain_session(&mut cloud).await;
@@ -167,7 +167,7 @@ async fn a_session_is_its_own_connections_and_unknown_to_all_others() {
 }
 
 #[tokio::test]
-async fn a_flood_beyond_the_limit_is_answered_as_overload() {
+async fn requests_above_limit_are_answered_as_overload() {
     let two = SessionSettings { max_in_flight: 2, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
     let (plain, session) = plain_session(&mut cloud).await;
@@ -184,7 +184,7 @@ async fn a_flood_beyond_the_limit_is_answered_as_overload() {
 }
 
 #[tokio::test]
-async fn the_memory_of_all_requests_together_is_bounded() {
+async fn memory_of_all_requests_is_bounded() {
     let little = SessionSettings { max_in_flight_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", little).await;
     let (first, session) = plain_session(&mut cloud).await;
@@ -209,7 +209,7 @@ async fn the_memory_of_all_requests_together_is_bounded() {
 }
 
 #[tokio::test]
-async fn a_crowd_of_silent_connections_keeps_nobody_out() {
+async fn silent_connections_do_not_block_new_edges() {
     let mut cloud = Cloud::start().await;
     let address = (cloud.address().host(), cloud.address().port());
     let mut silent = Vec::new();
@@ -224,7 +224,7 @@ async fn a_crowd_of_silent_connections_keeps_nobody_out() {
 }
 
 #[tokio::test]
-async fn a_chosen_routing_id_is_not_served() {
+async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
     let plain = Plain::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
     plain.say(&wire::open(PROTOCOL), Vec::new()).await;
@@ -232,7 +232,7 @@ async fn a_chosen_routing_id_is_not_served() {
 }
 
 #[tokio::test]
-async fn an_oversize_message_ends_its_own_connection_alone() {
+async fn oversize_message_ends_only_its_connection() {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small).await;
     let (good, _) = cloud.session(settings()).await;
@@ -243,7 +243,7 @@ async fn an_oversize_message_ends_its_own_connection_alone() {
 }
 
 #[tokio::test]
-async fn a_cloud_that_lost_the_session_ends_it() {
+async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
     let pending = request(&session, "do you know me?", PATIENCE);
@@ -273,7 +273,7 @@ fn growth(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
 }
 
 #[tokio::test]
-async fn answers_that_make_no_sense_change_no_tree() {
+async fn invalid_answers_change_no_tree() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
     let bad = [
@@ -337,7 +337,7 @@ async fn answers_that_make_no_sense_change_no_tree() {
 }
 
 #[tokio::test]
-async fn reply_of_version_five_without_raw_stamps_makes_no_sense() {
+async fn version_five_reply_without_raw_stamps_is_invalid() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({

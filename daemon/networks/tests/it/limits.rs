@@ -101,7 +101,7 @@ async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
 }
 
 #[tokio::test]
-async fn a_claim_before_the_hello_closes_the_connection() {
+async fn claimed_length_before_hello_closes_connection() {
     let listener = bind(limits()).await;
     for claimed in [65_536, 4_000_000, u64::MAX >> 1] {
         let mut raw = RawPeer::connect(listener.address()).await;
@@ -112,7 +112,7 @@ async fn a_claim_before_the_hello_closes_the_connection() {
 }
 
 #[tokio::test]
-async fn a_connection_without_hello_is_closed_in_time() {
+async fn connection_without_hello_is_closed_in_time() {
     let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
     let (accepted, _) = admitted(&mut listener).await;
     RawPeer::connect(listener.address()).await.until_closed().await;
@@ -156,7 +156,7 @@ async fn unfinished_messages_share_one_budget() {
 }
 
 #[tokio::test]
-async fn a_frame_that_stops_growing_is_given_up() {
+async fn stalled_frame_ends_connection() {
     let quick = ListenerLimits {
         heartbeat_interval: Duration::from_millis(50),
         heartbeat_timeout: Duration::from_millis(200),
@@ -170,7 +170,7 @@ async fn a_frame_that_stops_growing_is_given_up() {
 }
 
 #[tokio::test]
-async fn a_new_connection_replaces_the_oldest_silent_one() {
+async fn new_connection_replaces_oldest_silent_one() {
     let mut listener = bind(ListenerLimits { max_connections: 40, ..limits() }).await;
     let (mut first, _) = admitted(&mut listener).await;
     let mut silent = Vec::new();
@@ -189,7 +189,7 @@ async fn a_new_connection_replaces_the_oldest_silent_one() {
 }
 
 #[tokio::test]
-async fn admitted_connections_at_the_limit_keep_their_places() {
+async fn admitted_connections_at_limit_are_not_replaced() {
     let mut listener = bind(ListenerLimits { max_connections: 4, ..limits() }).await;
     let mut open = Vec::new();
     for _ in 0..4 {
@@ -203,7 +203,7 @@ async fn admitted_connections_at_the_limit_keep_their_places() {
 }
 
 #[tokio::test]
-async fn a_peer_that_reads_nothing_fills_no_memory() {
+async fn peer_not_reading_uses_bounded_memory() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let sender = listener.sender();
@@ -227,7 +227,7 @@ async fn a_peer_that_reads_nothing_fills_no_memory() {
 }
 
 #[tokio::test]
-async fn a_flood_of_pings_without_reading_is_held_back() {
+async fn pings_of_peer_not_reading_are_throttled() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let pings = b"\x04\x17\x04PING\x00\x000123456789abcdef".repeat(4_096);
@@ -242,7 +242,7 @@ async fn a_flood_of_pings_without_reading_is_held_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn messages_of_all_sizes_come_and_go_whole_and_in_order() {
+async fn messages_of_all_sizes_arrive_in_order() {
     let mut listener = bind(limits()).await;
     let sender = listener.sender();
     let socket = Socket::new(SocketType::Dealer, Options::default().max_message_size(8 << 20));
@@ -273,7 +273,7 @@ async fn messages_of_all_sizes_come_and_go_whole_and_in_order() {
 }
 
 #[tokio::test]
-async fn what_was_sent_before_closing_arrives() {
+async fn messages_sent_before_closing_arrive() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let last = Bytes::from(vec![9; 3_000_000]);

@@ -99,7 +99,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
 
 // The master is restarted on this thread, which blocks it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sessions_go_on_while_master_is_restarted() {
+async fn sessions_continue_while_master_restarts() {
     let mut master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (first, _) = session(&mut cloud).await;
@@ -123,7 +123,7 @@ async fn sessions_go_on_while_master_is_restarted() {
 }
 
 #[tokio::test]
-async fn master_that_is_away_is_named() {
+async fn unreachable_master_is_named() {
     let mut master = RosMaster::start();
     let address = master.address().parse().expect("an address");
     master.kill();
@@ -168,7 +168,7 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
 }
 
 #[tokio::test]
-async fn name_that_another_cloud_has_is_refused() {
+async fn name_of_another_cloud_is_refused() {
     let cloud = Cloud::over(TestNetwork::Ros1).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
@@ -238,7 +238,7 @@ pub(crate) async fn second_publisher_is_remarked(
 }
 
 #[tokio::test]
-async fn edge_is_told_why_it_gets_no_connection() {
+async fn edge_gets_reason_of_refusal() {
     pipeline_of_another_host_is_refused(Cloud::over(TestNetwork::Ros1).await).await;
 }
 
@@ -284,7 +284,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn program_that_only_watches_and_is_slow_delays_nothing() {
+async fn slow_subscriber_delays_nothing() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

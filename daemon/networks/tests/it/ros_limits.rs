@@ -31,7 +31,7 @@ fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
 }
 
 #[tokio::test]
-async fn connection_is_not_replaced_from_another_address() {
+async fn other_address_cannot_replace_connection() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (address, hello) = (cloud.address(), hello());
@@ -72,7 +72,7 @@ async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: Str
 }
 
 #[tokio::test]
-async fn connections_without_session_take_no_memory_from_sessions() {
+async fn connections_without_session_leave_memory_to_sessions() {
     let master = RosMaster::start();
     let limits = SessionSettings { max_message_bytes: SHARED, max_unfinished_bytes: SHARED, ..settings() };
     let mut cloud = Cloud::start_at(&master.address(), limits).await;

@@ -49,7 +49,7 @@ impl Clock for Gate {
 }
 
 #[tokio::test]
-async fn closing_waits_for_the_answer_that_is_just_being_sent() {
+async fn closing_waits_for_answer_being_sent() {
     let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
     let gate = Gate { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
     let mut cloud = Cloud::start_by(Arc::new(gate)).await;

@@ -9,7 +9,7 @@ use crate::support::{Cloud, accepted, hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL, Plain};
 
 #[tokio::test]
-async fn an_edge_may_leave_the_model_to_the_cloud() {
+async fn hello_without_model_lets_cloud_choose() {
     let mut cloud = Cloud::start().await;
     let plain = Plain::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
@@ -43,7 +43,7 @@ fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
 }
 
 #[tokio::test]
-async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
+async fn conditions_of_cloud_are_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
@@ -64,7 +64,7 @@ async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
 }
 
 #[tokio::test]
-async fn what_the_cloud_is_made_of_arrives_short_and_fit_to_print() {
+async fn hardware_of_cloud_is_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });

@@ -134,7 +134,7 @@ async fn datagrams_of_both_directions_are_counted() {
 }
 
 #[tokio::test]
-async fn cut_path_ends_session_and_next_one_works() {
+async fn interrupted_path_ends_session_and_next_one_works() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
@@ -176,7 +176,7 @@ async fn cut_path_ends_session_and_next_one_works() {
 }
 
 #[tokio::test]
-async fn restarted_cloud_is_noticed_by_next_request() {
+async fn next_request_notices_restarted_cloud() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
     let edge = tokio::spawn({
@@ -201,7 +201,7 @@ async fn restarted_cloud_is_noticed_by_next_request() {
 }
 
 #[tokio::test]
-async fn garbage_is_counted_and_harms_nothing() {
+async fn garbage_is_counted_without_effect() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
     let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");

@@ -34,7 +34,7 @@ async fn later_edge_is_served_in_common_version() {
 
 /// Nothing connects to such a socket, and the session is opened all the same.
 #[tokio::test]
-async fn name_of_clock_socket_in_another_form_is_none() {
+async fn malformed_clock_socket_name_is_ignored() {
     let mut cloud = Cloud::start().await;
     let plain = Plain::dealer(&cloud.address(), Options::default()).await;
     let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";

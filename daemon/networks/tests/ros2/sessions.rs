@@ -102,7 +102,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn cloud_in_another_domain_is_not_found_and_domain_is_named() {
+async fn error_for_other_domain_names_the_domain() {
     let cloud = cloud().await;
     let domain = cloud.address().domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
@@ -116,7 +116,7 @@ async fn cloud_in_another_domain_is_not_found_and_domain_is_named() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn name_that_another_cloud_has_is_refused() {
+async fn name_of_another_cloud_is_refused() {
     let cloud = cloud().await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
@@ -165,7 +165,7 @@ async fn messages_of_second_publishers_are_dropped() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn edge_is_told_why_it_gets_no_connection() {
+async fn edge_gets_reason_of_refusal() {
     pipeline_of_another_host_is_refused(cloud().await).await;
 }
 
@@ -244,7 +244,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn program_that_only_watches_and_is_slow_delays_nothing() {
+async fn slow_subscriber_delays_nothing() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;

@@ -39,7 +39,7 @@ mod tests {
     }
 
     #[test]
-    fn stamp_is_as_wide_as_looks_at_clocks_differ() {
+    fn stamp_is_as_wide_as_comparisons_differ() {
         let stamp = WallTime::from_unix_nanos(1_000_000);
         let calm = KernelStamp::between(stamp, ahead(100, 140), ahead(110, 150));
         let raw = RawTime::from_nanos;

@@ -118,14 +118,14 @@ fn is_content(summary: &Value) {
 }
 
 #[tokio::test]
-async fn their_sender_is_content_with_our_reflector() {
+async fn foreign_sender_accepts_our_replies() {
     for (stamps, format) in [(Stamps::Kernel, "NTP"), (Stamps::Program, "PTP")] {
         is_content(&asked_by_their_sender(None, stamps, format, &[]).await);
     }
 }
 
 #[tokio::test]
-async fn their_authenticated_sender_is_content_with_our_reflector() {
+async fn foreign_authenticated_sender_accepts_our_replies() {
     let key = SharedKey::new();
     let summary = asked_by_their_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
     is_content(&summary);
@@ -133,7 +133,7 @@ async fn their_authenticated_sender_is_content_with_our_reflector() {
 }
 
 #[tokio::test]
-async fn their_sender_learns_which_tlvs_we_do_not_know() {
+async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
     let summary = asked_by_their_sender(None, Stamps::Kernel, "NTP", &more).await;
     is_content(&summary);
@@ -193,14 +193,14 @@ fn is_sound(results: &[ProbeResult]) {
 }
 
 #[tokio::test]
-async fn our_prober_is_answered_by_their_reflector() {
+async fn foreign_reflector_answers_our_prober() {
     is_sound(&answered_by_their_reflector("127.86.20.1", None, &["--stateful-reflector"]).await);
     is_sound(&answered_by_their_reflector("127.86.20.2", None, &["--clock-source", "PTP"]).await);
     is_sound(&answered_by_their_reflector("127.86.20.3", None, &["--tlv-mode", "ignore"]).await);
 }
 
 #[tokio::test]
-async fn our_authenticated_prober_is_answered_by_their_reflector() {
+async fn foreign_reflector_answers_our_authenticated_prober() {
     let key = SharedKey::new();
     is_sound(&answered_by_their_reflector("127.86.20.4", Some(&key), &["--stateful-reflector"]).await);
 }

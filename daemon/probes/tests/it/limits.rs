@@ -20,7 +20,7 @@ fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, asked: usize)
 }
 
 #[test]
-fn a_source_has_one_seconds_worth_and_then_its_rate() {
+fn source_is_limited_after_burst_of_one_second() {
     let mut limiter = Limiter::new(20);
     let (one, start) = (address("10.0.0.1"), MonoTime::from_nanos(5));
     assert_eq!(admitted(&mut limiter, one, start, 100), 20);
@@ -35,7 +35,7 @@ fn a_source_has_one_seconds_worth_and_then_its_rate() {
 }
 
 #[test]
-fn an_ipv6_network_is_one_source() {
+fn ipv6_network_counts_as_one_source() {
     let mut limiter = Limiter::new(5);
     let now = MonoTime::from_nanos(0);
     assert_eq!(admitted(&mut limiter, address("10.0.0.1"), now, 9), 5);

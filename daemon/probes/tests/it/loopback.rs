@@ -48,7 +48,7 @@ async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec
 }
 
 #[tokio::test]
-async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both_kinds_of_stamps() {
+async fn exchanges_on_one_clock_contain_zero_offset() {
     for (stamps, with_key, stateful) in [
         (Stamps::Kernel, false, true),
         (Stamps::Kernel, true, true),
@@ -75,7 +75,7 @@ async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both
 }
 
 #[tokio::test]
-async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_next() {
+async fn kernel_stamps_are_used_and_refine_replies() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
     assert_eq!(prober.stamps_in_words(), "kernel, send and receive");
@@ -107,7 +107,7 @@ async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_
 }
 
 #[tokio::test]
-async fn a_reflector_without_sessions_or_with_the_programs_stamps_refines_nothing() {
+async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
     for config in [
         ReflectorConfig { stateful: false, ..reflector_config() },
         ReflectorConfig { stamps: Stamps::Program, ..reflector_config() },
@@ -118,7 +118,7 @@ async fn a_reflector_without_sessions_or_with_the_programs_stamps_refines_nothin
 }
 
 #[tokio::test]
-async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
+async fn bounds_contain_offset_of_shifted_clock() {
     let truth = system_clock("edge");
     let ahead = Span::from_millis(1370);
     let description =
@@ -155,7 +155,7 @@ fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
 }
 
 #[tokio::test]
-async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
+async fn setting_wall_clocks_changes_no_exchange() {
     let (much, little) = (Span::from_millis(20), Span::from_micros(15));
     for direction in [1, -1] {
         let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
@@ -186,7 +186,7 @@ async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
 }
 
 #[tokio::test]
-async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
+async fn padded_probes_over_ipv6_and_ipv4_are_answered() {
     let listen = "[::]:0".parse().expect("an address");
     let running =
         RunningReflector::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
@@ -203,7 +203,7 @@ async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
 }
 
 #[tokio::test]
-async fn who_has_another_key_or_none_gets_no_answer() {
+async fn prober_without_the_key_gets_no_reply() {
     let config = ReflectorConfig { key: Some(key(7)), ..reflector_config() };
     let running = RunningReflector::start(config, system_clock("cloud"));
     for wrong in [Some(key(8)), None] {
@@ -223,7 +223,7 @@ async fn who_has_another_key_or_none_gets_no_answer() {
 }
 
 #[tokio::test]
-async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
+async fn source_above_its_rate_is_answered_at_limit() {
     let config = ReflectorConfig { max_per_source_hz: 5, ..reflector_config() };
     let running = RunningReflector::start(config, system_clock("cloud"));
     let socket = UdpSocket::bind(loopback()).await.expect("a socket");
@@ -251,7 +251,7 @@ async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
 }
 
 #[tokio::test]
-async fn the_rate_can_be_changed_and_zero_pauses() {
+async fn rate_can_be_changed_and_zero_pauses() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let mut probing = RunningProber::start(prober_config(running.address), 0.0, system_clock("edge"));
     let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
@@ -272,7 +272,7 @@ async fn the_rate_can_be_changed_and_zero_pauses() {
 }
 
 #[tokio::test]
-async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
+async fn prober_without_reflector_loses_probes_and_continues() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut config = prober_config(silent.local_addr().expect("bound"));
     config.timeout = Duration::from_millis(20);
@@ -326,7 +326,7 @@ fn shown(ahead: Span) -> SharedClock {
 }
 
 #[tokio::test]
-async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels() {
+async fn bounds_hold_with_shifted_program_clock() {
     // A small difference, with which the kernel's departure stamps look plausible, and a large one.
     let (little, much) = (Span::from_millis(900), Span::from_seconds(3600));
     for (edge, cloud) in [
@@ -363,7 +363,7 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
 }
 
 #[tokio::test]
-async fn where_stamps_are_made_is_known_before_the_first_probe() {
+async fn stamp_source_is_known_before_first_probe() {
     let target = loopback();
     for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
         let mut prober = Prober::open(prober_config(target), shown(ahead)).expect("a socket");
@@ -373,7 +373,7 @@ async fn where_stamps_are_made_is_known_before_the_first_probe() {
 }
 
 #[tokio::test]
-async fn another_process_than_was_expected_is_refused() {
+async fn reply_of_unexpected_process_is_refused() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let config = peernet_probes::ProberConfig { instance: Some(7), ..prober_config(running.address) };
     let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
@@ -387,7 +387,7 @@ async fn another_process_than_was_expected_is_refused() {
 }
 
 #[tokio::test]
-async fn only_the_target_is_believed() {
+async fn reply_from_another_address_is_refused() {
     let target = UdpSocket::bind(loopback()).await.expect("a socket");
     let other = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut probing =
@@ -406,7 +406,7 @@ async fn only_the_target_is_believed() {
 }
 
 #[tokio::test]
-async fn a_prober_ends_when_nobody_listens() {
+async fn prober_ends_when_receiver_is_dropped() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let config = prober_config(silent.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
@@ -419,7 +419,7 @@ async fn a_prober_ends_when_nobody_listens() {
 }
 
 #[tokio::test]
-async fn errors_of_binding_say_what_to_do() {
+async fn bind_errors_contain_advice() {
     let taken = Reflector::bind(reflector_config(), system_clock("cloud")).expect("a free port");
     let again = ReflectorConfig { listen: taken.address(), ..reflector_config() };
     let error = Reflector::bind(again, system_clock("cloud")).expect_err("taken");

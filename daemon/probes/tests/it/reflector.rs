@@ -56,7 +56,7 @@ fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
 }
 
 #[test]
-fn the_answer_holds_both_stamps_and_the_question() {
+fn reply_contains_both_stamps_and_the_request() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
         let mut reflector = ReflectorState::new(None, INSTANCE, 100, false);
@@ -80,7 +80,7 @@ fn the_answer_holds_both_stamps_and_the_question() {
 }
 
 #[test]
-fn a_reflector_with_sessions_numbers_its_replies_for_each() {
+fn replies_are_numbered_per_session() {
     let clock = clock();
     let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let number = |reflector: &mut ReflectorState, sequence, ssid| {
@@ -97,7 +97,7 @@ fn a_reflector_with_sessions_numbers_its_replies_for_each() {
 }
 
 #[test]
-fn the_follow_up_tells_when_the_previous_reply_left() {
+fn follow_up_contains_departure_of_previous_reply() {
     let clock = clock();
     let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
@@ -136,7 +136,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
 }
 
 #[test]
-fn tlvs_are_flagged_and_go_back_in_their_order() {
+fn reply_returns_tlvs_flagged_in_order() {
     let clock = clock();
     let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let mut packet = request(
@@ -177,7 +177,7 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
 }
 
 #[test]
-fn tlvs_that_are_not_authenticated_only_go_back() {
+fn unauthenticated_tlvs_are_returned_without_effect() {
     let (clock, key) = (clock(), key(7));
     let room: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
@@ -211,7 +211,7 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
 }
 
 #[test]
-fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
+fn unauthenticated_request_is_refused_without_using_rate() {
     let (clock, key) = (clock(), key(7));
     let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 3, true);
     let good = request(Some(&key), 1, 1, &[]);
@@ -230,7 +230,7 @@ fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
 }
 
 #[test]
-fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
+fn session_key_applies_to_authenticated_requests_only() {
     let (clock, ours, theirs) = (clock(), &key(7), &key(8));
     let keyed = || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
     let mut reflector = keyed();
@@ -278,7 +278,7 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
 }
 
 #[test]
-fn two_reflectors_do_not_play_ping_pong() {
+fn reflectors_do_not_answer_each_other() {
     let clock = clock();
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
@@ -306,7 +306,7 @@ fn two_reflectors_do_not_play_ping_pong() {
 }
 
 #[test]
-fn twamp_light_senders_are_answered_whatever_their_padding() {
+fn twamp_light_senders_with_any_padding_are_answered() {
     let clock = clock();
     let mut reflector = ReflectorState::new(None, INSTANCE, 1000, false);
     for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {

@@ -134,7 +134,7 @@ impl Pair {
 }
 
 #[test]
-fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
+fn next_reply_refines_departure_of_previous_one() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
         let begun = pair.clock.stamp();
@@ -157,7 +157,7 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
 }
 
 #[test]
-fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
+fn plausible_kernel_departure_stamp_is_used() {
     for (late, taken) in
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
@@ -172,7 +172,7 @@ fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
 }
 
 #[test]
-fn numbers_run_over() {
+fn sequence_numbers_wrap_around() {
     let mut pair = Pair::new(u32::MAX - 2, false);
     let sent: Vec<_> = (0..6).map(|_| pair.send()).collect();
     assert_eq!(sent.last().map(|(departure, _)| departure.sequence()), Some(2));
@@ -184,7 +184,7 @@ fn numbers_run_over() {
 }
 
 #[test]
-fn late_ones_are_lost_and_second_ones_count_once() {
+fn late_replies_are_lost_and_duplicates_count_once() {
     let mut pair = Pair::new(0, false);
     let (_, slow) = pair.send();
     let deadline = pair.sender.deadline().expect("it waits");
@@ -212,7 +212,7 @@ fn late_ones_are_lost_and_second_ones_count_once() {
 }
 
 #[test]
-fn who_did_not_get_the_question_cannot_answer_it() {
+fn reply_with_wrong_request_fields_is_refused() {
     let mut pair = Pair::new(0, false);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -231,7 +231,7 @@ fn who_did_not_get_the_question_cannot_answer_it() {
 }
 
 #[test]
-fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
+fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     let mut pair = Pair::new(0, true);
     pair.exchange();
     let (_, packet) = pair.send();
@@ -249,7 +249,7 @@ fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
 }
 
 #[test]
-fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
+fn tlvs_of_another_probe_are_refused() {
     let bound = |ssid| {
         let mut pair = Pair::raw(true);
         let clocks = RelatedClocks::Raw;
@@ -277,7 +277,7 @@ fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
 }
 
 #[test]
-fn a_reflector_that_knows_no_tlvs_is_believed_without() {
+fn reply_of_reflector_without_tlvs_is_accepted() {
     let mut pair = Pair::new(0, false);
     for cut in [false, true] {
         let (_, packet) = pair.send();
@@ -294,7 +294,7 @@ fn a_reflector_that_knows_no_tlvs_is_believed_without() {
 }
 
 #[test]
-fn a_step_at_the_reflector_keeps_a_follow_up_from_refining() {
+fn clock_step_at_reflector_prevents_refinement() {
     let mut pair = Pair::new(0, false);
     pair.exchange();
     let (_, packet) = pair.send();
@@ -306,7 +306,7 @@ fn a_step_at_the_reflector_keeps_a_follow_up_from_refining() {
 }
 
 #[test]
-fn what_is_remembered_is_bounded() {
+fn remembered_probes_are_bounded() {
     let mut pair = Pair::new(0, false);
     let mut given_up = 0;
     for _ in 0..5000 {
@@ -337,7 +337,7 @@ fn requests_are_authentic_and_padded_as_configured() {
 }
 
 #[test]
-fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
+fn exchanges_during_a_sleep_are_discarded() {
     let mut pair = Pair::new(0, false);
     let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
@@ -355,7 +355,7 @@ fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
 }
 
 #[test]
-fn another_process_is_not_believed_where_one_is_expected() {
+fn reply_of_another_process_is_refused() {
     for (expected, believed) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
         let mut pair = Pair::new(0, false);
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
@@ -372,7 +372,7 @@ fn another_process_is_not_believed_where_one_is_expected() {
 }
 
 #[test]
-fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
+fn reply_without_expected_origin_is_refused() {
     let mut pair = Pair::new(0, false);
     pair.sender = SenderState::new(SenderConfig { instance: Some(INSTANCE), ..config() });
     let (_, packet) = pair.send();
@@ -386,7 +386,7 @@ fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
 }
 
 #[test]
-fn authentic_reply_with_damaged_tlvs_is_refused_by_what_was_found() {
+fn reply_with_damaged_tlvs_is_refused_with_reason() {
     let mut pair = Pair::raw(true);
     let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
     pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, clocks, ..config() });
@@ -413,7 +413,7 @@ fn authentic_reply_with_damaged_tlvs_is_refused_by_what_was_found() {
 }
 
 #[test]
-fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
+fn kernel_stamps_of_another_clock_are_distrusted() {
     let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
     let there_and_back = WAY + WAY + Span::from_micros(55);
     for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
@@ -432,7 +432,7 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
 }
 
 #[test]
-fn a_kernel_that_saw_it_leave_before_we_stamped_it_is_ignored_for_good() {
+fn kernel_departure_before_ours_is_distrusted() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
     let early = pair.clock.wall() - Span::from_micros(300);
@@ -443,7 +443,7 @@ fn a_kernel_that_saw_it_leave_before_we_stamped_it_is_ignored_for_good() {
 }
 
 #[test]
-fn wall_clock_set_meanwhile_moves_no_stamp_and_is_no_reason_to_distrust_kernel() {
+fn setting_wall_clock_causes_no_distrust_of_kernel() {
     for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
         let mut pair = Pair::raw(false);
         let begun = pair.clock.raw();

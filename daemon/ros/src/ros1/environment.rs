@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_variables_have_defaults() {
+    fn missing_variables_get_defaults() {
         for variables in [&[][..], &[("ROS_MASTER_URI", ""), ("ROS_IP", " "), ("ROS_NAMESPACE", "")]] {
             let environment = environment(variables).unwrap();
             assert_eq!(environment.master.as_str(), "http://localhost:11311");
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_is_listened_on_alone() {
+    fn loopback_host_listens_on_loopback_only() {
         assert_eq!(listen_address("localhost").to_string(), "127.0.0.1");
         assert_eq!(listen_address("127.0.0.1").to_string(), "127.0.0.1");
         assert_eq!(listen_address("robot").to_string(), "0.0.0.0");

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn first_reason_of_the_end_counts_and_tasks_end() {
+    async fn first_end_reason_is_kept_and_tasks_end() {
         let lifetime = NodeLifetime::new("/camera".into());
         let stop = lifetime.stop().child_token();
         lifetime.tasks().spawn(async move { stop.cancelled().await });

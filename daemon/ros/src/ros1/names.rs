@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_ros_lacks_are_refused() {
+    fn invalid_names_are_refused() {
         let node = NodeName::new("/", "n").unwrap();
         assert_eq!(node.resolve(""), Err(NameError::Empty));
         assert_eq!(node.resolve("/"), Err(NameError::Empty));

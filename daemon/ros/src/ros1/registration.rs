@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn restarted_master_is_told_everything_again() {
+    fn restarted_master_gets_all_registrations_again() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.add(registration("/b"));
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn master_that_kept_running_is_told_nothing() {
+    fn master_that_kept_running_gets_no_calls() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.handle_outcome(&MasterCall::LookUpNode, unreachable());
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn node_with_same_name_is_told() {
+    fn node_with_same_name_is_reported() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         let outcome = CallOutcome::NodeReplaced { uri: "http://other:1/".into() };

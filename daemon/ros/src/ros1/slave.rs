@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_calls_are_told_apart() {
+    fn wrong_calls_get_distinct_errors() {
         assert_eq!(call("getPid", vec![]), Err(CallError::Params));
         assert_eq!(
             call("requestTopic", vec!["/c".into(), "/t".into(), ["TCPROS".into()].into()]),

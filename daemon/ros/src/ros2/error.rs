@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn absence_of_a_peer_says_what_was_tried_and_what_to_do() {
+    fn missing_peer_error_contains_attempts_and_advice() {
         let nobody = no_peer().to_string();
         for part in
             ["no publisher of topic /image", "within 5 s", "domain 7", "lo (127.0.0.1)", "ROS_DOMAIN_ID 7"]

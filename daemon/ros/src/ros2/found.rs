@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn host_is_another_one_by_an_address_that_is_not_ours() {
+    fn foreign_address_means_another_host() {
         let addresses = |list: &[&str]| -> Vec<IpAddr> {
             list.iter().map(|address| address.parse().expect("an address")).collect()
         };

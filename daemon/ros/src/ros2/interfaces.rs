@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_interface_is_there_and_unknown_one_is_not() {
+    fn loopback_is_found_and_unknown_interface_is_not() {
         assert_eq!(check_interfaces(&["lo".into(), "127.0.0.1".into()]), Ok(()));
         let error = check_interfaces(&["eth99".into()]).expect_err("no such interface").to_string();
         assert!(error.contains("\"eth99\"") && error.contains("lo (127.0.0.1)"), "{error}");

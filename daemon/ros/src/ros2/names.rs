@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn topic_stands_below_its_namespace() {
+    fn topic_name_is_resolved_in_its_namespace() {
         let absolute = |namespace, topic| absolute_topic(namespace, "peernet", topic).ok();
         assert_eq!(absolute("/", "image").as_deref(), Some("/image"));
         assert_eq!(absolute("/robot1", "camera/image").as_deref(), Some("/robot1/camera/image"));

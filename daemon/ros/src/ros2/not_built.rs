@@ -218,7 +218,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn node_of_a_build_without_ros_2_says_so() {
+    async fn node_without_ros2_support_returns_error() {
         let error = Ros2Node::new(Ros2Settings::default()).await.err().expect("no ROS 2");
         assert!(error.to_string().contains("cargo feature `ros2`"), "{error}");
         let settings = Ros2Settings { domain_id: Some(300), ..Ros2Settings::default() };

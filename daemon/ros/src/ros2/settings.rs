@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn environment_fills_in_what_is_left_open() {
+    fn environment_supplies_missing_settings() {
         let settings = resolved(Ros2Settings::default(), &[]).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces.len()), (Some(0), 0));
         let all = [("ROS_DOMAIN_ID", "7"), ("ROS_LOCALHOST_ONLY", "1"), ("ROS_DISTRO", "humble")];
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn value_that_cannot_be_obeyed_is_an_error() {
+    fn unsupported_value_is_an_error() {
         for variable in
             [("ROS_DOMAIN_ID", "x"), ("ROS_DOMAIN_ID", "233"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]
         {

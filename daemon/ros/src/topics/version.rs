@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_version_says_what_to_set() {
+    fn unknown_version_error_names_the_key() {
         assert!(resolved(None, &[]).unwrap_err().to_string().contains("set ros_version = 1 or 2"));
         let error = resolved(None, &[("ROS_VERSION", "3")]).unwrap_err();
         assert_eq!(error, VersionError::Variable { value: "3".into() });

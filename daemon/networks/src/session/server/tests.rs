@@ -63,7 +63,7 @@ fn opened(server: &mut Server, connection: u64) -> SessionId {
 }
 
 #[test]
-fn a_request_is_routed_back_once_to_where_it_came_from() {
+fn answer_is_routed_once_to_the_requesting_connection() {
     let mut server = server();
     let session = opened(&mut server, 5);
     assert!(
@@ -108,7 +108,7 @@ fn a_goodbye_frees_the_place() {
 }
 
 #[test]
-fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
+fn session_limit_per_connection_is_named_in_refusal() {
     let mut server = Server::new(&SessionSettings::default());
     for _ in 0..SESSIONS_PER_CONNECTION {
         opened(&mut server, 1);
@@ -124,7 +124,7 @@ fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
 }
 
 #[test]
-fn two_greedy_hosts_leave_sessions_to_a_third() {
+fn session_limit_per_host_leaves_room_for_others() {
     let mut server = Server::new(&SessionSettings::default());
     let mut taken = |host: u8, connections: std::ops::Range<u64>| {
         let Header::Open(open) = hello() else { unreachable!("a hello is an open") };
@@ -139,7 +139,7 @@ fn two_greedy_hosts_leave_sessions_to_a_third() {
 }
 
 #[test]
-fn one_address_with_many_host_names_leaves_sessions_to_others() {
+fn session_limit_per_address_ignores_host_names() {
     let mut server = Server::new(&SessionSettings::default());
     let mut open = |address: &str, host: u16| {
         let Header::Open(mut open) = hello() else { unreachable!("a hello is an open") };
@@ -157,7 +157,7 @@ fn one_address_with_many_host_names_leaves_sessions_to_others() {
 }
 
 #[test]
-fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
+fn end_of_connection_ends_only_its_sessions() {
     let mut server = server();
     let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
     assert_eq!(server.gone(ConnectionId(1)), [a, c]);
@@ -171,7 +171,7 @@ fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
 }
 
 #[test]
-fn what_is_announced_reaches_open_sessions_now_and_others_when_they_open() {
+fn announcement_reaches_open_and_later_sessions() {
     let mut server = server();
     let (open, asking) = (opened(&mut server, 1), opened(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
@@ -229,7 +229,7 @@ fn about(mut header: Header, session: SessionId) -> Header {
 
 proptest! {
     #[test]
-    fn whatever_edges_do_limits_hold_and_the_books_balance(steps in proptest::collection::vec(step(), 0..120)) {
+    fn limits_and_counts_hold_for_any_messages(steps in proptest::collection::vec(step(), 0..120)) {
         let mut server = server();
         let mut sessions = vec![SessionId::random()];
         let mut in_flight = HashSet::new();

@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_tail_is_counted_when_sender_tells_its_number() {
+    fn lost_tail_is_counted_by_reported_number() {
         let mut counter = ArrivalCounter::new(at(0));
         counter.arrive(0, at(0));
         counter.expect(10, at(10));
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_go_on_after_32_bits() {
+    fn counting_continues_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
         // The numbers are a day apart, so that the peer can have sent all datagrams in between.

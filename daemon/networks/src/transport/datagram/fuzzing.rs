@@ -180,13 +180,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_datagrams_break_no_promise(script in proptest::collection::vec(any::<u8>(), 0..600)) {
+        fn invariants_hold_for_any_datagrams(script in proptest::collection::vec(any::<u8>(), 0..600)) {
             super::any_datagrams(&script);
         }
     }
 
     #[test]
-    fn corpus_breaks_no_promise() {
+    fn invariants_hold_for_fuzz_corpus() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/corpus/datagrams");
         let mut count = 0;
         for entry in std::fs::read_dir(folder).expect("the corpus") {

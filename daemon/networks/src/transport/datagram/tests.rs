@@ -138,7 +138,7 @@ fn silence_ends_connection_at_both_ends() {
 }
 
 #[test]
-fn restarted_cloud_says_so() {
+fn restarted_cloud_reports_unknown_connection() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     network.cloud = Endpoint::new([8; 32], PREFIX, limits());
@@ -149,7 +149,7 @@ fn restarted_cloud_says_so() {
 }
 
 #[test]
-fn peer_that_moves_is_followed_after_it_was_asked() {
+fn moved_peer_is_followed_after_confirmation() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
     network.edge_address = "192.0.2.77:7".parse().expect("an address");
@@ -165,7 +165,7 @@ fn peer_that_moves_is_followed_after_it_was_asked() {
 }
 
 #[test]
-fn invented_addresses_get_less_than_they_send_and_no_memory() {
+fn forged_addresses_cause_neither_amplification_nor_memory_use() {
     let mut cloud = Endpoint::new([7; 32], PREFIX, limits());
     let now = MonoTime::default();
     let cookie = [9; 16];
@@ -301,7 +301,7 @@ fn message_without_room_is_lost_while_it_still_leaves() {
 }
 
 #[test]
-fn large_datagrams_that_do_not_pass_are_given_up() {
+fn lost_large_datagrams_fall_back_to_small_ones() {
     let mut now = MonoTime::default();
     let large = Terms { datagram: 8_000, ..TERMS };
     let mut dialling = Dialling::new(1, 0, large, PREFIX.len(), now);

@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn size_that_was_too_much_is_tried_again_after_seconds() {
+    fn lossy_window_size_is_retried_after_seconds() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
         window.lost();
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_opens_window_again() {
+    fn window_reopens_after_silence() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
         assert_eq!(window.opens_at(), at(200));

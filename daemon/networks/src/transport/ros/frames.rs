@@ -99,7 +99,7 @@ mod tests {
         }
 
         #[test]
-        fn no_claim_can_panic(
+        fn any_frame_lengths_are_unpacked_without_panic(
             lengths in proptest::collection::vec(any::<u32>(), 0..80),
             frames in proptest::collection::vec(any::<u8>(), 0..40),
             has_payload: bool,

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_have_only_what_ros_allows() {
+    fn names_contain_only_allowed_characters() {
         assert_eq!(allowed("quality-control.2"), "quality_control_2");
         assert_eq!(allowed("2nd"), "p2nd");
         assert_eq!(edge_node_prefix("jetson-orin", "line"), "peernet_jetson_orin_line_");

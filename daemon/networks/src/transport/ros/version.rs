@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_named() {
+    fn unusable_settings_are_named() {
         for number in [3, 300] {
             let error = found(Some(number), &[]).expect_err("no such version").to_string();
             assert!(error.contains("ros_version"), "{error}");

@@ -28,7 +28,7 @@ fn sum(definition: &MessageDefinition) -> String {
 }
 
 #[test]
-fn sums_are_those_of_the_definitions() {
+fn md5_sums_match_the_definitions() {
     let all = [
         &Header::DEFINITION,
         StringMessage::DEFINITION,

@@ -56,12 +56,12 @@ fn encoded() -> impl Strategy<Value = (WireForm, Vec<u8>)> {
 
 proptest! {
     #[test]
-    fn any_bytes_are_survived(form in forms(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+    fn any_bytes_are_read_without_panic(form in forms(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
         decode_all(form, &bytes.into());
     }
 
     #[test]
-    fn damaged_messages_are_survived(
+    fn damaged_messages_are_read_without_panic(
         (form, bytes) in encoded(),
         changes in proptest::collection::vec((any::<Index>(), any::<u8>()), 0..6),
         length: Option<Index>,

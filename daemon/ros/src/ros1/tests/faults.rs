@@ -185,7 +185,7 @@ async fn newest_messages_replace_oldest_and_are_counted() {
 }
 
 #[tokio::test]
-async fn only_expected_publisher_is_listened_to() {
+async fn unexpected_publisher_is_ignored_with_reason() {
     let master = TestMaster::start().await;
     let (a, b, c) = (node(&master, "a").await, node(&master, "b").await, node(&master, "c").await);
     let kind = TopicType::of::<StringMessage>();

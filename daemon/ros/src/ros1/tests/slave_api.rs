@@ -79,7 +79,7 @@ async fn node_shuts_down_when_asked() {
 }
 
 #[tokio::test]
-async fn node_whose_name_nobody_else_has_goes_on() {
+async fn node_with_unique_name_ignores_shutdown_call() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let publisher =
@@ -101,7 +101,7 @@ async fn node_whose_name_nobody_else_has_goes_on() {
 }
 
 #[tokio::test]
-async fn running_node_is_one_that_has_the_topic() {
+async fn running_nodes_are_those_with_the_topic() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::of::<StringMessage>();

@@ -26,20 +26,20 @@ fn values() -> impl Strategy<Value = Value> {
 
 proptest! {
     #[test]
-    fn call_survives(method in "[a-zA-Z.]{1,12}", params in proptest::collection::vec(values(), 0..4)) {
+    fn call_decodes_to_encoded_value(method in "[a-zA-Z.]{1,12}", params in proptest::collection::vec(values(), 0..4)) {
         let call = Call { method, params };
         prop_assert_eq!(parse_call(write_call(&call).as_bytes()).unwrap(), call);
     }
 
     #[test]
-    fn response_survives(value in values(), code in -9_i64..9, text in texts()) {
+    fn response_decodes_to_encoded_value(value in values(), code in -9_i64..9, text in texts()) {
         for response in [Response::Success(value), Response::Fault { code, text }] {
             prop_assert_eq!(parse_response(write_response(&response).as_bytes()).unwrap(), response);
         }
     }
 
     #[test]
-    fn damaged_call_is_survived(
+    fn damaged_call_is_read_without_panic(
         params in proptest::collection::vec(values(), 0..4),
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {

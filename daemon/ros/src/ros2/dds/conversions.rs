@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_survive_the_wire_to_the_nanosecond() {
+    fn times_are_exact_to_the_nanosecond() {
         for nanos in
             [1, 999_999_999, 1_700_000_000_123_456_789, 1_795_000_000_000_000_001, 4_000_000_000_999_999_999]
         {

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_buffers_are_told_with_the_remedy() {
+    fn too_small_buffers_are_reported_with_advice() {
         assert_eq!(check_socket_buffers(16 << 10).expect("a socket"), []);
         let warnings = check_socket_buffers(1 << 30).expect("a socket");
         let text = warnings[0].to_string();

@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_contradictions_in_succession_are_too_many() {
+    fn only_successive_contradictions_reach_limit() {
         let mut heartbeats = HeartbeatHistory::default();
         assert!(!heartbeats.contradict() && !heartbeats.contradict());
         heartbeats.agree();

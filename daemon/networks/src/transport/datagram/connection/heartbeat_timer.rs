@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn other_end_is_asked_when_idle_and_after_messages() {
+    fn heartbeat_is_due_when_idle_and_after_messages() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
         assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_000), at(5_000)));

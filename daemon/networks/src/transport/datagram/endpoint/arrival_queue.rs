@@ -42,7 +42,7 @@ mod tests {
     use crate::transport::ConnectionId;
 
     #[test]
-    fn garbage_finds_no_room_in_the_end_but_ends_of_connections_do() {
+    fn full_arrival_queue_admits_connection_ends_only() {
         let mut queue = ArrivalQueue::default();
         for _ in 0..2 * MAX_ARRIVALS {
             queue.push(Arrival::Garbage(None, String::new()), None);

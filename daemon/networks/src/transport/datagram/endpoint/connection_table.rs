@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn connection_is_found_where_it_moved_to_until_it_is_removed() {
+    fn moved_connection_is_found_until_removed() {
         let mut table = ConnectionTable::default();
         table.insert(7, entry(address(1, 9), 3, Admission::Admitted));
         assert_eq!(table.find(address(1, 9), 3), Some(7));
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn oldest_connection_without_session_makes_room() {
+    fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
         let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn connections_with_sessions_make_no_room() {
+    fn connections_with_sessions_are_not_replaced() {
         let mut table = ConnectionTable::default();
         for n in 1..=4 {
             table.insert(n, entry(address(n as u8, 1), n, Admission::Admitted));

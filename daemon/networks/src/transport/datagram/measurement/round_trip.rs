@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_answers_to_what_was_asked_are_measured() {
+    fn only_matching_heartbeat_replies_are_measured() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut estimator = RoundTripEstimator::default();
         estimator.ask(at(10));

@@ -59,7 +59,7 @@ fn missing_fragment_loses_message_with_counts() {
 }
 
 #[test]
-fn message_that_stops_is_lost_in_the_end() {
+fn unfinished_message_is_lost_after_timeout() {
     let mut reassembly = new(1 << 20);
     let bytes = [7; 200];
     reassembly.receive(&fragments(0, &bytes, 100)[0], at(0));
@@ -83,7 +83,7 @@ fn deadline_ends_message_before_timeout() {
 }
 
 #[test]
-fn message_that_never_came_is_lost_with_no_fragments() {
+fn missing_message_is_lost_with_zero_fragments() {
     let mut reassembly = new(1 << 20);
     reassembly.expect(2, at(0));
     let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
@@ -166,7 +166,7 @@ fn memory_and_messages_are_bounded() {
 }
 
 #[test]
-fn far_number_costs_nothing() {
+fn message_number_far_ahead_takes_no_memory() {
     let mut reassembly = new(1 << 20);
     let bytes = [7; 20];
     reassembly.receive(&fragments(3, &bytes, 10)[0], at(0));

@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn long_datagram_that_arrives_ends_the_row() {
+    fn arrived_long_datagram_resets_losses() {
         let mut detector = after_losses(16);
         detector.arrive(1);
         detector.lose(1, 0, 0, at(500));

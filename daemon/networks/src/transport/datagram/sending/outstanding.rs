@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_go_on_when_messages_are_settled() {
+    fn message_numbers_continue_after_settled_messages() {
         let mut outstanding = OutstandingMessages::default();
         for tag in [None, Some(0), Some(7)] {
             outstanding.push(written_tag(tag), 2, None);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn oldest_message_makes_room() {
+    fn oldest_message_is_replaced() {
         let mut outstanding = OutstandingMessages::default();
         for tag in 0..=MAX_SPAN {
             outstanding.push(tag, 1, None);

@@ -155,7 +155,7 @@ proptest! {
 }
 
 #[test]
-fn single_altered_packet_makes_no_absurd_total() {
+fn single_altered_packet_barely_changes_totals() {
     for (name, alter) in CASES {
         for is_to_cloud in [true, false] {
             let (mut network, id) = open();
@@ -185,7 +185,7 @@ fn single_altered_packet_makes_no_absurd_total() {
 }
 
 #[test]
-fn word_of_messages_never_sent_is_garbage() {
+fn reports_of_unsent_messages_count_as_garbage() {
     let (mut network, id) = open();
     let connection = id.0;
     let forged = [
@@ -209,7 +209,7 @@ fn word_of_messages_never_sent_is_garbage() {
 }
 
 #[test]
-fn long_gap_with_many_messages_ends_nothing() {
+fn long_gap_does_not_end_connection() {
     let (mut network, id) = open();
     network.path.impairment.loss = 100;
     let mut sent = 0;
@@ -227,7 +227,7 @@ fn long_gap_with_many_messages_ends_nothing() {
 }
 
 #[test]
-fn ends_that_contradict_each_other_open_another_connection() {
+fn contradicting_ends_close_the_connection() {
     for jump in [FAR, 500] {
         let (mut network, id) = open();
         // Two successive claims that agree are believed. The cloud then treats messages that are still to be sent as

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn progress_takes_all_datagrams_up_to_its_end() {
+    fn progress_report_removes_all_datagrams_before_it() {
         let mut in_flight = BytesInFlight::new(at(0));
         for end in [(0, 100), (0, 200), (1, 50)] {
             in_flight.send(end, 110, at(0));
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_takes_what_is_on_its_way_for_gone() {
+    fn silence_removes_datagrams_in_flight() {
         let mut in_flight = BytesInFlight::new(at(0));
         in_flight.send((0, 1), 10, at(100));
         in_flight.tick(at(299));

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pause_is_made_good_by_one_burst_only() {
+    fn pause_allows_one_burst_only() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut pacer = Pacer::new(Some(8_000_000), at(0));
         pacer.sent(1_000, at(5_000));

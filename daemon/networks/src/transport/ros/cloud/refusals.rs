@@ -87,7 +87,7 @@ mod tests {
     use crate::transport::ros::interface::test_node::TestNode;
 
     #[test]
-    fn repeated_refusal_is_handed_up_once_a_minute() {
+    fn repeated_refusal_is_reported_once_a_minute() {
         let identity = ClockIdentity::new("boot", "system");
         let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), identity));
         let (sender, mut deliveries) = mpsc::channel(10);

@@ -35,7 +35,7 @@ fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes
 }
 
 #[test]
-fn message_without_payload_is_told_to_its_sender() {
+fn sender_is_notified_of_missing_payload() {
     let (mut near, mut far) = (end(), end());
     let (lost, _) = message(&mut near, 7, 10);
     let (info, payload) = message(&mut near, 8, 20);
@@ -104,7 +104,7 @@ fn session_message_waits_for_payload_that_it_overtook() {
 }
 
 #[test]
-fn goodbye_without_its_payload_ends_connection_all_the_same() {
+fn goodbye_without_payload_still_ends_connection() {
     let (mut near, mut far) = (end(), end());
     let (info, _) = message(&mut near, 7, 10);
     let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
@@ -144,7 +144,7 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
 }
 
 #[test]
-fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
+fn parts_are_assembled_and_unfinished_messages_dropped() {
     let (mut near, mut far) = (end(), end());
     for is_whole in [false, true] {
         let (mut info, payload) = message(&mut near, 7, 10);
@@ -301,7 +301,7 @@ proptest! {
     }
 
     #[test]
-    fn any_peer_is_survived_in_bounded_memory(
+    fn any_peer_messages_need_bounded_memory(
         confirms_payloads: bool,
         steps in prop::collection::vec(any_step(), 0..30),
     ) {
