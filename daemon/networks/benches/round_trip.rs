@@ -201,12 +201,12 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
 
 /// Times of one contender with one payload size.
 #[derive(Default)]
-struct Seen {
+struct ContenderTimes {
     trips: Vec<Span>,
     uploads: Vec<Span>,
 }
 
-impl Seen {
+impl ContenderTimes {
     fn add(&mut self, trip: Span, upload: Span) {
         self.trips.push(trip);
         self.uploads.push(upload);
@@ -242,9 +242,9 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
     for &size in &plan.sizes {
         let payload = Bytes::from((0..size).map(|i| (i * 31) as u8).collect::<Vec<u8>>());
         let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
-        let (mut tcp, mut ours) = (Seen::default(), Seen::default());
+        let (mut tcp, mut ours) = (ContenderTimes::default(), ContenderTimes::default());
         for round in 0..=plan.rounds {
-            let mut a = Seen::default();
+            let mut a = ContenderTimes::default();
             round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut a)?;
             let task = round_session(session.clone(), payload.clone(), trips);
             let mut b = runtime.block_on(async { tokio::spawn(task).await })??;
@@ -268,7 +268,7 @@ fn round_bare(
     payload: &[u8],
     answer: usize,
     trips: usize,
-    seen: &mut Seen,
+    seen: &mut ContenderTimes,
 ) -> Anyhow<()> {
     let clock = clock();
     let mut message = (payload.len() as u64).to_le_bytes().to_vec();
@@ -286,8 +286,8 @@ fn round_bare(
     Ok(())
 }
 
-async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<Seen> {
-    let (clock, host, mut seen) = (clock(), HostId::random(), Seen::default());
+async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<ContenderTimes> {
+    let (clock, host, mut seen) = (clock(), HostId::random(), ContenderTimes::default());
     for _ in 0..trips {
         let sample = Sample::of(Description::bytes(), payload.clone());
         let start = clock.mono();
@@ -303,7 +303,7 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow
     Ok(seen)
 }
 
-fn report(size: usize, tcp: &mut Seen, ours: &mut Seen) {
+fn report(size: usize, tcp: &mut ContenderTimes, ours: &mut ContenderTimes) {
     let at = |spans: &mut Vec<Span>, q: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6

@@ -39,7 +39,7 @@ pub const MAX_CONDITIONS: usize = 32;
 /// Largest number of a peer's accelerators that are kept; further ones are ignored.
 const MAX_GPUS: usize = 16;
 /// Largest number of characters that are kept of each text about a peer's hardware.
-const MAX_WORDS: usize = 128;
+const MAX_TEXT_CHARS: usize = 128;
 
 /// Random identifier of a session, chosen by the cloud.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -210,7 +210,7 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
 fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
     let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
         Hardware::deserialize(deserializer)?;
-    let short = |text: String| printable(&text.chars().take(MAX_WORDS).collect::<String>());
+    let short = |text: String| printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
         cpu: short(cpu),
         cores,

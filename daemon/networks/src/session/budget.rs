@@ -33,24 +33,24 @@ pub(super) struct BudgetExceeded {
 
 /// A part of the budget, returned when it is dropped.
 #[derive(Debug)]
-struct Share {
+struct BudgetShare {
     budget: Arc<Budget>,
     bytes: u64,
 }
 
 /// A frame that holds its share until it is dropped.
-struct Held {
+struct BudgetedFrame {
     frame: Bytes,
-    _share: Arc<Share>,
+    _share: Arc<BudgetShare>,
 }
 
-impl AsRef<[u8]> for Held {
+impl AsRef<[u8]> for BudgetedFrame {
     fn as_ref(&self) -> &[u8] {
         &self.frame
     }
 }
 
-impl Drop for Share {
+impl Drop for BudgetShare {
     fn drop(&mut self) {
         self.budget.held.fetch_sub(self.bytes, Ordering::Relaxed);
     }
@@ -73,8 +73,8 @@ impl Budget {
         self.held
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
             .map_err(|held| BudgetExceeded { held, bytes, most: self.most })?;
-        let share = Arc::new(Share { budget: Arc::clone(self), bytes });
-        let held = |frame| Bytes::from_owner(Held { frame, _share: Arc::clone(&share) });
+        let share = Arc::new(BudgetShare { budget: Arc::clone(self), bytes });
+        let held = |frame| Bytes::from_owner(BudgetedFrame { frame, _share: Arc::clone(&share) });
         Ok(frames.into_iter().map(held).collect())
     }
 }

@@ -33,7 +33,7 @@ impl fmt::Display for CloseReason {
 
 /// Outcome of a hello.
 #[derive(Debug)]
-pub(crate) enum Opened {
+pub(crate) enum HelloOutcome {
     /// The cloud accepted the session.
     Accepted(Box<Accepted>),
     /// The cloud refused the session, for this reason.
@@ -45,22 +45,22 @@ pub(crate) enum Opened {
 }
 
 /// Classifies a message that arrives while a session opens.
-pub(crate) fn opened(header: Header) -> Opened {
+pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
     match header {
         Header::Accepted(accepted) => {
             match SESSION_VERSIONS.highest_common(&VersionRange::single(accepted.protocol)) {
-                Ok(_) => Opened::Accepted(accepted),
-                Err(mismatch) => Opened::Incompatible(mismatch),
+                Ok(_) => HelloOutcome::Accepted(accepted),
+                Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
         Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
             match SESSION_VERSIONS.highest_common(&versions) {
-                Ok(_) => Opened::Refused(reason),
-                Err(mismatch) => Opened::Incompatible(mismatch),
+                Ok(_) => HelloOutcome::Refused(reason),
+                Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
-        Header::Refused(refused) => Opened::Refused(refused.reason),
-        _ => Opened::Nonsense,
+        Header::Refused(refused) => HelloOutcome::Refused(refused.reason),
+        _ => HelloOutcome::Nonsense,
     }
 }
 
@@ -217,7 +217,7 @@ mod tests {
         Begin,
         GiveUp(u64),
         Lose(u64),
-        Hear(Header),
+        Receive(Header),
         End,
     }
 
@@ -226,7 +226,7 @@ mod tests {
             6 => Just(Step::Begin),
             2 => (0..16_u64).prop_map(Step::GiveUp),
             2 => (0..16_u64).prop_map(Step::Lose),
-            8 => strategies::header(vec![session]).prop_map(Step::Hear),
+            8 => strategies::header(vec![session]).prop_map(Step::Receive),
             1 => Just(Step::End),
         ];
         proptest::collection::vec(step, 0..60)
@@ -261,7 +261,7 @@ mod tests {
                             prop_assert!(ended.insert(waiter));
                         }
                     }
-                    Step::Hear(header) => match client.receive(header) {
+                    Step::Receive(header) => match client.receive(header) {
                         CloudMessage::Answer(waiter, reply) => {
                             prop_assert_eq!(waiter, reply.request);
                             prop_assert!(ended.insert(waiter));
@@ -293,7 +293,7 @@ mod tests {
         fn session_opens_on_answer_only(header in strategies::header(Vec::new())) {
             let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
-            prop_assert_eq!(matches!(opened(header), Opened::Accepted(_)), answers);
+            prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), answers);
         }
     }
 }

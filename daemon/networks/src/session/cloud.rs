@@ -132,7 +132,8 @@ impl Listener {
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
                     let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };
-                    if let Some(incoming) = requests::heard(&self.shared, &peer, frames, (received, arrival))
+                    if let Some(incoming) =
+                        requests::handle_message(&self.shared, &peer, frames, (received, arrival))
                     {
                         return Some(incoming);
                     }
@@ -184,7 +185,7 @@ impl Listener {
         }
         let farewells = self.shared.machine().goodbye("the cloud shuts down");
         for (peer, header) in farewells {
-            self.shared.tell(&peer, &header);
+            self.shared.send_message(&peer, &header);
         }
         self.receiver.close(wait).await;
     }

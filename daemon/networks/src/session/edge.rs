@@ -10,18 +10,18 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{Arrived, Exchange, RequestError, Sizes, absorb, result};
+use super::exchange::{ArrivedReply, Exchange, RequestError, Sizes, absorb, result};
 use super::open::{OpenError, OpenedSession, handshake};
-use super::receiving::Receiving;
+use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
-use super::state::{Pending, SessionState, SessionTerms};
+use super::state::{PendingRequest, SessionState, SessionTerms};
 use crate::message::{PeerClock, SessionAccepted, SessionHello, SessionId};
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::{Address, SessionSettings};
 
 /// Replaces a timeout that the clock cannot represent.
-const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
+const FAR_FUTURE: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
 /// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
 ///
@@ -89,7 +89,7 @@ impl Session {
             ordered: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
-        let task = Receiving { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
+        let task = ReceivingTask { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
         tokio::spawn(task.run(dialled.receiver, settings.close_timeout()));
         Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
     }
@@ -157,7 +157,7 @@ impl Session {
             observation: None,
         };
         let now = tokio::time::Instant::now();
-        let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
+        let deadline = now.checked_add(timeout).unwrap_or(now + FAR_FUTURE);
         let _place = match shared.requests.place(&mut exchange.log, deadline).await {
             Ok(place) => place,
             Err(error) => return Exchange { result: Err(error), ..exchange },
@@ -183,7 +183,7 @@ impl Session {
 
     /// Handles an answer. The cloud extended the tree as it was sent, so nothing may be added to the tree before the
     /// growth is absorbed.
-    fn take(&self, exchange: &mut Exchange, sent: &Pending<'_>, arrived: Arrived) {
+    fn take(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
         let shared = &*self.inner.shared;
         let sizes = Sizes::of(&arrived.frames);
         let log = &mut exchange.log;

@@ -38,7 +38,7 @@ const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 
 /// A reply that arrived.
 #[derive(Debug)]
-pub(crate) struct Arrived {
+pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
     pub(crate) at: Stamp,
@@ -48,7 +48,7 @@ pub(crate) struct Arrived {
 
 /// The departure of a request.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Departed {
+pub(crate) struct DepartedRequest {
     /// The `upload` node.
     pub(crate) upload: NodeId,
     pub(crate) at: Stamp,
@@ -135,8 +135,8 @@ pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
     raw: bool,
-    departed: &Departed,
-    arrived: &Arrived,
+    departed: &DepartedRequest,
+    arrived: &ArrivedReply,
 ) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, GrowthError> {
     let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
@@ -186,11 +186,11 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
 /// Returns the stamps of an exchange. The pair has the cloud's stamps; `raw` is `true` if they are of its free-running
 /// clock.
 fn observation(
-    departed: &Departed,
+    departed: &DepartedRequest,
     raw: bool,
     (received, replied): (RawTime, RawTime),
     departure: Departure,
-    arrived: &Arrived,
+    arrived: &ArrivedReply,
 ) -> Option<ExchangeObservation> {
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;

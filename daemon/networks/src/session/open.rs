@@ -4,11 +4,11 @@ use peernet_clock::SharedClock;
 use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
-use super::client::{Opened, opened};
+use super::client::{HelloOutcome, classify_answer};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialled, Dialler, EdgeArrival, SendOptions};
+use crate::transport::{DialFailure, Dialler, EdgeArrival, EdgeConnection, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Reason why a session could not be opened.
@@ -80,7 +80,7 @@ impl OpenError {
 
 /// A connection with an accepted session.
 pub(crate) struct OpenedSession {
-    pub(crate) dialled: Dialled,
+    pub(crate) dialled: EdgeConnection,
     pub(crate) accepted: Accepted,
     /// Remarks of the transport so far.
     pub(crate) remarks: Vec<String>,
@@ -121,18 +121,18 @@ pub(crate) async fn handshake(
             Ok(Ok(EdgeArrival::Message(frames))) => {
                 counters.received(Sizes::of(&frames).total());
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
-                match opened(header) {
-                    Opened::Accepted(accepted) => {
+                match classify_answer(header) {
+                    HelloOutcome::Accepted(accepted) => {
                         return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
                     }
-                    Opened::Refused(reason) => {
+                    HelloOutcome::Refused(reason) => {
                         return Err(OpenError::Refused { address: address.clone(), reason });
                     }
-                    Opened::Incompatible(mismatch) => {
+                    HelloOutcome::Incompatible(mismatch) => {
                         return Err(OpenError::Incompatible { address: address.clone(), mismatch });
                     }
                     // Some other message; the answer may still come.
-                    Opened::Nonsense => continue,
+                    HelloOutcome::Nonsense => continue,
                 }
             }
             Ok(Ok(EdgeArrival::Remark(text))) => {

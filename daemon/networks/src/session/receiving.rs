@@ -7,7 +7,7 @@ use peernet_clock::Stamp;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
-use super::exchange::{Arrived, Sizes};
+use super::exchange::{ArrivedReply, Sizes};
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header};
@@ -29,7 +29,7 @@ impl SessionState {
         };
         match heard {
             CloudMessage::Answer(waiter, reply) => {
-                let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
+                let reply = ArrivedReply { reply, frames, at: arrived, epoch: self.clock.epoch() };
                 // Fails if the request was given up at this moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();
@@ -72,7 +72,7 @@ impl SessionState {
 }
 
 /// The task that receives messages from the network. However it ends, the session ends with it.
-pub(super) struct Receiving {
+pub(super) struct ReceivingTask {
     pub(super) shared: Arc<SessionState>,
     /// Cancelled by users of the session who want to close it.
     pub(super) stop: CancellationToken,
@@ -80,7 +80,7 @@ pub(super) struct Receiving {
     pub(super) stopped: CancellationToken,
 }
 
-impl Receiving {
+impl ReceivingTask {
     pub(super) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
         let reason = {
             let mut stop = std::pin::pin!(self.stop.cancelled());
@@ -113,13 +113,13 @@ impl Receiving {
         };
         // A goodbye is only sent if this side closes; in all other cases the other end knows that the session is over.
         if reason == CloseReason::Local {
-            self.say_goodbye();
+            self.send_goodbye();
         }
         self.shared.requests.end(&reason, &self.shared.counters);
         receiver.close(linger).await;
     }
 
-    fn say_goodbye(&self) {
+    fn send_goodbye(&self) {
         let goodbye = Goodbye {
             session: self.shared.terms.session,
             reason: "the edge closed the session".into(),
@@ -140,7 +140,7 @@ impl Receiving {
     }
 }
 
-impl Drop for Receiving {
+impl Drop for ReceivingTask {
     fn drop(&mut self) {
         let reason = CloseReason::Broken("the receiving task ended early".into());
         self.shared.requests.end(&reason, &self.shared.counters);

@@ -6,14 +6,14 @@ use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{Client, CloseReason, CloudMessage};
-use super::exchange::{Arrived, RequestError};
+use super::exchange::{ArrivedReply, RequestError};
 use crate::message::{Header, SessionId};
 use crate::statistics::Counters;
 
 /// Outcome of a request.
 #[derive(Debug)]
 pub(super) enum Answer {
-    Reply(Box<Arrived>),
+    Reply(Box<ArrivedReply>),
     /// The request or its answer was lost on the way. The text says how much of it arrived.
     Lost(String),
     Over(CloseReason),

@@ -7,7 +7,7 @@ use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
-use super::exchange::{Departed, RequestError, Sizes};
+use super::exchange::{DepartedRequest, RequestError, Sizes};
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
@@ -68,15 +68,15 @@ enum UnsendableSample {
 }
 
 /// A request in flight. Dropping it gives the request up.
-pub(super) struct Pending<'a> {
+pub(super) struct PendingRequest<'a> {
     requests: &'a RequestsInFlight,
     request: u64,
-    pub(super) departed: Departed,
+    pub(super) departed: DepartedRequest,
     pub(super) sizes: Sizes,
     pub(super) answer: oneshot::Receiver<Answer>,
 }
 
-impl Drop for Pending<'_> {
+impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
         self.requests.give_up(self.request);
     }
@@ -95,7 +95,7 @@ impl SessionState {
         log: &mut Recorder,
         sample: &Sample,
         deadline: tokio::time::Instant,
-    ) -> Result<Pending<'_>, RequestError> {
+    ) -> Result<PendingRequest<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = log.start(stage::ENCODE);
@@ -114,17 +114,17 @@ impl SessionState {
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
-        let (told_epoch, sent_raw) = if self.terms.has_raw_stamps() {
+        let (sent_epoch, sent_raw) = if self.terms.has_raw_stamps() {
             (epoch, Some(stamp.raw))
         } else {
             (self.clock.wall_epoch(), None)
         };
         let start = log.offset(stamp.mono);
-        let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
-        let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
+        let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
+        let departed = DepartedRequest { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
         // From here on an early return drops `pending` and so gives the request up.
         let mut pending =
-            Pending { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
+            PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
         let header = Header::Request(Request {
             session: self.terms.session,
             request,

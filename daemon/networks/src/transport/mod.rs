@@ -91,7 +91,7 @@ macro_rules! networks {
                 address: &Address,
                 settings: &SessionSettings,
                 dialler: &Dialler<'_>,
-            ) -> Result<Dialled, DialFailure> {
+            ) -> Result<EdgeConnection, DialFailure> {
                 match self { $(Self::$variant => $module::dial(address, settings, dialler).await),* }
             }
 
@@ -101,7 +101,7 @@ macro_rules! networks {
                 settings: &SessionSettings,
                 ports: NonZeroUsize,
                 clock: &SharedClock,
-            ) -> Result<Bound, BindFailure> {
+            ) -> Result<BoundPort, BindFailure> {
                 match self { $(Self::$variant => $module::bind(address, settings, ports, clock).await),* }
             }
         }
@@ -214,7 +214,7 @@ pub(crate) struct Dialler<'a> {
 
 /// The edge's end of one connection. A transport never re-establishes it, because a session exists exactly as long as
 /// its connection.
-pub(crate) struct Dialled {
+pub(crate) struct EdgeConnection {
     /// Sends messages, from any task or thread.
     pub(crate) sender: Box<dyn EdgeSender>,
     /// Receives messages, in one task.
@@ -275,7 +275,7 @@ pub(crate) trait EdgeReceiver: Send + fmt::Debug {
 }
 
 /// The cloud's end: one port with many peers.
-pub(crate) struct Bound {
+pub(crate) struct BoundPort {
     /// Actual address of the port.
     pub(crate) address: Address,
     /// Text that says why all connections of the port are worse than they could be, and what to do about it.
@@ -386,7 +386,7 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
         };
         use crate::SessionSettings;
 
@@ -402,7 +402,7 @@ mod tests {
             address: &Address,
             _: &SessionSettings,
             _: &Dialler<'_>,
-        ) -> Result<Dialled, DialFailure> {
+        ) -> Result<EdgeConnection, DialFailure> {
             Err(DialFailure::Unreachable(address.to_string()))
         }
 
@@ -411,7 +411,7 @@ mod tests {
             _: &SessionSettings,
             _: NonZeroUsize,
             _: &SharedClock,
-        ) -> Result<Bound, BindFailure> {
+        ) -> Result<BoundPort, BindFailure> {
             Err(BindFailure::NotLocal)
         }
     }
@@ -427,7 +427,7 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
         };
         use super::nowhere;
         use crate::SessionSettings;

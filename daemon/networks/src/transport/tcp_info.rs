@@ -38,11 +38,11 @@ enum TcpInfoError {
 /// Returns the kernel's statistics of the connection between these addresses. They are empty if the connection is gone
 /// or the system does not provide them; in the latter case the reason is logged once.
 pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatistics {
-    static IS_TOLD: AtomicBool = AtomicBool::new(false);
+    static IS_LOGGED: AtomicBool = AtomicBool::new(false);
     match ask(addresses) {
         Ok(info) => info.map_or_else(TransportStatistics::default, |info| read(&info)),
         Err(error) => {
-            if !IS_TOLD.swap(true, Ordering::Relaxed) {
+            if !IS_LOGGED.swap(true, Ordering::Relaxed) {
                 tracing::info!(
                     %error,
                     "the kernel does not tell of TCP connections (netlink sock_diag): round trips and retransmissions \

@@ -20,9 +20,9 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    AddressForm, Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer, SendFailure,
-    SendOptions,
+    AddressForm, Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialFailure,
+    Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer,
+    SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -42,7 +42,7 @@ const DIRECT_READ_BYTES: usize = 16 * 1024;
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Time limit for finding out why a connection failed.
-const DIAGNOSIS: Duration = Duration::from_secs(1);
+const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Returns the largest message in the library's terms, which count a slot for each frame in addition to its bytes.
 fn largest_message(settings: &SessionSettings) -> usize {
@@ -109,7 +109,7 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     _dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
     let mut monitor = socket.monitor();
@@ -131,7 +131,7 @@ pub(crate) async fn dial(
     let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
     // Not known yet, because any ROUTER accepts the connection, also that of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
-    Ok(Dialled { sender, receiver: Box::new(receiver), is_cloud: false })
+    Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
 }
 
 /// Returns the addresses of both ends of a connection, as the library reports them.
@@ -156,7 +156,7 @@ fn unreachable(error: Error) -> DialFailure {
 
 /// Finds out why a connection failed by connecting once more, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
-    match tokio::time::timeout(DIAGNOSIS, tokio::net::TcpStream::connect(address.authority())).await {
+    match tokio::time::timeout(DIAGNOSIS_TIMEOUT, tokio::net::TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
         Ok(Ok(_)) => DialFailure::Unreachable("the connection broke while it was set up".into()),
         Err(_) => DialFailure::TimedOut,
@@ -240,12 +240,12 @@ pub(crate) async fn bind(
     settings: &SessionSettings,
     ports: NonZeroUsize,
     _clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
     let (address, receiver) = (address.at_ip(bound.ip(), bound.port()), Box::new(listener));
-    Ok(Bound { address, caveat: None, sender, receiver })
+    Ok(BoundPort { address, caveat: None, sender, receiver })
 }
 
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {

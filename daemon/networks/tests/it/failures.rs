@@ -89,7 +89,7 @@ async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
 #[tokio::test]
 async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
-    let wire = Wire::before(cloud.address()).await;
+    let wire = SilencingRelay::before(cloud.address()).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let address = wire.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
@@ -106,12 +106,12 @@ async fn silent_connection_ends_after_heartbeat_timeout() {
 }
 
 /// A relay before a cloud that can become silent without closing its connections, as if a cable were pulled.
-struct Wire {
+struct SilencingRelay {
     address: Address,
     cut: Arc<Notify>,
 }
 
-impl Wire {
+impl SilencingRelay {
     async fn before(cloud: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let local = listener.local_addr().expect("bound");

@@ -10,7 +10,7 @@ use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
-use crate::wire::{self, Header, Id, Outcome, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
 fn tree() -> Bytes {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::default() };
@@ -25,8 +25,8 @@ fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
 }
 
 /// Opens a session over a plain socket.
-pub(crate) async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     plain.say(&wire::open(PROTOCOL), Vec::new()).await;
     cloud.next_open().await.accept(accepted(cloud.host));
     match plain.hear().await {
@@ -226,7 +226,7 @@ async fn silent_connections_do_not_block_new_edges() {
 #[tokio::test]
 async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
     plain.say(&wire::open(PROTOCOL), Vec::new()).await;
     malformed_after(&mut cloud, 1).await;
 }

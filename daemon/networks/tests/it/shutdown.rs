@@ -14,17 +14,17 @@ use crate::support::{
 
 over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
-/// Name of the thread that a [`Gate`] stops.
+/// Name of the thread that a [`PausingClock`] stops.
 const HELD: &str = "held";
 
 /// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
 #[derive(Debug)]
-struct Gate {
+struct PausingClock {
     clock: SharedClock,
     closed: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
 }
 
-impl Clock for Gate {
+impl Clock for PausingClock {
     fn wall(&self) -> WallTime {
         if thread::current().name() == Some(HELD)
             && let Some((arrived, leave)) = self.closed.lock().expect("no panic").take()
@@ -51,7 +51,7 @@ impl Clock for Gate {
 #[tokio::test]
 async fn closing_waits_for_answer_being_sent() {
     let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
-    let gate = Gate { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
+    let gate = PausingClock { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
     let mut cloud = Cloud::start_by(Arc::new(gate)).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];

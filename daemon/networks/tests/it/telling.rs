@@ -6,12 +6,12 @@ use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
-use crate::wire::{self, Header, Id, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
 #[tokio::test]
 async fn hello_without_model_lets_cloud_choose() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
     plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
     let wish = cloud.next_open().await;

@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
 };
-use crate::udp_relay::{UdpRelay, Weather};
+use crate::udp_relay::{PathImpairment, UdpRelay};
 
 fn payload(size: usize, seed: usize) -> Bytes {
     (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
@@ -84,8 +84,8 @@ async fn payloads_of_all_sizes_come_back_whole() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn answered_and_lost_are_all_that_was_sent() {
     let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let weather = Weather { loss: 2, doubled: 2, delayed: 5 };
-    let relay = UdpRelay::before(&cloud.address(), weather, 2_026).await;
+    let impairment = PathImpairment { loss: 2, doubled: 2, delayed: 5 };
+    let relay = UdpRelay::before(&cloud.address(), impairment, 2_026).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let sizes = (0..300).map(|n| [0, 1, 1_000, 20_000][n % 4]).collect();
@@ -101,8 +101,8 @@ async fn answered_and_lost_are_all_that_was_sent() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn datagrams_of_both_directions_are_counted() {
     let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let weather = Weather { loss: 3, doubled: 3, delayed: 10 };
-    let relay = UdpRelay::before(&cloud.address(), weather, 77).await;
+    let impairment = PathImpairment { loss: 3, doubled: 3, delayed: 10 };
+    let relay = UdpRelay::before(&cloud.address(), impairment, 77).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let addresses = session.statistics_reader().addresses().expect("it has addresses");
@@ -136,7 +136,7 @@ async fn datagrams_of_both_directions_are_counted() {
 #[tokio::test]
 async fn interrupted_path_ends_session_and_next_one_works() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let edge = tokio::spawn({
         let (address, quick) = (relay.address.clone(), quick.clone());
@@ -178,7 +178,7 @@ async fn interrupted_path_ends_session_and_next_one_works() {
 #[tokio::test]
 async fn next_request_notices_restarted_cloud() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let edge = tokio::spawn({
         let address = relay.address.clone();
         async move { open(&address, hello(), settings()).await }
@@ -220,7 +220,7 @@ async fn garbage_is_counted_without_effect() {
 #[tokio::test]
 async fn altered_heartbeat_loses_no_later_request() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
     let edge = tokio::spawn({
         let address = relay.address.clone();

@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 
 /// Probabilities of impairments of datagrams. Percent.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Weather {
+pub(crate) struct PathImpairment {
     pub(crate) loss: u64,
     pub(crate) doubled: u64,
     pub(crate) delayed: u64,
@@ -40,15 +40,15 @@ async fn socket() -> Arc<UdpSocket> {
 }
 
 impl UdpRelay {
-    pub(crate) async fn before(cloud: &Address, weather: Weather, seed: u64) -> Self {
+    pub(crate) async fn before(cloud: &Address, impairment: PathImpairment, seed: u64) -> Self {
         let (front, back) = (socket().await, socket().await);
         let address = format!("udp://{}", front.local_addr().expect("bound"));
         back.connect(cloud.authority()).await.expect("an address");
-        let loss = Arc::new(AtomicU64::new(weather.loss));
+        let loss = Arc::new(AtomicU64::new(impairment.loss));
         let dropped = Arc::new(AtomicU64::new(0));
         let to_alter = Arc::new(AtomicU64::new(0));
         let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&to_alter));
-        let task = tokio::spawn(carry(front, back, weather, counts, seed | 1));
+        let task = tokio::spawn(carry(front, back, impairment, counts, seed | 1));
         Self { address: address.parse().expect("an address"), loss, dropped, to_alter, task }
     }
 
@@ -82,7 +82,7 @@ impl UdpRelay {
 async fn carry(
     front: Arc<UdpSocket>,
     back: Arc<UdpSocket>,
-    weather: Weather,
+    impairment: PathImpairment,
     (loss, dropped, to_alter): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
@@ -114,8 +114,8 @@ async fn carry(
             dropped.fetch_add(1, Ordering::Relaxed);
             continue;
         }
-        let copies = if chance(weather.doubled) { 2 } else { 1 };
-        let is_delayed = chance(weather.delayed);
+        let copies = if chance(impairment.doubled) { 2 } else { 1 };
+        let is_delayed = chance(impairment.delayed);
         for _ in 0..copies {
             let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
             let pass = async move {

@@ -5,7 +5,7 @@ use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
-use crate::wire::{self, Header, Id, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
 const NEWEST: u16 = 5;
 
@@ -23,7 +23,7 @@ fn later(oldest: u16, newest: u16) -> Header {
 #[tokio::test]
 async fn later_edge_is_served_in_common_version() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     plain.say(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
     let wish = cloud.next_open().await;
     assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
@@ -36,7 +36,7 @@ async fn later_edge_is_served_in_common_version() {
 #[tokio::test]
 async fn malformed_clock_socket_name_is_ignored() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
     let long = format!("{good}{}", "0".repeat(10_000));
     let names = [
@@ -61,7 +61,7 @@ async fn malformed_clock_socket_name_is_ignored() {
 #[tokio::test]
 async fn edge_without_common_version_is_refused_with_release() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let mut unreadable = wire::hello(PROTOCOL + 5);
     unreadable.name = "names may have spaces then".into();
     let unreadable = Header::Open { hello: unreadable, max_message_bytes: 1 };

@@ -199,9 +199,9 @@ pub(crate) fn open(protocol: u16) -> Header {
 }
 
 /// A plain ZeroMQ socket.
-pub(crate) struct Plain(pub(crate) Socket);
+pub(crate) struct PlainSocket(pub(crate) Socket);
 
-impl Plain {
+impl PlainSocket {
     pub(crate) async fn dealer(address: &peernet_networks::Address, options: Options) -> Self {
         let socket = Socket::new(SocketType::Dealer, options);
         within(socket.connect(address.to_string())).await.expect("a socket");

@@ -61,21 +61,21 @@ impl PortState {
         let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
         // Before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
-        self.tell(&peer, &header)
+        self.send_message(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
         let refusal = self.machine().refuse(session, reason);
         if let Some((peer, header)) = refusal {
             self.update_admission(peer.connection);
-            self.tell(&peer, &header);
+            self.send_message(&peer, &header);
         }
     }
 
     pub(crate) fn announce(&self, clock: PeerClock) {
         let news = self.machine().announce(clock);
         for (peer, header) in news {
-            self.tell(&peer, &header);
+            self.send_message(&peer, &header);
         }
     }
 
@@ -84,7 +84,7 @@ impl PortState {
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
             let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
-            self.tell(&peer, &header);
+            self.send_message(&peer, &header);
         }
     }
 
@@ -122,7 +122,7 @@ impl PortState {
     }
 
     /// Sends a message without payload. Returns whether the transport accepted it.
-    pub(super) fn tell(&self, peer: &Peer, header: &Header) -> bool {
+    pub(super) fn send_message(&self, peer: &Peer, header: &Header) -> bool {
         let counters = self.machine().counters_of(peer.connection);
         match header.encode() {
             Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),

@@ -18,7 +18,7 @@ use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
 /// Handles a message that arrived. Returns the event for the listener's user, if there is one.
-pub(super) fn heard(
+pub(super) fn handle_message(
     shared: &Arc<PortState>,
     peer: &Peer,
     frames: Frames,
@@ -33,7 +33,7 @@ pub(super) fn heard(
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
         Ok(header) => header,
         Err(HeaderError::NoCommonVersion(mismatch)) => {
-            shared.tell(peer, &Server::incompatible(&mismatch));
+            shared.send_message(peer, &Server::incompatible(&mismatch));
             return None;
         }
         Err(error) => {
@@ -56,7 +56,7 @@ pub(super) fn heard(
         }
         EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
         EdgeMessage::Answer(header) => {
-            shared.tell(peer, &header);
+            shared.send_message(peer, &header);
             None
         }
         EdgeMessage::Closed(session, ordered) => {

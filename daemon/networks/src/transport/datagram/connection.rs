@@ -25,9 +25,9 @@ use super::measurement::PathMeasurement;
 use super::packet::{Heartbeat, Packet, ResetReason, Role, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
-use super::receiving::{Arrived, Receiving};
+use super::receiving::{FragmentOutcome, ReceivingHalf};
 use super::sending::QueueLimits;
-use super::sending::{Batch, Sending};
+use super::sending::{Batch, SendingHalf};
 use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};
@@ -72,8 +72,8 @@ pub(crate) enum Event {
 #[derive(Debug)]
 pub(crate) struct Connection {
     writer: PacketWriter,
-    sending: Sending,
-    receiving: Receiving,
+    sending: SendingHalf,
+    receiving: ReceivingHalf,
     control: ControlQueue,
     events: VecDeque<Event>,
     shutdown: Shutdown,
@@ -93,8 +93,8 @@ impl Connection {
     ) -> Self {
         Self {
             writer,
-            sending: Sending::new(writer, terms, limits.queue, limits.bits_per_second, now),
-            receiving: Receiving::new(writer.connection(), reassembly, budget),
+            sending: SendingHalf::new(writer, terms, limits.queue, limits.bits_per_second, now),
+            receiving: ReceivingHalf::new(writer.connection(), reassembly, budget),
             control: ControlQueue::new(writer),
             events: VecDeque::new(),
             shutdown: Shutdown::new(),
@@ -136,12 +136,12 @@ impl Connection {
             Packet::Data { number, fragment, .. } => {
                 self.measurement.arrive(number, now);
                 match self.receiving.receive(number, &fragment, now) {
-                    Arrived::Message(bytes, reserved) => match split_frames(bytes) {
+                    FragmentOutcome::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
                         Err(error) => self.events.push_back(Event::Garbage(error.to_string())),
                     },
-                    Arrived::Nothing => {}
-                    Arrived::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
+                    FragmentOutcome::Nothing => {}
+                    FragmentOutcome::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
                 }
                 if let Some(progress) = self.receiving.progress() {
                     self.control.push(progress);
@@ -206,7 +206,7 @@ impl Connection {
         let settled = self.sending.settled(heartbeat.settled);
         if self.refuse(settled).is_none() {
             if self.heartbeats.contradict() {
-                self.say_bye();
+                self.send_bye();
                 self.end(CONTRADICTED);
             }
             return;
@@ -253,11 +253,11 @@ impl Connection {
     /// Closes the connection at once, with a single goodbye.
     pub(crate) fn abandon(&mut self) {
         self.control.clear();
-        self.say_bye();
+        self.send_bye();
         self.shutdown.close();
     }
 
-    fn say_bye(&mut self) {
+    fn send_bye(&mut self) {
         self.control.push(Packet::Bye { connection: self.writer.connection(), next: self.sending.next() });
     }
 
@@ -306,8 +306,8 @@ impl Connection {
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|at| at <= now) {
-            self.shutdown.say_bye(now);
-            self.say_bye();
+            self.shutdown.send_bye(now);
+            self.send_bye();
         }
     }
 

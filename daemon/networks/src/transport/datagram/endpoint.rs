@@ -39,7 +39,7 @@ const PATH_PAUSE: Span = Span::from_millis(100);
 const PATH_BYTES: usize = 17;
 
 /// Shortest time between two timer calls of a connection.
-const SOON: Span = Span::from_millis(1);
+const MIN_TIMER_PAUSE: Span = Span::from_millis(1);
 
 /// Timeouts and limits of a port.
 #[derive(Clone, Debug)]
@@ -322,7 +322,7 @@ impl Endpoint {
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
             let at = entry.next_timer(self.limits.hello_timeout, now);
-            self.timers.bring_forward(id, at.max(now + SOON));
+            self.timers.bring_forward(id, at.max(now + MIN_TIMER_PAUSE));
         }
     }
 

@@ -93,7 +93,7 @@ fn period(now: MonoTime) -> i64 {
 
 /// Outcome of a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Dialled {
+pub(crate) enum HandshakeOutcome {
     /// The connection exists; the other end has these terms.
     Opened { connection: u64, terms: Terms },
     /// The cloud accepts no more connections.
@@ -112,7 +112,7 @@ pub(crate) struct PathTooSmall {
 
 /// State of an edge that opens a connection.
 #[derive(Debug)]
-pub(crate) struct Dialling {
+pub(crate) struct DialState {
     nonce: u64,
     /// Port to which the cloud is to answer; 0 means the source port of the packets.
     reply_port: u16,
@@ -127,7 +127,7 @@ pub(crate) struct Dialling {
     too_long: Option<u16>,
 }
 
-impl Dialling {
+impl DialState {
     /// Creates the state. `prefix_bytes` is the length of the prefix of each datagram.
     pub(crate) fn new(nonce: u64, reply_port: u16, terms: Terms, prefix_bytes: usize, now: MonoTime) -> Self {
         Self {
@@ -144,7 +144,7 @@ impl Dialling {
     }
 
     /// Handles a packet from the cloud's address.
-    pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<Dialled> {
+    pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
@@ -154,9 +154,11 @@ impl Dialling {
             Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
-                Some(Dialled::Opened { connection, terms: Terms { datagram, ..terms } })
+                Some(HandshakeOutcome::Opened { connection, terms: Terms { datagram, ..terms } })
             }
-            Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => Some(Dialled::Refused),
+            Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => {
+                Some(HandshakeOutcome::Refused)
+            }
             _ => None,
         }
     }

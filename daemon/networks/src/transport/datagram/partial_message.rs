@@ -33,7 +33,7 @@ pub(super) const PEAK_COST: u64 = 2;
 
 /// Effect of a fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Added {
+pub(super) enum AddOutcome {
     New,
     /// The fragment had arrived before.
     Duplicate,
@@ -65,17 +65,17 @@ impl PartialMessage {
         offset: u32,
         bytes: &[u8],
         budget: &Arc<MemoryBudget>,
-    ) -> Result<Added, Exhausted> {
+    ) -> Result<AddOutcome, Exhausted> {
         let arrived = self.start.len();
         if (offset as usize) < arrived || self.behind.contains_key(&offset) {
-            return Ok(Added::Duplicate);
+            return Ok(AddOutcome::Duplicate);
         }
         if offset as usize > arrived {
             let cost = self.behind_cost + bytes.len() as u64 + FRAGMENT_OVERHEAD;
             self.reserved.set(budget, self.start.capacity() as u64 + cost)?;
             self.behind_cost = cost;
             self.behind.insert(offset, bytes.into());
-            return Ok(Added::New);
+            return Ok(AddOutcome::New);
         }
         self.append(bytes, budget)?;
         while let Some(entry) = self.behind.first_entry()
@@ -85,7 +85,7 @@ impl PartialMessage {
             self.append(&bytes, budget)?;
             self.behind_cost -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
         }
-        Ok(Added::New)
+        Ok(AddOutcome::New)
     }
 
     fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), Exhausted> {
@@ -127,10 +127,10 @@ mod tests {
     fn fragment_without_room_is_refused() {
         let budget = MemoryBudget::new(2_500);
         let mut message = PartialMessage::new(10_000, &budget);
-        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::New));
-        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::New));
-        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::Duplicate));
-        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::Duplicate));
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::New));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::New));
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
         assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(Exhausted));
         assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(Exhausted));
     }
@@ -151,7 +151,7 @@ mod tests {
             order.extend(0..fragments.len());
             for index in order {
                 let (index, part) = fragments[index];
-                if message.add((index * stride) as u32, part, &budget).expect("there is room") == Added::New {
+                if message.add((index * stride) as u32, part, &budget).expect("there is room") == AddOutcome::New {
                     arrived += part.len() as u64;
                     count += 1;
                 }

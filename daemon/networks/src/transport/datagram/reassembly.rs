@@ -12,7 +12,7 @@ use peernet_clock::{MonoTime, Span};
 
 use super::fragment::fragment_count;
 use super::packet::Fragment;
-use super::partial_message::{Added, PartialMessage};
+use super::partial_message::{AddOutcome, PartialMessage};
 use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 
 /// Largest number of message numbers whose state is kept.
@@ -37,7 +37,7 @@ pub(crate) struct ReassemblyLimits {
 
 /// Outcome of a fragment.
 #[derive(Debug)]
-pub(crate) enum Received {
+pub(crate) enum ReassemblyOutcome {
     /// The fragment completes this message.
     Message {
         /// The message.
@@ -85,12 +85,12 @@ pub(crate) struct Reassembly {
 #[derive(Debug)]
 enum Slot {
     Missing { since: MonoTime },
-    Unfinished(Box<Unfinished>),
+    Unfinished(Box<UnfinishedMessage>),
     Settled,
 }
 
 #[derive(Debug)]
-struct Unfinished {
+struct UnfinishedMessage {
     tag: u64,
     checksum: u32,
     stride: u16,
@@ -130,36 +130,36 @@ impl Reassembly {
     }
 
     /// Handles a fragment.
-    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> ReassemblyOutcome {
         if fragment.sequence < self.floor {
-            return Received::Duplicate;
+            return ReassemblyOutcome::Duplicate;
         }
         // One altered number must not give up all awaited messages.
         let most = self.floor.saturating_add(MAX_SPAN).max(self.sent.saturating_add(MAX_AHEAD));
         if fragment.sequence >= most {
-            return Received::TooFarAhead;
+            return ReassemblyOutcome::TooFarAhead;
         }
         self.extend(fragment.sequence.saturating_add(1), now);
         let at = (fragment.sequence - self.floor) as usize;
         let received = match self.slots.get_mut(at) {
-            None | Some(Slot::Settled) => Ok(Received::Duplicate),
+            None | Some(Slot::Settled) => Ok(ReassemblyOutcome::Duplicate),
             Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, &self.budget, now),
             Some(Slot::Missing { .. }) => self.begin(fragment, now),
         };
         match received {
-            Ok(Received::Stored) => self.finish(fragment.sequence),
+            Ok(ReassemblyOutcome::Stored) => self.finish(fragment.sequence),
             Ok(received) => received,
             Err(Exhausted) => {
                 self.give_up_slot(fragment.sequence);
-                Received::Stored
+                ReassemblyOutcome::Stored
             }
         }
     }
 
     /// Starts a message of which nothing had arrived.
-    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<Received, Exhausted> {
+    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<ReassemblyOutcome, Exhausted> {
         let count = fragment_count(fragment.total, fragment.stride);
-        let mut unfinished = Unfinished {
+        let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
             checksum: fragment.checksum,
             stride: fragment.stride,
@@ -191,14 +191,14 @@ impl Reassembly {
     }
 
     /// Delivers the message of a number if it is complete.
-    fn finish(&mut self, sequence: u64) -> Received {
+    fn finish(&mut self, sequence: u64) -> ReassemblyOutcome {
         let at = (sequence - self.floor) as usize;
-        let Some(slot) = self.slots.get_mut(at) else { return Received::Stored };
+        let Some(slot) = self.slots.get_mut(at) else { return ReassemblyOutcome::Stored };
         if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
-            return Received::Stored;
+            return ReassemblyOutcome::Stored;
         }
         let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled) else {
-            return Received::Stored;
+            return ReassemblyOutcome::Stored;
         };
         self.unfinished -= 1;
         self.advance();
@@ -206,9 +206,9 @@ impl Reassembly {
         let (bytes, reserved) = unfinished.message.into_bytes();
         if crc32fast::hash(&bytes) != unfinished.checksum {
             self.lost.push(lost);
-            return Received::Inconsistent;
+            return ReassemblyOutcome::Inconsistent;
         }
-        Received::Message { bytes, reserved }
+        ReassemblyOutcome::Message { bytes, reserved }
     }
 
     /// Notes that the other end has sent all messages below `next`, which is known since `since`.
@@ -258,7 +258,7 @@ impl Reassembly {
         self.give_up(|sequence, slot| match slot {
             Slot::Missing { since } => sequence < next && now - *since >= timeout,
             Slot::Unfinished(unfinished) => {
-                let Unfinished { deadline, progress, sent, .. } = **unfinished;
+                let UnfinishedMessage { deadline, progress, sent, .. } = **unfinished;
                 deadline.is_some_and(|deadline| deadline <= now)
                     || sent.is_some_and(|sent| now - sent.max(progress) >= timeout)
                     || now - progress >= idle_timeout
@@ -325,7 +325,7 @@ impl Reassembly {
     }
 }
 
-impl Unfinished {
+impl UnfinishedMessage {
     /// Adds a fragment to its message.
     ///
     /// # Errors
@@ -335,21 +335,21 @@ impl Unfinished {
         fragment: &Fragment<'_>,
         budget: &Arc<MemoryBudget>,
         now: MonoTime,
-    ) -> Result<Received, Exhausted> {
+    ) -> Result<ReassemblyOutcome, Exhausted> {
         let is_same = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
             && fragment.total == self.message.total();
         if !is_same {
-            return Ok(Received::Inconsistent);
+            return Ok(ReassemblyOutcome::Inconsistent);
         }
         // Equal strides and aligned offsets exclude overlaps.
         let added = self.message.add(fragment.offset, fragment.bytes, budget);
-        if added == Ok(Added::Duplicate) {
-            return Ok(Received::Duplicate);
+        if added == Ok(AddOutcome::Duplicate) {
+            return Ok(ReassemblyOutcome::Duplicate);
         }
         self.received += 1;
         self.progress = now;
-        added.map(|_| Received::Stored)
+        added.map(|_| ReassemblyOutcome::Stored)
     }
 
     fn lost(&self, sequence: u64) -> LostMessage {

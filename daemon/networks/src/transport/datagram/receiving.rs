@@ -10,7 +10,7 @@ use peernet_clock::{MonoTime, Span};
 use self::watermark::SentWatermark;
 use super::false_claim::FalseClaim;
 use super::packet::{Fragment, Packet};
-use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, Received};
+use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, ReassemblyOutcome};
 use super::sending::read_tag;
 use super::window::PROGRESS_BYTES;
 use crate::transport::MessageLoss;
@@ -30,7 +30,7 @@ const REPORT_PAUSE: Span = Span::from_millis(50);
 
 /// The receiving half of a connection.
 #[derive(Debug)]
-pub(crate) struct Receiving {
+pub(crate) struct ReceivingHalf {
     connection: u64,
     reassembly: Reassembly,
     watermark: SentWatermark,
@@ -52,7 +52,7 @@ struct Report {
 
 /// Outcome of a fragment.
 #[derive(Debug)]
-pub(crate) enum Arrived {
+pub(crate) enum FragmentOutcome {
     /// A whole message, and the reservation of its memory.
     Message(Bytes, Reservation),
     /// No message is complete.
@@ -61,7 +61,7 @@ pub(crate) enum Arrived {
     Garbage(String),
 }
 
-impl Receiving {
+impl ReceivingHalf {
     pub(crate) fn new(connection: u64, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) -> Self {
         Self {
             connection,
@@ -78,20 +78,22 @@ impl Receiving {
     }
 
     /// Handles a fragment that arrived in the datagram with this number.
-    pub(crate) fn receive(&mut self, number: u32, fragment: &Fragment<'_>, now: MonoTime) -> Arrived {
+    pub(crate) fn receive(&mut self, number: u32, fragment: &Fragment<'_>, now: MonoTime) -> FragmentOutcome {
         // All earlier messages have been sent, because a sender sends one message after the other.
         self.claim(fragment.sequence, number.into(), now);
         let received = self.reassembly.receive(fragment, now);
-        if !matches!(received, Received::TooFarAhead) {
+        if !matches!(received, ReassemblyOutcome::TooFarAhead) {
             let end = fragment.offset + fragment.bytes.len() as u32;
             self.furthest = self.furthest.max((fragment.sequence, end));
             self.untold = self.untold.saturating_add(fragment.bytes.len() as u32);
         }
         match received {
-            Received::Message { bytes, reserved } => Arrived::Message(bytes, reserved),
-            Received::Stored | Received::Duplicate => Arrived::Nothing,
-            Received::Inconsistent => Arrived::Garbage("a fragment that contradicts its message".into()),
-            Received::TooFarAhead => Arrived::Garbage(FalseClaim::TooFarAhead.to_string()),
+            ReassemblyOutcome::Message { bytes, reserved } => FragmentOutcome::Message(bytes, reserved),
+            ReassemblyOutcome::Stored | ReassemblyOutcome::Duplicate => FragmentOutcome::Nothing,
+            ReassemblyOutcome::Inconsistent => {
+                FragmentOutcome::Garbage("a fragment that contradicts its message".into())
+            }
+            ReassemblyOutcome::TooFarAhead => FragmentOutcome::Garbage(FalseClaim::TooFarAhead.to_string()),
         }
     }
 

@@ -36,7 +36,7 @@ pub(crate) struct Batch {
 
 /// The sending half of a connection.
 #[derive(Debug)]
-pub(crate) struct Sending {
+pub(crate) struct SendingHalf {
     writer: PacketWriter,
     /// Length of every fragment of a message but the last. Bytes.
     stride: u16,
@@ -52,7 +52,7 @@ pub(crate) struct Sending {
     retransmitted: u64,
 }
 
-impl Sending {
+impl SendingHalf {
     pub(crate) fn new(
         writer: PacketWriter,
         terms: Terms,

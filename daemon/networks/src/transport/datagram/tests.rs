@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
-use super::handshake::{Dialled, Dialling};
+use super::handshake::{DialState, HandshakeOutcome};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
@@ -190,7 +190,7 @@ fn forged_addresses_cause_neither_amplification_nor_memory_use() {
 
 /// Opens a connection from an address directly, without a network. `None` if it is refused.
 fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut MonoTime) -> Option<u64> {
-    let mut dialling = Dialling::new(nonce, 0, TERMS, PREFIX.len(), *now);
+    let mut dialling = DialState::new(nonce, 0, TERMS, PREFIX.len(), *now);
     let mut opened = None;
     for _ in 0..2 {
         let mut out = Vec::new();
@@ -202,7 +202,7 @@ fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut Mon
             let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
             if route.to == source
                 && let Ok(packet) = Packet::read(Role::Edge, body)
-                && let Some(Dialled::Opened { connection, .. }) = dialling.receive(&packet, *now)
+                && let Some(HandshakeOutcome::Opened { connection, .. }) = dialling.receive(&packet, *now)
             {
                 opened = Some(connection);
             }
@@ -304,7 +304,7 @@ fn message_without_room_is_lost_while_it_still_leaves() {
 fn lost_large_datagrams_fall_back_to_small_ones() {
     let mut now = MonoTime::default();
     let large = Terms { datagram: 8_000, ..TERMS };
-    let mut dialling = Dialling::new(1, 0, large, PREFIX.len(), now);
+    let mut dialling = DialState::new(1, 0, large, PREFIX.len(), now);
     dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
     let mut lengths = Vec::new();
     for _ in 0..4 {

@@ -95,16 +95,16 @@ impl Channel {
     /// Publishes a companion without frames for all subscribers.
     pub(super) fn announce(&self, kind: u8) {
         let info = self.begin(kind);
-        let tells_buffer = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
+        let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
         // The other end cannot know the size of these buffers, so hello and welcome state it.
-        let buffer = self.node.receive_buffer_bytes().filter(|_| tells_buffer);
+        let buffer = self.node.receive_buffer_bytes().filter(|_| states_buffer_size);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
         self.publish_for_all(&MessageInfo { frame_lengths, ..info });
     }
 
     /// Publishes a goodbye.
-    pub(super) fn say_goodbye(&self, reason: &str) {
+    pub(super) fn send_goodbye(&self, reason: &str) {
         let info = self.begin(MessageInfo::GOODBYE);
         self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..info });
     }

@@ -23,12 +23,12 @@ use tokio::sync::mpsc;
 use self::connection_table::Admission;
 use self::peers::{Delivery, Peers};
 use self::tasks::CloudTasks;
-use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, TopicUse, open_node};
+use super::interface::{NodeFailure, SessionNode, SessionSubscriber, TopicMessage, TopicUse, open_node};
 use super::names::{cloud_node, refusals_topic, sessions_topic};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::{
-    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
     SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -51,7 +51,7 @@ pub(crate) async fn bind(
     settings: &SessionSettings,
     ports: NonZeroUsize,
     clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let other = |error: NodeFailure| BindFailure::Other(error.to_string());
     let name = address.listener_name().unwrap_or_default();
     let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(other)?;
@@ -85,7 +85,7 @@ pub(crate) async fn bind(
     tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
     let sender = Box::new(RosCloudSender(peers));
     let receiver = Box::new(RosCloudReceiver { node, arrivals, tasks });
-    Ok(Bound { address: address.clone(), caveat, sender, receiver })
+    Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
 }
 
 /// Opens a connection for each edge that asks for one.
@@ -99,7 +99,7 @@ async fn accept(
         tokio::select! {
             () = tasks.ending() => return,
             message = sessions.recv() => match message {
-                Ok(message) => hear(&peers, node.form(), message),
+                Ok(message) => handle_hello(&peers, node.form(), message),
                 Err(error) => {
                     tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
                     tasks.abort();
@@ -110,8 +110,8 @@ async fn accept(
     }
 }
 
-fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
-    let Received { bytes, publisher, .. } = message;
+fn handle_hello(peers: &Arc<Peers>, form: WireForm, message: TopicMessage) {
+    let TopicMessage { bytes, publisher, .. } = message;
     match SessionHello::decode(form, bytes) {
         // A node may only ask for itself.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),

@@ -124,14 +124,14 @@ impl Connection {
     }
 
     /// Handles a companion of this connection.
-    pub(super) fn hear_info(&mut self, info: MessageInfo, now: MonoTime) {
+    pub(super) fn receive_info(&mut self, info: MessageInfo, now: MonoTime) {
         if self.is_closed() {
             return;
         }
-        self.heartbeats.note_heard(now);
-        self.incoming.hear(info.sequence);
+        self.heartbeats.note_received(now);
+        self.incoming.receive(info.sequence);
         match info.kind {
-            MessageInfo::DATA => self.assembly.hear_data(info, now, &mut self.events),
+            MessageInfo::DATA => self.assembly.receive_data(info, now, &mut self.events),
             MessageInfo::HELLO => {
                 self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
                 self.events.push(Event::Hello);
@@ -142,7 +142,7 @@ impl Connection {
             }
             MessageInfo::HEARTBEAT => {}
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
-            MessageInfo::PART => self.assembly.hear_part(&info, now),
+            MessageInfo::PART => self.assembly.receive_part(&info, now),
             MessageInfo::LOST => {
                 let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
                 self.events.push(Event::Lost(loss));
@@ -157,13 +157,13 @@ impl Connection {
     }
 
     /// Handles a payload of this connection.
-    pub(super) fn hear_payload(&mut self, stamp: i64, payload: Bytes, now: MonoTime) {
+    pub(super) fn receive_payload(&mut self, stamp: i64, payload: Bytes, now: MonoTime) {
         if self.is_closed() {
             return;
         }
-        self.heartbeats.note_heard(now);
+        self.heartbeats.note_received(now);
         self.confirmation.note_payload();
-        self.assembly.hear_payload(stamp, payload, now, &mut self.events);
+        self.assembly.receive_payload(stamp, payload, now, &mut self.events);
         self.end_after_payloads();
     }
 

@@ -20,12 +20,12 @@ use super::interface::{
 };
 use super::limits::{ReceiveLimits, largest_message, queue_limits};
 use super::names::{TopicPair, allowed, edge_node_prefix, refusals_topic, sessions_topic};
-use super::serving::{Directive, Serving, Sink};
+use super::serving::{ConnectionTask, Directive, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialled, Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
-    SendOptions,
+    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
@@ -49,7 +49,7 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let id = uuid::Uuid::new_v4().simple().to_string();
     let hello = dialler.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
@@ -83,7 +83,7 @@ pub(crate) async fn dial(
     drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
-    let serving = Serving {
+    let serving = ConnectionTask {
         channel: Arc::clone(&channel),
         info: response_info,
         payload: Some(opened.response),
@@ -94,7 +94,11 @@ pub(crate) async fn dial(
     };
     let task = tokio::spawn(serving.run("the edge closed the connection"));
     let receiver = RosEdgeReceiver { node, arrivals, stop, abort, task: Some(task) };
-    Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver), is_cloud: true })
+    Ok(EdgeConnection {
+        sender: Box::new(RosEdgeSender(channel)),
+        receiver: Box::new(receiver),
+        is_cloud: true,
+    })
 }
 
 impl From<NodeFailure> for DialFailure {
@@ -104,7 +108,7 @@ impl From<NodeFailure> for DialFailure {
 }
 
 /// Publishers and subscribers of an edge for one connection.
-struct Opened {
+struct OpenTopics {
     sessions: Box<dyn SessionPublisher>,
     request_info: Box<dyn SessionPublisher>,
     response_info: Box<dyn SessionSubscriber>,
@@ -118,13 +122,13 @@ async fn open(
     node: &dyn SessionNode,
     settings: &SessionSettings,
     receiving: SubscriberOptions,
-) -> Result<Opened, NodeFailure> {
+) -> Result<OpenTopics, NodeFailure> {
     let queue = queue_limits(settings);
     let companions = (TopicUse::Companions, TopicType::of::<MessageInfo>());
     let payloads = (TopicUse::Payloads, TopicType::any());
     let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
-    Ok(Opened {
+    Ok(OpenTopics {
         response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
         response: node.subscribe(&topics.response.payload, payloads, receiving.clone()).await?,
         refusals: node.subscribe(&refusals_topic(&topics.cloud), companions.clone(), receiving).await?,
@@ -162,7 +166,7 @@ async fn welcome(
                     continue;
                 }
                 let now = channel.now();
-                channel.lock().hear_info(info, now);
+                channel.lock().receive_info(info, now);
                 let event = channel.lock().next_event();
                 match event {
                     Some(Event::Welcome) => {

@@ -66,7 +66,7 @@ pub(super) struct RemoteNode {
 
 /// A message that arrived on a topic.
 #[derive(Debug)]
-pub(super) struct Received {
+pub(super) struct TopicMessage {
     /// The message as it was sent.
     pub(super) bytes: Bytes,
     pub(super) publisher: RemoteNode,
@@ -181,10 +181,10 @@ pub(super) trait SessionSubscriber: Debug + Send {
     fn topic(&self) -> &str;
 
     /// Waits for the next message. Cancel safe: dropping the future loses nothing.
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>>;
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>>;
 
     /// Returns the next message if one has arrived.
-    fn try_recv(&mut self) -> Option<Received>;
+    fn try_recv(&mut self) -> Option<TopicMessage>;
 
     /// Returns whether messages of a node arrive.
     fn is_connected(&self, node: &str) -> bool;

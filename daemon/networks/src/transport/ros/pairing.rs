@@ -15,13 +15,13 @@ use crate::transport::memory::Reservation;
 /// Halves of messages that wait for the other half, by stamp.
 #[derive(Debug)]
 pub(super) struct Pairing {
-    waiting: BTreeMap<i64, Waiting>,
+    waiting: BTreeMap<i64, WaitingHalf>,
     max_waiting: usize,
     timeout: Span,
 }
 
 #[derive(Debug)]
-struct Waiting {
+struct WaitingHalf {
     half: Half,
     deadline: MonoTime,
     reserved: Reservation,
@@ -92,7 +92,7 @@ impl Pairing {
             Some(other) => lost.push(other.half.loss()),
             None => {}
         }
-        self.waiting.insert(stamp, Waiting { half, deadline: now + self.timeout, reserved });
+        self.waiting.insert(stamp, WaitingHalf { half, deadline: now + self.timeout, reserved });
         if self.waiting.len() > self.max_waiting
             && let Some((_, oldest)) = self.waiting.pop_first()
         {
@@ -108,13 +108,13 @@ impl Pairing {
 
     /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
     fn settle(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
-        let in_vain = |at: &i64, waiting: &mut Waiting| *at < stamp && waiting.half.is_info() != is_info;
+        let in_vain = |at: &i64, waiting: &mut WaitingHalf| *at < stamp && waiting.half.is_info() != is_info;
         lost.extend(self.waiting.extract_if(.., in_vain).map(|(_, waiting)| waiting.half.loss()));
     }
 
     /// Gives up the halves whose time limit has passed.
     pub(super) fn expire(&mut self, now: MonoTime, lost: &mut Vec<MessageLoss>) {
-        let is_over = |_: &i64, waiting: &mut Waiting| waiting.deadline <= now;
+        let is_over = |_: &i64, waiting: &mut WaitingHalf| waiting.deadline <= now;
         lost.extend(self.waiting.extract_if(.., is_over).map(|(_, waiting)| waiting.half.loss()));
     }
 
@@ -146,13 +146,13 @@ mod tests {
     use super::*;
     use crate::transport::memory::MemoryBudget;
 
-    struct Bench {
+    struct PairingTest {
         pairing: Pairing,
         budget: std::sync::Arc<MemoryBudget>,
         lost: Vec<MessageLoss>,
     }
 
-    impl Bench {
+    impl PairingTest {
         fn new() -> Self {
             let pairing = Pairing::new(3, Span::from_seconds(1));
             Self { pairing, budget: MemoryBudget::new(100), lost: Vec::new() }
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn halves_are_joined_in_either_order() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         assert!(bench.payload(1).is_none() && bench.info(2).is_none());
         assert_eq!(bench.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
         assert!(bench.payload(2).is_some());
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn later_payload_ends_waiting_for_earlier_one() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         assert!(bench.info(1).is_none() && bench.info(2).is_none());
         assert!(bench.payload(2).is_some());
         assert_eq!(bench.lost, [loss(Some(1))]);
@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn waiting_is_bounded_in_number_and_time() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         for stamp in 1..=4 {
             assert!(bench.info(stamp).is_none());
         }

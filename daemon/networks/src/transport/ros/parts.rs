@@ -13,7 +13,7 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 pub(super) struct Parts {
     stamp: Time,
     /// Time at which the last part arrived.
-    heard_at: MonoTime,
+    received_at: MonoTime,
     bytes: BytesMut,
     reserved: Reservation,
 }
@@ -29,7 +29,7 @@ impl Parts {
     ) -> Option<Self> {
         let begin = || Self {
             stamp: part.header.stamp,
-            heard_at: now,
+            received_at: now,
             bytes: BytesMut::new(),
             reserved: Reservation::empty(budget),
         };
@@ -39,13 +39,13 @@ impl Parts {
             return None;
         }
         parts.bytes.extend_from_slice(&part.frames);
-        parts.heard_at = now;
+        parts.received_at = now;
         Some(parts)
     }
 
     /// Returns whether nothing was added for `patience`.
     pub(super) fn is_overdue(&self, now: MonoTime, patience: Span) -> bool {
-        now - self.heard_at >= patience
+        now - self.received_at >= patience
     }
 
     /// Returns whether the parts belong to the message of this companion.

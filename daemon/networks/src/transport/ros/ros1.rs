@@ -15,8 +15,8 @@ use peernet_ros::ros1::{
 use tokio::time::timeout;
 
 use super::interface::{
-    EdgeTopics, NodeFailure, PublisherChanges, Received, RemoteNode, SessionNode, SessionPublisher,
-    SessionSubscriber, TopicUse,
+    EdgeTopics, NodeFailure, PublisherChanges, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber,
+    TopicMessage, TopicUse,
 };
 use super::names::{base_name, cloud_node, sessions_topic};
 use crate::Address;
@@ -217,12 +217,12 @@ impl SessionSubscriber for Subscriber {
         Self::topic(self)
     }
 
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
-        async move { Ok(Received::from(Self::recv(self).await?)) }.boxed()
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>> {
+        async move { Ok(TopicMessage::from(Self::recv(self).await?)) }.boxed()
     }
 
-    fn try_recv(&mut self) -> Option<Received> {
-        Self::try_recv(self).map(Received::from)
+    fn try_recv(&mut self) -> Option<TopicMessage> {
+        Self::try_recv(self).map(TopicMessage::from)
     }
 
     fn is_connected(&self, node: &str) -> bool {
@@ -251,7 +251,7 @@ impl PublisherChanges for PublisherWatch {
     }
 }
 
-impl From<ReceivedMessage> for Received {
+impl From<ReceivedMessage> for TopicMessage {
     fn from(message: ReceivedMessage) -> Self {
         let type_name = Arc::clone(&message.publisher.kind.name);
         let publisher = RemoteNode::from(&*message.publisher);

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::channel::Channel;
 use super::connection::Event;
-use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
+use super::interface::{NodeFailure, PublisherChanges, SessionSubscriber, TopicMessage};
 use super::limits::ReceiveLimits;
 use super::payload;
 use super::second_publishers::SecondPublishers;
@@ -39,7 +39,7 @@ pub(super) enum Directive {
 }
 
 /// The task of one end of a connection.
-pub(super) struct Serving<S: Sink> {
+pub(super) struct ConnectionTask<S: Sink> {
     pub(super) channel: Arc<Channel>,
     pub(super) info: Box<dyn SessionSubscriber>,
     pub(super) payload: Option<Box<dyn SessionSubscriber>>,
@@ -52,15 +52,15 @@ pub(super) struct Serving<S: Sink> {
 }
 
 enum Step {
-    Info(Result<Received, NodeFailure>),
-    Payload(Result<Received, NodeFailure>),
+    Info(Result<TopicMessage, NodeFailure>),
+    Payload(Result<TopicMessage, NodeFailure>),
     Directive(Directive),
     /// The publishers of a topic have changed.
     Publishers,
     Other,
 }
 
-impl<S: Sink> Serving<S> {
+impl<S: Sink> ConnectionTask<S> {
     /// Runs until the connection has ended and all events were handed up.
     pub(super) async fn run(self, goodbye: &str) {
         let channel = Arc::clone(&self.channel);
@@ -86,7 +86,7 @@ impl<S: Sink> Serving<S> {
             }
             if self.channel.lock().is_closed() && waiting.is_empty() {
                 if self.answers_goodbye() && !is_closing {
-                    self.channel.say_goodbye("");
+                    self.channel.send_goodbye("");
                 }
                 return;
             }
@@ -123,12 +123,12 @@ impl<S: Sink> Serving<S> {
                 () = abort.cancelled() => {
                     // A later connection may have the same topics and nodes, so that their end would prove nothing.
                     if channel.node.receive_buffer_bytes().is_some() {
-                        channel.say_goodbye("the other end has given up the connection");
+                        channel.send_goodbye("the other end has given up the connection");
                     }
                     return;
                 }
                 () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
-                    channel.say_goodbye(goodbye);
+                    channel.send_goodbye(goodbye);
                     // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that it
                     // has all of them.
                     if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
@@ -168,14 +168,14 @@ impl<S: Sink> Serving<S> {
         match step {
             Step::Info(Ok(message)) => {
                 if self.is_of_peer(&message, self.info.topic(), others) {
-                    self.hear_info(message);
+                    self.receive_info(message);
                 }
             }
             Step::Payload(Ok(message)) => {
                 let topic =
                     self.payload.as_ref().map_or_else(|| self.info.topic(), |payload| payload.topic());
                 if self.is_of_peer(&message, topic, others) {
-                    self.hear_payload(message);
+                    self.receive_payload(message);
                 }
             }
             Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
@@ -225,7 +225,7 @@ impl<S: Sink> Serving<S> {
     }
 
     /// Returns whether a message is from the node at the other end. There is one remark on each other node.
-    fn is_of_peer(&self, message: &Received, topic: &str, others: &mut SecondPublishers) -> bool {
+    fn is_of_peer(&self, message: &TopicMessage, topic: &str, others: &mut SecondPublishers) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -250,26 +250,26 @@ impl<S: Sink> Serving<S> {
     }
 
     // A message returns its memory before the connection reserves it for the frames, which are the same bytes.
-    fn hear_info(&self, Received { bytes, memory, .. }: Received) {
+    fn receive_info(&self, TopicMessage { bytes, memory, .. }: TopicMessage) {
         drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match MessageInfo::decode(self.channel.node.form(), bytes) {
             // The companion belongs to an earlier or later connection between the same nodes.
             Ok(info) if info.header.frame_id != state.id() => {}
-            Ok(info) => state.hear_info(info, now),
+            Ok(info) => state.receive_info(info, now),
             Err(error) => state.garbage(format!("a companion cannot be read: {error}")),
         }
     }
 
-    fn hear_payload(&self, Received { bytes, memory, type_name, .. }: Received) {
+    fn receive_payload(&self, TopicMessage { bytes, memory, type_name, .. }: TopicMessage) {
         drop(memory);
         let decoded = payload::decode(self.channel.node.form(), &type_name, bytes);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match decoded {
             Ok((connection, _, _)) if connection != state.id() => {}
-            Ok((_, stamp, payload)) => state.hear_payload(stamp, payload, now),
+            Ok((_, stamp, payload)) => state.receive_payload(stamp, payload, now),
             Err(error) => state.garbage(format!("a payload cannot be read: {error}")),
         }
     }
@@ -294,7 +294,7 @@ impl<S: Sink> Serving<S> {
 /// order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
-async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<Received, NodeFailure> {
+async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<TopicMessage, NodeFailure> {
     match subscriber {
         Some(subscriber) => subscriber.recv().await,
         None => std::future::pending().await,

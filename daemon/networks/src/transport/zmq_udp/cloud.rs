@@ -21,7 +21,7 @@ use crate::transport::datagram::endpoint::Delivery;
 use crate::transport::datagram::endpoint::{Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{
-    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
     SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -37,7 +37,7 @@ pub(crate) async fn bind(
     settings: &SessionSettings,
     ports: NonZeroUsize,
     _clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| BindFailure::Other(error.to_string()))?.next();
     let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
@@ -60,7 +60,7 @@ pub(crate) async fn bind(
     let (port, arrivals) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
     let address = address.at_ip(bound.ip(), bound.port());
-    Ok(Bound { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
+    Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
 }
 
 fn failure(error: &io::Error) -> BindFailure {

@@ -21,11 +21,11 @@ use crate::transport::datagram::sending::Batch;
 const MAX_WAITING: usize = 1_024;
 
 /// Number of batches that are read before something is sent again.
-const READS: usize = 8;
+const READS_PER_TURN: usize = 8;
 
 /// Shortest and longest sleep of the task.
-const SOON: Span = Span::from_millis(1);
-const FAR: Span = Span::from_seconds(3_600);
+const MIN_SLEEP: Span = Span::from_millis(1);
+const MAX_SLEEP: Span = Span::from_seconds(3_600);
 
 /// The state machine of a socket.
 pub(super) trait Machine: Send + fmt::Debug + 'static {
@@ -181,7 +181,11 @@ impl<M: Machine> Port<M> {
                 }
                 let now = self.time(Instant::now());
                 // At least the resolution of the runtime's timers, at most an hour.
-                let next = state.machine.next_timer(now).unwrap_or(now + FAR).clamp(now + SOON, now + FAR);
+                let next = state
+                    .machine
+                    .next_timer(now)
+                    .unwrap_or(now + MAX_SLEEP)
+                    .clamp(now + MIN_SLEEP, now + MAX_SLEEP);
                 state.asleep_until = next;
                 (
                     self.start + (next - MonoTime::default()).to_duration(),
@@ -232,7 +236,7 @@ impl<M: Machine> Port<M> {
 
     fn read(&self, buffers: &mut ReceiveBuffers) {
         let mut state = self.lock();
-        for _ in 0..READS {
+        for _ in 0..READS_PER_TURN {
             let now = self.time(Instant::now());
             let machine = &mut state.machine;
             let received = self.socket.try_receive(buffers, |source, local, datagram| {

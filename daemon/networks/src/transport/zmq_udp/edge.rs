@@ -19,14 +19,14 @@ use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
-use crate::transport::datagram::handshake::{Dialled as Answer, Dialling, PathTooSmall};
+use crate::transport::datagram::handshake::{DialState, HandshakeOutcome, PathTooSmall};
 use crate::transport::datagram::packet::{Packet, Role, Terms};
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialled, Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
-    SendOptions,
+    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
@@ -38,7 +38,7 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     _dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| unreachable(&error))?.next();
     let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
@@ -63,7 +63,7 @@ pub(crate) async fn dial(
     let machine = EdgeEnd { peer, id, connection, remark, garbage, token, asked: None };
     let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
-    Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
+    Ok(EdgeConnection { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
 }
 
 fn unreachable(error: &io::Error) -> DialFailure {
@@ -79,7 +79,7 @@ async fn open(
     start: Instant,
 ) -> Result<(u64, Terms, Option<String>), DialFailure> {
     let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let mut dialling = Dialling::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
+    let mut dialling = DialState::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
     let mut buffers = ReceiveBuffers::new();
     let (route, mut out) = (Route { to: peer, from: None }, Vec::new());
     loop {
@@ -120,8 +120,10 @@ async fn open(
             Err(error) => return Err(unreachable(&error)),
         }
         match answer {
-            Some(Answer::Opened { connection, terms }) => return Ok((connection, terms, dialling.remark())),
-            Some(Answer::Refused) => {
+            Some(HandshakeOutcome::Opened { connection, terms }) => {
+                return Ok((connection, terms, dialling.remark()));
+            }
+            Some(HandshakeOutcome::Refused) => {
                 return Err(DialFailure::Refused(
                     "it has too many connections already; close some, or raise the limit of open files (LimitNOFILE) there".into(),
                 ));

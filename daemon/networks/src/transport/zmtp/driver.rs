@@ -15,7 +15,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::connection::{Phase, ZmtpConnection};
-use super::deadlines::{Deadlines, Due};
+use super::deadlines::{Deadlines, DueAction};
 use super::framer::{Allowance, Framer, Piece, Stage, Violation};
 use super::limits::ListenerLimits;
 use super::listener::Delivery;
@@ -233,12 +233,12 @@ impl Driver {
     /// Sends a PING or ends the connection if that is due.
     fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
         match self.deadlines.check(Instant::now()) {
-            Due::Nothing => None,
-            Due::Ping => {
+            DueAction::Nothing => None,
+            DueAction::Ping => {
                 self.ping();
                 None
             }
-            Due::End(reason, text) => Some(ConnectionEnd::Rejected(reason, text)),
+            DueAction::End(reason, text) => Some(ConnectionEnd::Rejected(reason, text)),
         }
     }
 

@@ -17,7 +17,7 @@ use super::connection::{Phase, ZmtpConnection};
 use super::driver::{Budgets, ConnectionEnd, Driver};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
 use super::rejections::{Rejection, RejectionCounts};
-use super::table::{ConnectionTable, Inserted};
+use super::table::{ConnectionTable, InsertedConnection};
 use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
@@ -222,7 +222,7 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
             Arc::new(ZmtpConnection::new(id, address, writer, place, &shared.limits, output))
         };
         match shared.table.insert(AddressGroup::of(address), make) {
-            Ok(Inserted { connection, replaced }) => {
+            Ok(InsertedConnection { connection, replaced }) => {
                 for other in replaced {
                     other.advance(Phase::Replaced);
                 }

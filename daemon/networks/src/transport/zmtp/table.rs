@@ -21,12 +21,12 @@ struct Entries {
     open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
     /// Connections that are not admitted, oldest first, because ids increase.
     unadmitted: BTreeSet<ConnectionId>,
-    groups: HashMap<AddressGroup, Count>,
+    groups: HashMap<AddressGroup, ConnectionCount>,
 }
 
 /// Number of connections of one address.
 #[derive(Clone, Copy, Debug, Default)]
-struct Count {
+struct ConnectionCount {
     open: usize,
     unadmitted: usize,
 }
@@ -57,7 +57,7 @@ impl ConnectionTable {
         &self,
         group: AddressGroup,
         make: impl FnOnce(ConnectionId) -> Arc<ZmtpConnection>,
-    ) -> Result<Inserted, Rejection> {
+    ) -> Result<InsertedConnection, Rejection> {
         let mut entries = self.entries();
         let mut replaced = Vec::new();
         let of_group = entries.groups.get(&group).copied().unwrap_or_default();
@@ -82,7 +82,7 @@ impl ConnectionTable {
         let count = entries.groups.entry(group).or_default();
         count.open += 1;
         count.unadmitted += 1;
-        Ok(Inserted { connection, replaced })
+        Ok(InsertedConnection { connection, replaced })
     }
 
     /// Notes that the hello of a connection is being decided. Its deadline is met.
@@ -120,7 +120,7 @@ impl ConnectionTable {
 
 /// A connection that was added, and those that made room for it.
 #[derive(Debug)]
-pub(super) struct Inserted {
+pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,
     pub(super) replaced: Vec<Arc<ZmtpConnection>>,
 }

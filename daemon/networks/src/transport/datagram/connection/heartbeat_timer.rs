@@ -14,14 +14,14 @@ pub(super) struct HeartbeatTimer {
     interval: Span,
     timeout: Span,
     /// Time at which the last packet of the other end arrived.
-    heard: MonoTime,
+    received_at: MonoTime,
     /// Time at which the other end was last asked for a heartbeat.
-    pinged: MonoTime,
+    pinged_at: MonoTime,
 }
 
 impl HeartbeatTimer {
     pub(super) const fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
-        Self { interval, timeout, heard: now, pinged: now }
+        Self { interval, timeout, received_at: now, pinged_at: now }
     }
 
     /// Returns the longest allowed silence of the other end.
@@ -31,12 +31,12 @@ impl HeartbeatTimer {
 
     /// Notes that a packet arrived.
     pub(super) fn receive(&mut self, now: MonoTime) {
-        self.heard = now;
+        self.received_at = now;
     }
 
     /// Notes that the other end is asked for a heartbeat.
     pub(super) fn ping(&mut self, now: MonoTime) {
-        self.pinged = now;
+        self.pinged_at = now;
     }
 
     /// Returns the time at which the other end is to be asked next.
@@ -44,14 +44,15 @@ impl HeartbeatTimer {
     /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The other end
     /// is then asked sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
-        let idle = self.heard.max(self.pinged) + self.interval;
-        let asks = sent_at.map(|sent| (sent.max(self.pinged) + ASK_PAUSE).min(self.pinged + ASK_PERIOD));
+        let idle = self.received_at.max(self.pinged_at) + self.interval;
+        let asks =
+            sent_at.map(|sent| (sent.max(self.pinged_at) + ASK_PAUSE).min(self.pinged_at + ASK_PERIOD));
         asks.map_or(idle, |at| idle.min(at))
     }
 
     /// Returns the time at which the other end counts as gone if nothing arrives until then.
     pub(super) fn ends_at(&self) -> MonoTime {
-        self.heard + self.timeout
+        self.received_at + self.timeout
     }
 }
 

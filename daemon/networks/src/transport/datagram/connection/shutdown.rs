@@ -54,7 +54,7 @@ impl Shutdown {
     }
 
     /// Notes that a goodbye is sent.
-    pub(super) fn say_bye(&mut self, now: MonoTime) {
+    pub(super) fn send_bye(&mut self, now: MonoTime) {
         self.phase = Phase::Closing { next_bye: now + BYE_PAUSE };
     }
 
@@ -99,7 +99,7 @@ mod tests {
         assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
         shutdown.begin(at(10));
         assert_eq!(shutdown.bye_at(), Some(at(10)));
-        shutdown.say_bye(at(20));
+        shutdown.send_bye(at(20));
         shutdown.begin(at(30));
         assert_eq!(shutdown.bye_at(), Some(at(70)));
         shutdown.confirm();

@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Span};
 
 use super::super::connection::{Connection, Event};
 use super::super::endpoint::Endpoint;
-use super::super::handshake::{Dialled, Dialling};
+use super::super::handshake::{DialState, HandshakeOutcome};
 use super::super::packet::{Packet, Role};
 use super::super::packet_writer::PacketWriter;
 use super::{PREFIX, TERMS, limits};
@@ -75,7 +75,7 @@ pub(super) struct SimulatedNetwork {
     pub(super) path: ImpairedPath,
     pub(super) edge_address: SocketAddr,
     pub(super) cloud: Endpoint,
-    dialling: Dialling,
+    dialling: DialState,
     pub(super) edge: Option<Connection>,
     /// Number of the edge's connection, once it is open.
     edge_id: Option<u64>,
@@ -98,7 +98,7 @@ impl SimulatedNetwork {
             },
             edge_address: "192.0.2.1:1000".parse().expect("an address"),
             cloud: Endpoint::new([7; 32], PREFIX, limits()),
-            dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
+            dialling: DialState::new(5, 0, TERMS, PREFIX.len(), now),
             edge: None,
             edge_id: None,
             arrivals: Vec::new(),
@@ -122,7 +122,9 @@ impl SimulatedNetwork {
                 Some(edge) if packet.connection() == self.edge_id => edge.receive(packet, now),
                 Some(_) => {}
                 None => {
-                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
+                    if let Some(HandshakeOutcome::Opened { connection, terms }) =
+                        self.dialling.receive(&packet, now)
+                    {
                         let limits = limits();
                         self.edge_id = Some(connection);
                         self.edge = Some(Connection::new(

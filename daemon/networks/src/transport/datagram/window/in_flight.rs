@@ -16,7 +16,7 @@ pub(super) struct BytesInFlight {
     /// Datagrams in flight, in the order in which they were sent.
     marks: VecDeque<Mark>,
     /// Time of the last progress of the other end, or of the first datagram in flight if that is later.
-    heard: MonoTime,
+    progress_at: MonoTime,
 }
 
 /// A datagram in flight.
@@ -30,7 +30,7 @@ struct Mark {
 
 impl BytesInFlight {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { sent: 0, arrived: 0, marks: VecDeque::new(), heard: now }
+        Self { sent: 0, arrived: 0, marks: VecDeque::new(), progress_at: now }
     }
 
     /// Returns the number of bytes in flight.
@@ -50,14 +50,14 @@ impl BytesInFlight {
 
     /// Returns the time at which the bytes in flight are treated as arrived or lost.
     pub(super) fn ends_at(&self) -> MonoTime {
-        self.heard + SILENCE
+        self.progress_at + SILENCE
     }
 
     /// Notes that a datagram was sent. `end` is the end of its part of a message.
     pub(super) fn send(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
         // Silence is only measured while something is in flight.
         if self.bytes() == 0 {
-            self.heard = now;
+            self.progress_at = now;
         }
         self.sent += u64::from(bytes);
         self.marks.push_back(Mark { end, sent: self.sent });
@@ -72,7 +72,7 @@ impl BytesInFlight {
         }
         let arrived = self.arrived - before;
         if arrived > 0 {
-            self.heard = now;
+            self.progress_at = now;
         }
         arrived
     }

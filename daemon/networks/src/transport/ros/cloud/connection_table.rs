@@ -42,7 +42,7 @@ struct Table {
 
 /// Result of a request for a connection.
 #[derive(Debug)]
-pub(super) enum Opening {
+pub(super) enum OpenOutcome {
     /// An earlier request has opened the connection.
     Repeated,
     /// The connection may not be opened now, for this reason.
@@ -69,14 +69,14 @@ impl ConnectionTable {
         hello: &SessionHello,
         group: AddressGroup,
         abort: CancellationToken,
-    ) -> Opening {
+    ) -> OpenOutcome {
         let mut table = self.table();
         let replaced = table.connections.get(&hello.pipeline).cloned();
         if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
-            return Opening::Repeated;
+            return OpenOutcome::Repeated;
         }
         if let Some(reason) = self.reason_to_refuse(&table, replaced.as_deref(), &hello.host, group) {
-            return Opening::Refused(reason);
+            return OpenOutcome::Refused(reason);
         }
         let connection = Arc::new(CloudConnection {
             id: ConnectionId(table.next),
@@ -93,7 +93,7 @@ impl ConnectionTable {
         if let Some(replaced) = &replaced {
             replaced.abort.cancel();
         }
-        Opening::Begun { connection, replaced }
+        OpenOutcome::Begun { connection, replaced }
     }
 
     /// Returns the reason to refuse a connection now, if there is one.
@@ -224,7 +224,7 @@ mod tests {
         identifier: &str,
         (host, address): (&str, &str),
         pipeline: &str,
-    ) -> Opening {
+    ) -> OpenOutcome {
         let header = Header { frame_id: identifier.into(), ..Header::default() };
         let (host, pipeline) = (host.to_owned(), pipeline.to_owned());
         let hello = SessionHello { header, host, pipeline, ..SessionHello::default() };
@@ -232,9 +232,9 @@ mod tests {
         table.open(&hello, AddressGroup::of(address), CancellationToken::new())
     }
 
-    fn begun(opening: Opening) -> Arc<CloudConnection> {
+    fn begun(opening: OpenOutcome) -> Arc<CloudConnection> {
         match opening {
-            Opening::Begun { connection, .. } => connection,
+            OpenOutcome::Begun { connection, .. } => connection,
             other => panic!("{other:?}"),
         }
     }
@@ -244,14 +244,14 @@ mod tests {
         let table = ConnectionTable::new(10, 10);
         let robot = ("a", "192.0.2.1");
         let first = begun(open(&table, "1", robot, "/line"));
-        assert!(matches!(open(&table, "1", robot, "/line"), Opening::Repeated));
+        assert!(matches!(open(&table, "1", robot, "/line"), OpenOutcome::Repeated));
         for (host, address) in [("b", "192.0.2.1"), ("a", "198.51.100.1")] {
             let opening = open(&table, "2", (host, address), "/line");
-            assert!(matches!(opening, Opening::Refused(_)), "{host} at {address}: {opening:?}");
+            assert!(matches!(opening, OpenOutcome::Refused(_)), "{host} at {address}: {opening:?}");
         }
         assert!(!first.abort_token().is_cancelled());
         let second = open(&table, "2", robot, "/line");
-        let Opening::Begun { connection: second, replaced: Some(replaced) } = second else {
+        let OpenOutcome::Begun { connection: second, replaced: Some(replaced) } = second else {
             panic!("{second:?}")
         };
         assert!(Arc::ptr_eq(&first, &replaced) && first.abort_token().is_cancelled());
@@ -266,7 +266,7 @@ mod tests {
         let table = ConnectionTable::new(3, 2);
         let open = |pipeline, address| open(&table, pipeline, ("a", address), pipeline);
         let refusal = |pipeline, address| match open(pipeline, address) {
-            Opening::Refused(reason) => reason,
+            OpenOutcome::Refused(reason) => reason,
             other => panic!("{other:?}"),
         };
         let first = begun(open("/1", "192.0.2.1"));

@@ -8,7 +8,7 @@ use peernet_ros::messages::{MessageInfo, SessionHello};
 use peernet_ros::ros1::TopicType;
 use tokio::sync::mpsc;
 
-use super::connection_table::{Admission, CloudConnection, ConnectionTable, Opening};
+use super::connection_table::{Admission, CloudConnection, ConnectionTable, OpenOutcome};
 use super::payload_subscription::PayloadSubscription;
 use super::refusals::Refusals;
 use super::sink::CloudSink;
@@ -19,7 +19,7 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
 use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
 use crate::transport::ros::names::TopicPair;
-use crate::transport::ros::serving::Serving;
+use crate::transport::ros::serving::ConnectionTask;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
 
 /// Largest companion before a session. Bytes.
@@ -88,9 +88,9 @@ impl Peers {
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let group = AddressGroup::of(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
-            Opening::Repeated => return,
-            Opening::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
-            Opening::Begun { connection, replaced } => (connection, replaced),
+            OpenOutcome::Repeated => return,
+            OpenOutcome::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
+            OpenOutcome::Begun { connection, replaced } => (connection, replaced),
         };
         let (peers, edge) = (Arc::clone(self), edge.clone());
         self.tasks.spawn(async move {
@@ -142,7 +142,7 @@ impl Peers {
             (unadmitted, self.admitted.clone()),
             payloads,
         );
-        let serving = Serving {
+        let serving = ConnectionTask {
             channel,
             info,
             payload: None,

@@ -53,13 +53,13 @@ impl MessageAssembly {
     }
 
     /// Handles the first bytes of a message.
-    pub(super) fn hear_part(&mut self, part: &MessageInfo, now: MonoTime) {
+    pub(super) fn receive_part(&mut self, part: &MessageInfo, now: MonoTime) {
         let parts = self.parts.take();
         self.parts = Parts::extended(parts, (part, now), &self.budget, self.max_message_bytes);
     }
 
     /// Handles the companion of a message.
-    pub(super) fn hear_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
+    pub(super) fn receive_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
         // Parts of another message belong to a message that was given up. The memory of the whole message is reserved
         // below.
         if let Some(parts) = self.parts.take().filter(|parts| parts.is_of(&info)) {
@@ -75,7 +75,7 @@ impl MessageAssembly {
         };
         let stamp = info.header.stamp.as_nanos();
         if info.has_payload {
-            self.hear_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
+            self.receive_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
             return;
         }
         // The payload may arrive as well, until the other end knows that payloads do.
@@ -93,7 +93,7 @@ impl MessageAssembly {
     }
 
     /// Handles the payload of a message.
-    pub(super) fn hear_payload(
+    pub(super) fn receive_payload(
         &mut self,
         stamp: i64,
         payload: Bytes,
@@ -112,10 +112,10 @@ impl MessageAssembly {
         // If memory is short, the companion reports the loss, because it has the number of the request and is still to
         // come.
         let Some(reserved) = self.reserve(payload.len()) else { return };
-        self.hear_half(stamp, Half::Payload(payload), reserved, now, events);
+        self.receive_half(stamp, Half::Payload(payload), reserved, now, events);
     }
 
-    fn hear_half(
+    fn receive_half(
         &mut self,
         stamp: i64,
         half: Half,
@@ -197,8 +197,8 @@ mod tests {
     fn message_beyond_the_budget_is_lost_and_counts_no_memory() {
         let (budget, mut events) = (MemoryBudget::new(10), EventQueue::default());
         let mut assembly = assembly(&budget);
-        assembly.hear_data(companion(1), MonoTime::default(), &mut events);
-        assembly.hear_data(companion(2), MonoTime::default(), &mut events);
+        assembly.receive_data(companion(1), MonoTime::default(), &mut events);
+        assembly.receive_data(companion(2), MonoTime::default(), &mut events);
         let first = events.pop();
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
         assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
@@ -210,11 +210,11 @@ mod tests {
     fn new_budget_holds_for_later_messages() {
         let (small, mut events) = (MemoryBudget::new(1), EventQueue::default());
         let mut assembly = assembly(&small);
-        assembly.hear_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assembly.receive_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
         assert!(assembly.next_timer().is_none());
         let large = MemoryBudget::new(10);
         assembly.set_budget(Arc::clone(&large));
-        assembly.hear_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assembly.receive_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
         assert_eq!((small.held(), large.held()), (0, 2));
         assert!(assembly.next_timer().is_some() && events.pop().is_none());
     }

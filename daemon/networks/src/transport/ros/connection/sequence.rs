@@ -66,7 +66,7 @@ pub(super) struct IncomingSequence {
 impl IncomingSequence {
     /// Counts the companions that are missing before the one that arrived. A number that is lower than expected counts
     /// none.
-    pub(super) fn hear(&mut self, number: u64) {
+    pub(super) fn receive(&mut self, number: u64) {
         let expected = self.expected.unwrap_or(number);
         self.missed += number.saturating_sub(expected);
         self.expected = Some(number.saturating_add(1).max(expected));
@@ -105,11 +105,11 @@ mod tests {
     fn missing_companions_are_counted() {
         let mut sequence = IncomingSequence::default();
         for number in [5, 6, 9, 7, 10] {
-            sequence.hear(number);
+            sequence.receive(number);
         }
         assert_eq!(sequence.missed(), 2);
-        sequence.hear(u64::MAX);
-        sequence.hear(0);
+        sequence.receive(u64::MAX);
+        sequence.receive(0);
         assert_eq!(sequence.missed(), 2 + (u64::MAX - 11));
     }
 }

@@ -21,7 +21,7 @@ use tokio_util::task::AbortOnDropHandle;
 use super::remote::remote_node;
 use super::{Publishers, ros2_name};
 use crate::transport::ros::interface::{
-    NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
+    NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
 
 /// Largest number of bytes of waiting messages. A ROS 2 publisher cannot be slowed down, so further messages are
@@ -32,40 +32,40 @@ const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
 const MAX_WAITING_MESSAGES: usize = 8_192;
 
 /// Largest number of publishers that have sent messages and that discovery has not found yet.
-const MAX_HEARD: usize = 64;
+const MAX_UNMATCHED_WRITERS: usize = 64;
 
 /// Receives a topic.
 pub(super) struct Ros2SessionSubscriber {
     topic: String,
-    messages: mpsc::Receiver<Result<Received, NodeFailure>>,
+    messages: mpsc::Receiver<Result<TopicMessage, NodeFailure>>,
     publishers: Publishers,
-    bounds: Arc<Bounds>,
+    bounds: Arc<SubscriberLimits>,
     _task: AbortOnDropHandle<()>,
 }
 
 #[derive(Debug, Default)]
-struct Bounds {
+struct SubscriberLimits {
     max_message_bytes: AtomicUsize,
     waiting_bytes: AtomicUsize,
 }
 
 /// Reason why a subscription ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Ended {
+enum EndReason {
     ForGood,
     OtherType,
 }
 
 /// State of a subscriber's task.
-struct Receiving {
+struct SubscriberTask {
     node: Arc<Ros2Node>,
     topic: String,
     /// The only participant whose messages are wanted, if it is known.
     publisher: Option<Arc<str>>,
     takes_any_type: bool,
-    messages: mpsc::Sender<Result<Received, NodeFailure>>,
+    messages: mpsc::Sender<Result<TopicMessage, NodeFailure>>,
     publishers: watch::Sender<BTreeSet<Arc<str>>>,
-    bounds: Arc<Bounds>,
+    bounds: Arc<SubscriberLimits>,
     /// Participants whose messages arrived.
     known: BTreeMap<ParticipantId, RemoteNode>,
 }
@@ -98,7 +98,7 @@ impl Ros2SessionSubscriber {
                 let type_name = receiving.payload_type().await;
                 match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
-                        if receiving.run(subscription, type_name.into()).await == Ended::ForGood {
+                        if receiving.run(subscription, type_name.into()).await == EndReason::ForGood {
                             return;
                         }
                     }
@@ -112,13 +112,13 @@ impl Ros2SessionSubscriber {
         node: &Arc<Ros2Node>,
         topic: String,
         options: &SubscriberOptions,
-        run: impl FnOnce(Receiving) -> F,
+        run: impl FnOnce(SubscriberTask) -> F,
     ) -> Self {
         let ((sender, messages), (found, publishers)) =
             (mpsc::channel(MAX_WAITING_MESSAGES), watch::channel(BTreeSet::new()));
-        let bounds = Arc::new(Bounds::default());
+        let bounds = Arc::new(SubscriberLimits::default());
         bounds.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
-        let receiving = Receiving {
+        let receiving = SubscriberTask {
             node: Arc::clone(node),
             topic: topic.clone(),
             publisher: options.publisher.clone(),
@@ -132,14 +132,14 @@ impl Ros2SessionSubscriber {
         Self { topic, messages, publishers, bounds, _task: task }
     }
 
-    fn taken(&self, message: Result<Received, NodeFailure>) -> Result<Received, NodeFailure> {
+    fn taken(&self, message: Result<TopicMessage, NodeFailure>) -> Result<TopicMessage, NodeFailure> {
         let bytes = message.as_ref().map_or(0, |message| message.bytes.len());
         self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
         message
     }
 }
 
-impl Receiving {
+impl SubscriberTask {
     /// Returns the types of payloads that the publisher gives the topic at present.
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
@@ -168,11 +168,11 @@ impl Receiving {
     }
 
     /// Receives until there are only publishers of another type, or until the subscriber is dropped.
-    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> Ended {
+    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> EndReason {
         let mut peers = subscription.peers();
         // Messages may arrive before discovery finds their publisher, and after it reports that an earlier one has
         // gone.
-        let mut heard: BTreeSet<EndpointId> = BTreeSet::new();
+        let mut unmatched_writers: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
             let (matched, is_refused) = {
                 let peers = peers.borrow_and_update();
@@ -181,12 +181,15 @@ impl Receiving {
             if matched.is_empty() && is_refused && self.takes_any_type {
                 let types = self.payload_types();
                 if !types.is_empty() && !types.contains(&&*type_name) {
-                    return Ended::OtherType;
+                    return EndReason::OtherType;
                 }
             }
-            heard.retain(|id| !matched.contains(id));
-            let names: BTreeSet<Arc<str>> =
-                matched.iter().chain(&heard).map(|id| self.remote(id.participant()).node).collect();
+            unmatched_writers.retain(|id| !matched.contains(id));
+            let names: BTreeSet<Arc<str>> = matched
+                .iter()
+                .chain(&unmatched_writers)
+                .map(|id| self.remote(id.participant()).node)
+                .collect();
             self.publishers.send_if_modified(|known| {
                 let is_changed = *known != names;
                 *known = names;
@@ -196,18 +199,18 @@ impl Receiving {
                 message = subscription.receive() => message,
                 changed = peers.changed() => match changed {
                     Ok(()) => continue,
-                    Err(_) => return Ended::ForGood,
+                    Err(_) => return EndReason::ForGood,
                 },
             };
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {
                     self.fail(error.into()).await;
-                    return Ended::ForGood;
+                    return EndReason::ForGood;
                 }
             };
-            if !matched.contains(&message.writer) && heard.len() < MAX_HEARD {
-                heard.insert(message.writer);
+            if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
+                unmatched_writers.insert(message.writer);
             }
             let (bytes, waiting) = (message.payload.len(), self.bounds.waiting_bytes.load(Ordering::Relaxed));
             let longest = self.bounds.max_message_bytes.load(Ordering::Relaxed);
@@ -225,14 +228,14 @@ impl Receiving {
             let publisher = self.remote(message.writer.participant());
             let memory = MessageMemory::default();
             let received =
-                Received { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
+                TopicMessage { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
             match self.messages.try_send(Ok(received)) {
                 Ok(()) => {}
                 Err(TrySendError::Full(_)) => {
                     self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
                     tracing::debug!(topic = subscription.topic(), bytes, "a message of ROS 2 is dropped");
                 }
-                Err(TrySendError::Closed(_)) => return Ended::ForGood,
+                Err(TrySendError::Closed(_)) => return EndReason::ForGood,
             }
         }
     }
@@ -258,7 +261,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         &self.topic
     }
 
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>> {
         let receive = async {
             let ended = || Err(NodeFailure(format!("topic {} has ended", self.topic)));
             let message = self.messages.recv().await.unwrap_or_else(ended);
@@ -267,7 +270,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         receive.boxed()
     }
 
-    fn try_recv(&mut self) -> Option<Received> {
+    fn try_recv(&mut self) -> Option<TopicMessage> {
         let message = self.messages.try_recv().ok()?;
         self.taken(message).ok()
     }
@@ -279,7 +282,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
     fn watch(&self) -> Box<dyn PublisherChanges> {
         let mut publishers = self.publishers.clone();
         publishers.mark_unchanged();
-        Box::new(Changes(publishers))
+        Box::new(WatchedPublishers(publishers))
     }
 
     // The memory is reserved when frames are made of a message; `rustdds` has no limit that could be set.
@@ -288,9 +291,9 @@ impl SessionSubscriber for Ros2SessionSubscriber {
     }
 }
 
-struct Changes(Publishers);
+struct WatchedPublishers(Publishers);
 
-impl PublisherChanges for Changes {
+impl PublisherChanges for WatchedPublishers {
     fn changed(&self) -> BoxFuture<'_, ()> {
         let mut publishers = self.0.clone();
         let changed = async move {
