@@ -22,7 +22,7 @@ use bytes::Bytes;
 use peernet_clock::{Clock, ClockIdentity, SystemClock};
 use peernet_ros::messages::{CompressedImage, Header, Message, StringMessage, Time, WireForm};
 use peernet_ros::ros1::{
-    Environment, Node, Published, PublisherOptions, PublisherState, SubscriberOptions, TopicType,
+    Environment, Node, PublishOutcome, PublisherOptions, PublisherState, SubscriberOptions, TopicType,
 };
 
 fn picture(number: usize, length: usize) -> CompressedImage {
@@ -57,7 +57,7 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
     print("ready");
     publisher.wait_for_subscribers(1).await?;
     for number in 0..count {
-        let Published { dropped, .. } =
+        let PublishOutcome { dropped, .. } =
             publisher.publish_waiting(picture(number, length).encode(WireForm::Ros1)?).await?;
         anyhow::ensure!(dropped == 0, "message {number} was dropped");
     }

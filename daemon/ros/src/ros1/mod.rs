@@ -55,7 +55,7 @@ pub use memory::{MemoryLimit, MessageMemory};
 pub use names::{NameError, NodeName};
 pub use node::Node;
 pub use outgoing::SendCounts;
-pub use publisher::{Delivery, Published, Publisher, PublisherOptions, SubscriberStatus};
+pub use publisher::{Delivery, PublishOutcome, Publisher, PublisherOptions, SubscriberStatus};
 pub use rpc::RpcError;
 pub use subscriber::{
     PublisherInfo, PublisherState, PublisherStatus, PublisherWatch, ReceiveCounts, Subscriber,

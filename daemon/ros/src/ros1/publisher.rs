@@ -25,7 +25,7 @@ pub struct PublisherOptions {
 
 /// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Published {
+pub struct PublishOutcome {
     /// Number of subscribers to which the message is sent, or in whose queue it waits.
     pub subscribers: usize,
     /// Number of subscribers that do not get the message because their queue was full.
@@ -74,10 +74,10 @@ impl Publisher {
     ///
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
-    pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+    pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check(message.into())?;
         let connections = self.topic.take_message(&message, prefix);
-        let mut published = Published::default();
+        let mut published = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
                 Offer::Taken => published.subscribers += 1,
@@ -113,10 +113,13 @@ impl Publisher {
     ///
     /// # Errors
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
-    pub async fn publish_waiting(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+    pub async fn publish_waiting(
+        &self,
+        message: impl Into<EncodedMessage>,
+    ) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check(message.into())?;
         let connections = self.topic.take_message(&message, prefix);
-        let mut published = Published::default();
+        let mut published = PublishOutcome::default();
         for connection in connections {
             published.subscribers += usize::from(connection.wait_for_room(&message, prefix).await);
         }

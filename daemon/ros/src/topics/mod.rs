@@ -18,4 +18,4 @@ pub use nodes::shared_ros2_node;
 pub use reader::{ReaderOptions, TopicMessage, TopicReader};
 pub use survey::{TopicUse, check_name, check_topic, survey_topic};
 pub use version::{RosVersion, VersionError};
-pub use writer::{TopicWriter, Written};
+pub use writer::{TopicWriter, WriteOutcome};

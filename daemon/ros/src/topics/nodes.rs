@@ -23,7 +23,7 @@ static ROS1_NODES: Mutex<Vec<Weak<SharedNode>>> = Mutex::const_new(Vec::new());
 static ROS2_NODE: Mutex<Weak<Ros2Node>> = Mutex::const_new(Weak::new());
 
 /// Number of ROS 1 nodes that this process has created.
-static MADE: AtomicU32 = AtomicU32::new(0);
+static CREATED_NODES: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the runtime of the nodes.
 pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
@@ -106,7 +106,7 @@ pub async fn shared_ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
 /// Returns the name of the next ROS 1 node. Names differ, because the master ends an older node of the same name.
 fn node_name() -> String {
     let base = base_name();
-    match MADE.fetch_add(1, Ordering::Relaxed) {
+    match CREATED_NODES.fetch_add(1, Ordering::Relaxed) {
         0 => base,
         others => format!("{base}_{}", others + 1),
     }

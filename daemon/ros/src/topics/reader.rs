@@ -8,7 +8,7 @@ use peernet_clock::{SharedClock, WallTime};
 use tokio::time::timeout;
 
 use super::nodes::{SharedNode, open_on_ros1, ros2_node, runtime};
-use super::survey::seen;
+use super::survey::list_topics;
 use super::{MessageType, RosVersion, TopicError};
 use crate::messages::WireForm;
 use crate::ros1::{
@@ -45,13 +45,13 @@ pub struct TopicMessage {
 
 /// Receives the messages of a topic from all its publishers. Its methods block.
 pub struct TopicReader {
-    ends: Ends,
+    inner: VersionedSubscriber,
     /// Number of dropped messages that were reported.
-    told: u64,
+    reported: u64,
 }
 
 /// The fields are dropped in order: the subscriber before its node, which then informs the master.
-enum Ends {
+enum VersionedSubscriber {
     Ros1 {
         subscriber: Subscriber,
         environment: Environment,
@@ -80,13 +80,13 @@ impl TopicReader {
         options: ReaderOptions,
         clock: &SharedClock,
     ) -> Result<Self, TopicError> {
-        let ends = runtime()?.block_on(async {
+        let inner = runtime()?.block_on(async {
             match version {
                 RosVersion::Ros1 => open_ros1(topic, of, options, clock).await,
                 RosVersion::Ros2 => open_ros2(topic, of, options).await,
             }
         })?;
-        Ok(Self { ends, told: 0 })
+        Ok(Self { inner, reported: 0 })
     }
 
     /// Waits for the next message. Blocks.
@@ -99,8 +99,8 @@ impl TopicReader {
     }
 
     async fn read_within(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
-        match &mut self.ends {
-            Ends::Ros1 { subscriber, environment, .. } => {
+        match &mut self.inner {
+            VersionedSubscriber::Ros1 { subscriber, environment, .. } => {
                 let Ok(message) = timeout(patience, subscriber.recv()).await else {
                     let reason = absence(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
@@ -114,10 +114,10 @@ impl TopicReader {
                     of: Arc::clone(&message.publisher.kind.name),
                     bytes: message.bytes,
                     received: message.received.wall,
-                    dropped: dropped - std::mem::replace(&mut self.told, dropped),
+                    dropped: dropped - std::mem::replace(&mut self.reported, dropped),
                 })
             }
-            Ends::Ros2 { subscription, of, .. } => {
+            VersionedSubscriber::Ros2 { subscription, of, .. } => {
                 let Ok(sample) = timeout(patience, subscription.receive()).await else {
                     // If there is no publisher, the error says what discovery has seen.
                     subscription.await_peer(Duration::ZERO).await?;
@@ -127,7 +127,7 @@ impl TopicReader {
                 };
                 let sample = sample?;
                 let undecodable = subscription.counts().undecodable;
-                let unread = undecodable - std::mem::replace(&mut self.told, undecodable);
+                let unread = undecodable - std::mem::replace(&mut self.reported, undecodable);
                 Ok(TopicMessage {
                     form: WireForm::Cdr,
                     of: Arc::clone(of),
@@ -145,7 +145,7 @@ async fn open_ros1(
     of: Option<&MessageType>,
     options: ReaderOptions,
     clock: &SharedClock,
-) -> Result<Ends, TopicError> {
+) -> Result<VersionedSubscriber, TopicError> {
     let environment = Environment::from_process()?;
     // The sum is a wildcard, because publishers know it and messages of unknown types are read as bytes.
     let kind = match of {
@@ -160,19 +160,19 @@ async fn open_ros1(
     };
     let subscribe = async |node: &Node| node.subscribe(topic, kind.clone(), options.clone()).await;
     let (subscriber, node) = open_on_ros1(&environment, clock, subscribe).await?;
-    Ok(Ends::Ros1 { subscriber, environment, node })
+    Ok(VersionedSubscriber::Ros1 { subscriber, environment, node })
 }
 
 async fn open_ros2(
     topic: &str,
     of: Option<&MessageType>,
     options: ReaderOptions,
-) -> Result<Ends, TopicError> {
+) -> Result<VersionedSubscriber, TopicError> {
     let of = of.ok_or_else(|| TopicError::TypeRequired { topic: topic.to_owned() })?;
     let qos = QosProfile { reliability: options.reliability, depth: options.queue, ..QosProfile::default() };
     let node = ros2_node().await?;
     let subscription = node.subscription(topic, of.as_str(), &qos)?;
-    Ok(Ends::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
+    Ok(VersionedSubscriber::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
 }
 
 /// Returns the reason why no message arrives, from the connections to publishers.
@@ -190,7 +190,9 @@ async fn absence(subscriber: &Subscriber, environment: &Environment) -> String {
             Ok(topics) => format!(
                 "no node publishes it; is the name right? The ROS master at {}: {}",
                 environment.master,
-                seen(topics.iter().map(|(name, _)| name.as_str()).filter(|name| *name != subscriber.topic()))
+                list_topics(
+                    topics.iter().map(|(name, _)| name.as_str()).filter(|name| *name != subscriber.topic())
+                )
             ),
             Err(error @ NodeError::NoMaster { .. }) => error.to_string(),
             Err(error) => format!("no node publishes it, and the ROS master cannot be asked: {error}"),

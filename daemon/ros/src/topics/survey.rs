@@ -81,7 +81,7 @@ pub fn survey_topic(
         }
         (None, _) if for_use == TopicUse::Read => Some(format!(
             "the ROS master at {master} does not know topic {topic} yet; {}",
-            seen(topics.iter().map(|(name, _)| name.as_str()))
+            list_topics(topics.iter().map(|(name, _)| name.as_str()))
         )),
         _ => None,
     })
@@ -91,7 +91,7 @@ pub fn survey_topic(
 const LISTED: usize = 8;
 
 /// Returns a text that lists the existing topics.
-pub(super) fn seen<'a>(topics: impl Iterator<Item = &'a str>) -> String {
+pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
     let mut all: Vec<&str> = topics.collect();
     if all.is_empty() {
         return "it knows no topic at all".to_owned();

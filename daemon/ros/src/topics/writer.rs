@@ -12,7 +12,7 @@ use crate::ros2::{QosProfile, Ros2Node, Ros2Publisher};
 
 /// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Written {
+pub struct WriteOutcome {
     /// Number of ROS 1 subscribers that do not get the message, because their queues are full. In ROS 2 the publisher
     /// waits for them instead.
     pub dropped: usize,
@@ -20,13 +20,13 @@ pub struct Written {
 
 /// Publishes a topic. Its methods block.
 pub struct TopicWriter {
-    ends: Ends,
+    inner: VersionedPublisher,
     topic: String,
     clock: SharedClock,
 }
 
 /// The fields are dropped in order: the publisher before its node, which then informs the master.
-enum Ends {
+enum VersionedPublisher {
     Ros1(Publisher, #[expect(dead_code, reason = "keeps the node")] Arc<SharedNode>),
     Ros2(Box<Ros2Publisher>, #[expect(dead_code, reason = "keeps the node")] Arc<Ros2Node>),
 }
@@ -41,7 +41,7 @@ impl TopicWriter {
         topic: &str,
         clock: &SharedClock,
     ) -> Result<Self, TopicError> {
-        let ends = runtime()?.block_on(async {
+        let inner = runtime()?.block_on(async {
             match version {
                 RosVersion::Ros1 => {
                     let environment = Environment::from_process()?;
@@ -49,37 +49,37 @@ impl TopicWriter {
                         node.publish(topic, TopicType::of::<M>(), PublisherOptions::default()).await
                     };
                     let (publisher, node) = open_on_ros1(&environment, clock, publish).await?;
-                    Ok::<_, TopicError>(Ends::Ros1(publisher, node))
+                    Ok::<_, TopicError>(VersionedPublisher::Ros1(publisher, node))
                 }
                 RosVersion::Ros2 => {
                     let node = ros2_node().await?;
                     let publisher = node.publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
-                    Ok(Ends::Ros2(Box::new(publisher), node))
+                    Ok(VersionedPublisher::Ros2(Box::new(publisher), node))
                 }
             }
         })?;
-        Ok(Self { ends, topic: topic.to_owned(), clock: SharedClock::clone(clock) })
+        Ok(Self { inner, topic: topic.to_owned(), clock: SharedClock::clone(clock) })
     }
 
     /// Publishes a message of the type with which the topic was opened.
     ///
     /// # Errors
     /// If the node has ended, the message cannot be encoded, or subscriptions of ROS 2 do not keep up for 5 seconds.
-    pub fn write<M: Message>(&self, message: &M) -> Result<Written, TopicError> {
+    pub fn write<M: Message>(&self, message: &M) -> Result<WriteOutcome, TopicError> {
         let encode = |form| {
             message.encode(form).map_err(|source| TopicError::Encode { topic: self.topic.clone(), source })
         };
-        match &self.ends {
-            Ends::Ros1(publisher, _) => {
+        match &self.inner {
+            VersionedPublisher::Ros1(publisher, _) => {
                 // Bytes that the kernel does not accept at once are sent on the runtime.
                 let _entered = runtime()?.enter();
                 let published = publisher.publish(encode(WireForm::Ros1)?)?;
-                Ok(Written { dropped: published.dropped })
+                Ok(WriteOutcome { dropped: published.dropped })
             }
-            Ends::Ros2(publisher, _) => {
+            VersionedPublisher::Ros2(publisher, _) => {
                 let payload = encode(WireForm::Cdr)?.into_bytes();
                 runtime()?.block_on(publisher.publish(payload, self.clock.wall()))?;
-                Ok(Written::default())
+                Ok(WriteOutcome::default())
             }
         }
     }

@@ -120,7 +120,7 @@ fn answer(state: &mut State, call: &Call) -> Response {
             register(state, node, uri);
             let nodes = state.publishers.entry((*topic).to_owned()).or_default();
             nodes.insert((*node).to_owned(), (*uri).to_owned());
-            tell_subscribers(state, topic);
+            notify_subscribers(state, topic);
             success(uris(state.subscribers.get(*topic)))
         }
         ("registerSubscriber", [node, topic, _, uri]) => {
@@ -131,7 +131,7 @@ fn answer(state: &mut State, call: &Call) -> Response {
         }
         ("unregisterPublisher", [node, topic, uri]) => {
             let removed = remove(&mut state.publishers, topic, node, uri);
-            tell_subscribers(state, topic);
+            notify_subscribers(state, topic);
             success(i64::from(removed))
         }
         ("unregisterSubscriber", [node, topic, uri]) => {
@@ -177,19 +177,19 @@ fn register(state: &mut State, node: &str, uri: &str) {
     let older = state.nodes.insert(node.to_owned(), uri.to_owned());
     if let Some(older) = older.filter(|older| older != uri) {
         let reason = format!("[{node}] Reason: new node registered with same name");
-        tell(&older, "shutdown", vec!["/master".into(), reason.into()]);
+        call_node(&older, "shutdown", vec!["/master".into(), reason.into()]);
     }
 }
 
-fn tell_subscribers(state: &State, topic: &str) {
+fn notify_subscribers(state: &State, topic: &str) {
     let publishers = uris(state.publishers.get(topic));
     for uri in state.subscribers.get(topic).into_iter().flat_map(BTreeMap::values) {
-        tell(uri, "publisherUpdate", vec!["/master".into(), topic.into(), publishers.clone()]);
+        call_node(uri, "publisherUpdate", vec!["/master".into(), topic.into(), publishers.clone()]);
     }
 }
 
 /// Calls a node. A failure means that the node has ended.
-fn tell(uri: &str, method: &'static str, params: Vec<Value>) {
+fn call_node(uri: &str, method: &'static str, params: Vec<Value>) {
     let uri = RpcUri::parse(uri).unwrap();
     tokio::spawn(async move { rpc::call(&uri, method, params).await.map(drop) });
 }
