@@ -46,7 +46,7 @@ fn main() -> Anyhow<()> {
         }
     }
     let settings = SessionSettings { datagram_bytes: datagram as u64, ..SessionSettings::default() };
-    let bare = Bare::start(datagram)?;
+    let bare = BareUdp::start(datagram)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let address = runtime.block_on(serve(settings.clone()))?;
     let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
@@ -94,12 +94,12 @@ fn report(size: usize, theirs: &mut [Span], ours: &mut [Span]) {
 }
 
 /// Round trips over bare UDP: the first four bytes of each datagram are the number of datagrams of its message.
-struct Bare {
+struct BareUdp {
     socket: UdpSocket,
     datagram: usize,
 }
 
-impl Bare {
+impl BareUdp {
     fn start(datagram: usize) -> Anyhow<Self> {
         let server = Self::socket()?;
         let address: SocketAddr = server.local_addr()?;

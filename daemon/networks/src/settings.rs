@@ -105,7 +105,7 @@ pub struct InvalidSettings {
     pub problem: String,
 }
 
-fn between(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
+fn check_range(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
     if (least..=most).contains(&value) {
         return Ok(());
     }
@@ -118,19 +118,19 @@ impl SessionSettings {
     /// # Errors
     /// If a session could never work with these settings. The error names the key and its range.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        between("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
-        between("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
-        between("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
-        between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
-        between("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
-        between("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
-        between("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
-        between("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
-        between("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
-        between("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
-        between("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
-        between("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
-        between("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
+        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
+        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
+        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
+        check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
+        check_range("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
+        check_range("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
+        check_range("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
+        check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
+        check_range("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
+        check_range("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
+        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
+        check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
         self.ros2.check()?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {

@@ -24,7 +24,7 @@ const SEND_PATIENCE: Duration = Duration::from_millis(20);
 /// Largest number of awaited departure stamps.
 const MAX_DEPARTING: usize = 64;
 
-const AFTER_FAILURE: Duration = Duration::from_millis(5);
+const FAILURE_PAUSE: Duration = Duration::from_millis(5);
 
 /// Configuration of a prober.
 #[derive(Clone, Debug)]
@@ -101,7 +101,7 @@ impl Prober {
     /// If there is no socket for the target.
     pub fn open(config: ProberConfig, clock: SharedClock) -> Result<Self, OpenError> {
         let target = config.target;
-        let socket = ProbeSocket::towards(target, config.stamps, clock.clone())
+        let socket = ProbeSocket::open_for_target(target, config.stamps, clock.clone())
             .map_err(|error| OpenError::Socket { target, error })?;
         // Not zero: reflectors that do not know session identifiers leave zero.
         let ssid = rand::random_range(1..=u16::MAX);
@@ -135,7 +135,7 @@ impl Prober {
     }
 
     fn distrust_kernel(&mut self) {
-        self.socket.distrust();
+        self.socket.disable_kernel_stamps();
         self.logic.distrust_kernel();
         self.config.stamps = Stamps::Program;
     }
@@ -222,7 +222,7 @@ impl Prober {
         if !self.socket.stamps_departures() {
             return;
         }
-        match ProbeSocket::towards(self.config.target, self.config.stamps, self.clock.clone()) {
+        match ProbeSocket::open_for_target(self.config.target, self.config.stamps, self.clock.clone()) {
             Ok(socket) => {
                 self.socket = socket;
                 self.departing.clear();
@@ -272,7 +272,7 @@ impl Prober {
     /// must not cause a busy loop.
     async fn failed(&mut self, error: &io::Error) {
         tracing::debug!(target = %self.config.target, %error, "a probe's reply could not be received");
-        tokio::time::sleep(AFTER_FAILURE).await;
+        tokio::time::sleep(FAILURE_PAUSE).await;
     }
 }
 

@@ -13,7 +13,7 @@ use crate::refusal_log::RefusalLog;
 use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
-use crate::stamp::uncertainty::AGREEMENT;
+use crate::stamp::uncertainty::ORDER_TOLERANCE;
 use crate::{Key, ReflectorFigures, Refusal, Stamps};
 
 /// Largest packet of UDP. Bytes.
@@ -100,7 +100,7 @@ pub struct Reflector {
     figures: ReflectorFigures,
     peers: watch::Sender<Vec<IpAddr>>,
     /// Replies whose departure stamps may still come.
-    departing: VecDeque<Departing>,
+    departing: VecDeque<DepartingReply>,
     /// Latest comparisons of the two clocks, oldest first.
     comparisons: VecDeque<ClockComparison>,
     refusal_log: RefusalLog,
@@ -108,7 +108,7 @@ pub struct Reflector {
 
 /// A reply whose departure stamp may still come.
 #[derive(Debug)]
-struct Departing {
+struct DepartingReply {
     token: Token,
     session: SessionId,
     sequence: u32,
@@ -246,12 +246,12 @@ impl Reflector {
 
     async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
         let read = self.clock.stamp();
-        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + AGREEMENT);
+        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
         if kernel.is_none() && received.kernel.is_some() {
             // The stamp is of another clock, or the clock was set back in between.
             self.socket.check().await;
         }
-        let before = kernel.and_then(|stamp| self.ahead_before(stamp));
+        let before = kernel.and_then(|stamp| self.difference_before(stamp));
         let ahead = self.compare_clocks();
         let latest = |stamp| before.map(|before| KernelStamp::between(stamp, before, ahead).latest);
         let arrival = Arrival {
@@ -276,7 +276,7 @@ impl Reflector {
                 self.departing.pop_front();
             }
             let (session, sequence) = (answer.session(), answer.sequence());
-            self.departing.push_back(Departing { token, session, sequence, ahead });
+            self.departing.push_back(DepartingReply { token, session, sequence, ahead });
         }
         Ok(())
     }
@@ -287,7 +287,7 @@ impl Reflector {
             return;
         };
         let named = self.departing.drain(..=found).next_back();
-        if let (Some(Departing { session, sequence, ahead, .. }), Some(left)) = (named, left) {
+        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(left)) = (named, left) {
             let left_raw = KernelStamp::between(left, ahead, self.compare_clocks()).earliest;
             self.logic.departed(&session, sequence, left, left_raw);
         }
@@ -306,7 +306,7 @@ impl Reflector {
 
     /// Returns the difference of the clocks at the newest comparison that was certainly before the kernel's stamp.
     /// `None` if all remembered ones may have been after it.
-    fn ahead_before(&self, stamp: WallTime) -> Option<Interval> {
+    fn difference_before(&self, stamp: WallTime) -> Option<Interval> {
         let newest = self.comparisons.back()?.ahead;
         let is_before = |comparison: &&ClockComparison| {
             comparison.at < KernelStamp::between(stamp, comparison.ahead, newest).earliest

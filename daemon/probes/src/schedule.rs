@@ -9,7 +9,7 @@ const JITTER: f64 = 0.2;
 const MAX_HZ: f64 = 1000.0;
 
 /// The first probe is sent at a random time within this span.
-const FIRST_WITHIN: Span = Span::from_millis(100);
+const FIRST_PROBE_WINDOW: Span = Span::from_millis(100);
 
 /// A schedule of jittered intervals with a constant mean. Missed probes are not made up for, so that there are no
 /// bursts.
@@ -31,11 +31,11 @@ impl Schedule {
         let before = self.interval;
         self.interval = (rate_hz > 0.0).then(|| Span::from_seconds_f64(1.0 / rate_hz.min(MAX_HZ)));
         let Some(interval) = self.interval else { return };
-        let first = now + scaled(interval.min(FIRST_WITHIN), rand::random());
+        let first = now + scaled(interval.min(FIRST_PROBE_WINDOW), rand::random());
         self.due = match before {
             None => first,
             // At most one new interval away. An earlier time of the old rate is kept.
-            Some(_) => self.due.min(now + jittered(interval)),
+            Some(_) => self.due.min(now + with_jitter(interval)),
         };
     }
 
@@ -50,7 +50,7 @@ impl Schedule {
     /// Notes that a probe is sent now, and sets the time of the next one.
     pub(crate) fn advance(&mut self, now: MonoTime) {
         if let Some(interval) = self.interval {
-            let interval = jittered(interval);
+            let interval = with_jitter(interval);
             let next = self.due + interval;
             // Probes that were missed meanwhile are skipped.
             self.due = if next > now { next } else { now + interval };
@@ -58,7 +58,7 @@ impl Schedule {
     }
 }
 
-fn jittered(interval: Span) -> Span {
+fn with_jitter(interval: Span) -> Span {
     scaled(interval, rand::random_range(1.0 - JITTER..=1.0 + JITTER))
 }
 

@@ -13,7 +13,7 @@ use timestamped_socket::socket::{
     GeneralTimestampMode, Open, SendTimestampToken, Socket, Timestamp, TimestampData, open_ip,
 };
 
-use crate::stamp::uncertainty::AGREEMENT;
+use crate::stamp::uncertainty::ORDER_TOLERANCE;
 
 /// Longest wait for a packet to this machine itself.
 const LOOPBACK_PATIENCE: Duration = Duration::from_millis(200);
@@ -79,7 +79,7 @@ impl ProbeSocket {
             match open_ip(address, mode, false) {
                 Ok(inner) => return Ok(Self { inner, mode, clock, distrusted: false }),
                 // The kernel does not support the option, as some sandboxes and old kernels do not.
-                Err(error) if is_no_option(&error) => {
+                Err(error) if is_unsupported_option(&error) => {
                     tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
                 }
                 Err(error) => return Err(error),
@@ -92,7 +92,11 @@ impl ProbeSocket {
 
     /// Opens a socket for sending to `target`. It is bound to any address and port of the same family, so that it
     /// follows changes of the route.
-    pub(crate) fn towards(target: SocketAddr, stamps: Stamps, clock: SharedClock) -> io::Result<Self> {
+    pub(crate) fn open_for_target(
+        target: SocketAddr,
+        stamps: Stamps,
+        clock: SharedClock,
+    ) -> io::Result<Self> {
         let any = match target {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
             SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),
@@ -129,7 +133,7 @@ impl ProbeSocket {
             let asked = tokio::time::timeout(LOOPBACK_PATIENCE, is_one_clock(&self.clock)).await;
             match asked.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
                 Ok(Some(true)) => return,
-                Ok(Some(false)) => return self.distrust(),
+                Ok(Some(false)) => return self.disable_kernel_stamps(),
                 Ok(None) => {}
                 Err(error) => {
                     tracing::debug!(%error, "the kernel's stamps could not be compared with the clock");
@@ -145,9 +149,9 @@ impl ProbeSocket {
     }
 
     /// Uses only the program's stamps from now on.
-    pub(crate) fn distrust(&mut self) {
-        static TOLD: Once = Once::new();
-        TOLD.call_once(|| {
+    pub(crate) fn disable_kernel_stamps(&mut self) {
+        static LOGGED: Once = Once::new();
+        LOGGED.call_once(|| {
             tracing::warn!(
                 "the kernel stamps packets by another clock than this program reads, as under libfaketime: its stamps \
                  are not used; say so with timestamps = \"user\" in [clock]"
@@ -163,7 +167,7 @@ impl ProbeSocket {
             bytes: received.bytes_read,
             source: received.remote_addr,
             local: received.local_addr,
-            kernel: self.adopted(received.timestamp_data),
+            kernel: self.accepted_stamp(received.timestamp_data),
         })
     }
 
@@ -200,15 +204,15 @@ impl ProbeSocket {
             return pending().await;
         }
         let (token, stamps) = self.inner.get_send_timestamp().await?;
-        Ok((token, self.adopted(stamps)))
+        Ok((token, self.accepted_stamp(stamps)))
     }
 
-    fn adopted(&self, stamps: TimestampData) -> Option<WallTime> {
-        if self.distrusted { None } else { adopted(&self.clock, stamps) }
+    fn accepted_stamp(&self, stamps: TimestampData) -> Option<WallTime> {
+        if self.distrusted { None } else { accepted_stamp(&self.clock, stamps) }
     }
 }
 
-fn adopted(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
+fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
     Some(clock.adopt(WallTime::from_unix_nanos(system)))
@@ -225,12 +229,14 @@ async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     poll_fn(|cx| socket.poll_send_to(&[0], own, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
     let after = clock.wall();
-    let stamp = adopted(clock, received.timestamp_data);
+    let stamp = accepted_stamp(clock, received.timestamp_data);
     let steady = clock.wall_epoch() == epoch;
-    Ok(stamp.filter(|_| steady).map(|stamp| before - AGREEMENT <= stamp && stamp <= after + AGREEMENT))
+    Ok(stamp
+        .filter(|_| steady)
+        .map(|stamp| before - ORDER_TOLERANCE <= stamp && stamp <= after + ORDER_TOLERANCE))
 }
 
-fn is_no_option(error: &io::Error) -> bool {
+fn is_unsupported_option(error: &io::Error) -> bool {
     const ENOPROTOOPT: i32 = 92;
     const EOPNOTSUPP: i32 = 95;
     error.kind() == io::ErrorKind::InvalidInput

@@ -40,7 +40,7 @@ pub use hello::{
     SessionId,
 };
 pub use probe_key::ProbeKey;
-pub(crate) use tree::{TreeFrameError, decode_growth, decode_tree, encode_growth, encode_tree, put_upload};
+pub(crate) use tree::{TreeFrameError, add_upload, decode_growth, decode_tree, encode_growth, encode_tree};
 
 use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};

@@ -18,7 +18,7 @@ pub(crate) enum TreeFrameError {
 
 /// Adds `upload` to a tree and returns the new node. The edge adds it to its own tree and the cloud to the copy that
 /// arrived, so that the node has the same position in both without being sent.
-pub(crate) fn put_upload(tree: &mut Tree, departure: Departure) -> NodeId {
+pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))
 }

@@ -66,7 +66,7 @@ impl Budget {
     ///
     /// # Errors
     /// If there is no room for the frames now.
-    pub(super) fn hold(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
+    pub(super) fn reserve_frames(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
         // `held == 0` lets a request of any size pass if it is alone.
         let fits = |held: u64| (held == 0 || held.saturating_add(bytes) <= self.most).then(|| held + bytes);
@@ -90,16 +90,16 @@ mod tests {
     #[test]
     fn bytes_are_reserved_until_last_part_is_dropped() {
         let budget = Budget::new(100);
-        let held = budget.hold(frames(&[10, 50])).expect("fits");
+        let held = budget.reserve_frames(frames(&[10, 50])).expect("fits");
         assert_eq!((held[0].len(), held[1].len()), (10, 50));
-        let refused = budget.hold(frames(&[41])).expect_err("is too much").to_string();
+        let refused = budget.reserve_frames(frames(&[41])).expect_err("is too much").to_string();
         assert!(refused.contains("60 bytes") && refused.contains("100"), "{refused}");
-        let rest = budget.hold(frames(&[40])).expect("fits exactly");
+        let rest = budget.reserve_frames(frames(&[40])).expect("fits exactly");
         let part = held[1].slice(5..6);
         drop((held, rest));
-        assert!(budget.hold(frames(&[41])).is_err(), "one byte of the first request is still held");
+        assert!(budget.reserve_frames(frames(&[41])).is_err(), "one byte of the first request is still held");
         drop(part);
-        drop(budget.hold(frames(&[1000])).expect("is alone"));
+        drop(budget.reserve_frames(frames(&[1000])).expect("is alone"));
         assert_eq!(budget.held.load(Ordering::Relaxed), 0);
     }
 }

@@ -135,10 +135,10 @@ impl<W> Client<W> {
             }
             Header::Statistics(_) => CloudMessage::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
-                self.over_by(CloseReason::UnknownSession)
+                self.end_with(CloseReason::UnknownSession)
             }
             Header::Goodbye(goodbye) if goodbye.session == self.session => {
-                self.over_by(CloseReason::Goodbye(goodbye.reason))
+                self.end_with(CloseReason::Goodbye(goodbye.reason))
             }
             Header::UnknownSession(_) | Header::Goodbye(_) => {
                 CloudMessage::Malformed("the end of another session")
@@ -160,7 +160,7 @@ impl<W> Client<W> {
         self.waiting.drain().map(|(_, waiter)| waiter).collect()
     }
 
-    fn over_by(&mut self, reason: CloseReason) -> CloudMessage<W> {
+    fn end_with(&mut self, reason: CloseReason) -> CloudMessage<W> {
         let waiters = self.end(reason.clone());
         CloudMessage::Over(reason, waiters)
     }

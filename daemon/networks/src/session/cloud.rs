@@ -153,7 +153,7 @@ impl Listener {
                     self.shared.machine().moved(connection, address);
                 }
                 Arrival::Gone(connection, reason) => {
-                    let sessions = self.shared.machine().gone(connection);
+                    let sessions = self.shared.machine().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
@@ -179,7 +179,7 @@ impl Listener {
     /// port.
     pub async fn close(self) {
         let wait = self.settings.close_timeout();
-        if tokio::time::timeout(wait, self.shared.drained()).await.is_err() {
+        if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {
             let in_flight = self.shared.machine().in_flight();
             tracing::warn!(in_flight, "closing the port although requests are still being computed");
         }

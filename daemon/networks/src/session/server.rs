@@ -280,7 +280,7 @@ impl Server {
     }
 
     /// Returns the open sessions whose version has reports of statistics, with their counters.
-    pub(crate) fn counted_sessions(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
+    pub(crate) fn sessions_with_statistics(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
         let told = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
         let open = self.sessions.iter().filter(|(_, entry)| told(entry));
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
@@ -323,7 +323,7 @@ impl Server {
     }
 
     /// Removes the sessions of a connection that ended. Returns them.
-    pub(crate) fn gone(&mut self, connection: ConnectionId) -> Vec<SessionId> {
+    pub(crate) fn remove_connection(&mut self, connection: ConnectionId) -> Vec<SessionId> {
         let sessions = self.connections.remove(&connection).unwrap_or_default();
         for session in &sessions {
             self.sessions.remove(session);

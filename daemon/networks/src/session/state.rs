@@ -12,7 +12,7 @@ use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
     Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
-    TreeFrameError, encode_tree, put_upload,
+    TreeFrameError, add_upload, encode_tree,
 };
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{EdgeSender, SendFailure, SendOptions};
@@ -121,7 +121,7 @@ impl SessionState {
         };
         let start = log.offset(stamp.mono);
         let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
-        let departed = DepartedRequest { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
+        let departed = DepartedRequest { upload: add_upload(log.tree_mut(), departure), at: stamp, epoch };
         // From here on an early return drops `pending` and so gives the request up.
         let mut pending =
             PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };

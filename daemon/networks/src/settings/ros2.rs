@@ -3,7 +3,7 @@
 use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
-use super::{InvalidSettings, OPEN_TIMEOUT_MS, between};
+use super::{InvalidSettings, OPEN_TIMEOUT_MS, check_range};
 
 /// Smallest and largest value of `depth`.
 const DEPTH: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
@@ -33,8 +33,8 @@ impl Default for Ros2SessionSettings {
 
 impl Ros2SessionSettings {
     pub(super) fn check(&self) -> Result<(), InvalidSettings> {
-        between("ros2.depth", u64::from(self.depth), DEPTH)?;
-        self.deadline_ms.map_or(Ok(()), |ms| between("ros2.deadline_ms", ms, OPEN_TIMEOUT_MS))
+        check_range("ros2.depth", u64::from(self.depth), DEPTH)?;
+        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, OPEN_TIMEOUT_MS))
     }
 
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.

@@ -57,7 +57,7 @@ pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatis
 /// Returns the bytes of the kernel's `struct tcp_info`. Their number depends on the version of the kernel. `None` if
 /// the connection is gone.
 fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError> {
-    let question = question(addresses);
+    let question = sock_diag_request(addresses);
     let (family, kind) = (AddressFamily::Netlink, SockType::Datagram);
     let socket = socket(family, kind, SockFlag::SOCK_CLOEXEC, SockProtocol::NetlinkSockDiag)
         .map_err(io::Error::from)?;
@@ -79,7 +79,7 @@ fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError>
     }
 }
 
-fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
+fn sock_diag_request(addresses: &ConnectionAddresses) -> Vec<u8> {
     let ConnectionAddresses { local, remote } = addresses;
     let family = if local.is_ipv4() { AF_INET } else { AF_INET6 };
     let request = InetRequest {
@@ -92,7 +92,7 @@ fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
             destination_port: remote.port(),
             source_address: local.ip(),
             destination_address: remote.ip(),
-            interface_id: scope(local),
+            interface_id: interface_index(local),
             cookie: ANY_COOKIE,
         },
     };
@@ -106,7 +106,7 @@ fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
 }
 
 /// Returns the interface of a link-local address, which is meaningless without it; 0 for any other address.
-fn scope(address: &std::net::SocketAddr) -> u32 {
+fn interface_index(address: &std::net::SocketAddr) -> u32 {
     match address {
         std::net::SocketAddr::V6(address) => address.scope_id(),
         std::net::SocketAddr::V4(_) => 0,

@@ -39,7 +39,7 @@ pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
 /// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.
-const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
+const RECONNECT_INTERVAL: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Time limit for finding out why a connection failed.
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
@@ -68,7 +68,7 @@ fn options(settings: &SessionSettings) -> Options {
         .heartbeat_timeout(settings.heartbeat_timeout())
         // Bytes that stay unacknowledged end the connection as silence does.
         .tcp_user_timeout(settings.heartbeat_timeout())
-        .reconnect(ReconnectPolicy::Fixed(NEVER))
+        .reconnect(ReconnectPolicy::Fixed(RECONNECT_INTERVAL))
         .linger(Duration::ZERO)
 }
 

@@ -15,7 +15,7 @@ use crate::support::{
 over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
 /// Name of the thread that a [`PausingClock`] stops.
-const HELD: &str = "held";
+const PAUSED_THREAD: &str = "held";
 
 /// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ struct PausingClock {
 
 impl Clock for PausingClock {
     fn wall(&self) -> WallTime {
-        if thread::current().name() == Some(HELD)
+        if thread::current().name() == Some(PAUSED_THREAD)
             && let Some((arrived, leave)) = self.closed.lock().expect("no panic").take()
         {
             arrived.send(()).expect("waited for");
@@ -57,7 +57,7 @@ async fn closing_waits_for_answer_being_sent() {
     let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
     // The request is answered, but the answer has not been sent yet.
-    let held = thread::Builder::new().name(HELD.to_owned());
+    let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
     let held = held.spawn(move || slow.reply.send(slow.log, Ok(slow.sample))).expect("a thread");
     within(at_gate).await.expect("it comes to the gate");
     let close = tokio::spawn(cloud.listener.close());

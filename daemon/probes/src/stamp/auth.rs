@@ -93,16 +93,16 @@ impl Key {
     /// Returns the authentication code of the concatenated parts.
     pub fn code(&self, parts: &[&[u8]]) -> [u8; CODE_BYTES] {
         let mut code = [0; CODE_BYTES];
-        code.copy_from_slice(&self.over(parts).finalize().into_bytes()[..CODE_BYTES]);
+        code.copy_from_slice(&self.mac_of(parts).finalize().into_bytes()[..CODE_BYTES]);
         code
     }
 
     /// Returns whether `code` is the authentication code of the concatenated parts. Takes constant time.
     pub fn verifies(&self, parts: &[&[u8]], code: &[u8]) -> bool {
-        code.len() == CODE_BYTES && self.over(parts).verify_truncated_left(code).is_ok()
+        code.len() == CODE_BYTES && self.mac_of(parts).verify_truncated_left(code).is_ok()
     }
 
-    fn over(&self, parts: &[&[u8]]) -> Hmac<Sha256> {
+    fn mac_of(&self, parts: &[&[u8]]) -> Hmac<Sha256> {
         let mut mac = self.0.clone();
         for part in parts {
             mac.update(part);

@@ -3,7 +3,7 @@
 use peernet_clock::{Interval, RawTime, Span, WallTime};
 
 /// Largest difference of two comparisons of the clocks, beyond their widths, if the wall clock was not set in between.
-const STEADY: Span = Span::from_micros(10);
+const STEADY_TOLERANCE: Span = Span::from_micros(10);
 
 /// Bounds of the time of the free-running clock at which the wall clock showed a stamp.
 ///
@@ -25,7 +25,7 @@ impl KernelStamp {
     pub fn between(stamp: WallTime, before: Interval, after: Interval) -> Self {
         let ahead = before.hull(after);
         let raw = |ahead: Span| RawTime::from_nanos((stamp - ahead).unix_nanos());
-        let is_steady = ahead.width() <= before.width() + after.width() + STEADY;
+        let is_steady = ahead.width() <= before.width() + after.width() + STEADY_TOLERANCE;
         Self { earliest: raw(ahead.hi), latest: raw(ahead.lo), is_steady }
     }
 }

@@ -13,7 +13,7 @@ pub use super::request_packet::Nonce;
 use super::request_packet::RequestPacket;
 use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
-use super::uncertainty::{self, AGREEMENT};
+use super::uncertainty::{self, ORDER_TOLERANCE};
 
 /// Largest number of remembered probes, waiting or answered. A further one replaces the oldest.
 const MAX_PENDING: usize = 1024;
@@ -54,7 +54,7 @@ pub struct SenderState {
     next: u32,
     packet: RequestPacket,
     timeout: Span,
-    pending: VecDeque<Pending>,
+    pending: VecDeque<PendingProbe>,
     /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
     lost: VecDeque<Departure>,
     /// `true` if the kernel's stamps are of another clock than the program's.
@@ -82,17 +82,17 @@ impl Departure {
 }
 
 #[derive(Debug)]
-struct Pending {
+struct PendingProbe {
     departure: Departure,
     /// Departure by the kernel's stamp, not later than the true one.
     left: Option<RawTime>,
     /// `true` if the kernel's stamp is before the program's.
     left_early: bool,
-    answer: Option<Answered>,
+    answer: Option<AnsweredProbe>,
 }
 
 #[derive(Debug)]
-struct Answered {
+struct AnsweredProbe {
     /// Number of the reply.
     sequence: u32,
     /// `None` if the edge's clock was interrupted in between.
@@ -181,7 +181,7 @@ impl SenderState {
         self.next = departure.sequence.wrapping_add(1);
         let given_up = self.pending.len().saturating_sub(MAX_PENDING - 1);
         let lost = self.forget(given_up);
-        self.pending.push_back(Pending { departure, left: None, left_early: false, answer: None });
+        self.pending.push_back(PendingProbe { departure, left: None, left_early: false, answer: None });
         lost
     }
 
@@ -196,7 +196,7 @@ impl SenderState {
             let left = KernelStamp::between(left, before, ahead);
             let after = left.earliest - sent.raw;
             pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left.earliest);
-            pending.left_early = left.is_steady && left.latest < sent.raw - AGREEMENT;
+            pending.left_early = left.is_steady && left.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
 
@@ -276,13 +276,14 @@ impl SenderState {
         // If the two epochs are equal, all stamps are of one clock.
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
-            pending.answer = Some(Answered { sequence: reply.sequence, observation: None });
+            pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
             return Ok(ReplyResult { refined: None, answered: None });
         }
         let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
         let is_impossible = |kernel: KernelStamp| {
             kernel.is_steady
-                && (kernel.earliest > returned.read.raw + AGREEMENT || kernel.latest < sent.raw - AGREEMENT)
+                && (kernel.earliest > returned.read.raw + ORDER_TOLERANCE
+                    || kernel.latest < sent.raw - ORDER_TOLERANCE)
         };
         if pending.left_early || kernel.is_some_and(is_impossible) {
             self.distrust_kernel();
@@ -303,7 +304,7 @@ impl SenderState {
             edge_epoch: returned.epoch,
             cloud_epoch: reflector_times.epoch,
         };
-        pending.answer = Some(Answered { sequence: reply.sequence, observation: Some(answered) });
+        pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(answered) });
         let refined = reflector_times.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
         });
@@ -372,7 +373,7 @@ fn is_answer_to(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> R
 }
 
 /// Returns the probe with this number. The probes are in order and without gaps.
-fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
+fn find(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mut PendingProbe> {
     let first = pending.front()?.departure.sequence;
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
@@ -381,7 +382,7 @@ fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> 
 /// departure is a better one. The stamp was made after that reply's epoch was read and before this one's, so that both
 /// epochs must be equal.
 fn refine(
-    pending: &mut VecDeque<Pending>,
+    pending: &mut VecDeque<PendingProbe>,
     now: u32,
     sequence: u32,
     left: RawTime,

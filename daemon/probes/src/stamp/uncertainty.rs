@@ -20,4 +20,4 @@ pub const FOREIGN: Span = Span::from_nanos(1_000 + OWN.nanos());
 
 /// Tolerance of the order of events: stamps of the kernel and of the program that violate the order by more are of two
 /// clocks.
-pub const AGREEMENT: Span = Span::from_micros(1);
+pub const ORDER_TOLERANCE: Span = Span::from_micros(1);

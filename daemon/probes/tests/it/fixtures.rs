@@ -15,8 +15,8 @@ use peernet_probes::stamp::sender::{ReplyArrival, ReplyResult, SenderConfig, Sen
 use crate::support::{INSTANCE, key};
 
 /// Delay of one direction, and time that the reflector takes.
-const WAY: Span = Span::from_micros(700);
-const REFLECTION: Span = Span::from_micros(50);
+const ONE_WAY_DELAY: Span = Span::from_micros(700);
+const REFLECTOR_DELAY: Span = Span::from_micros(50);
 
 fn file(mode: &str, name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
@@ -76,7 +76,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
         sender.sent(departure);
-        edge.advance(WAY);
+        edge.advance(ONE_WAY_DELAY);
 
         // The reflector's free-running clock shows the same time as the edge's.
         let elapsed = edge.raw() - ManualClock::FIRST_RAW;
@@ -87,14 +87,14 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         let (received, received_raw) = (cloud.wall(), cloud.raw());
         let arrival = Arrival { source, received, received_raw, now: edge.mono() };
         let answer = reflector.prepare(&mut packet, &arrival).expect("the request is answered");
-        cloud.advance(REFLECTION);
+        cloud.advance(REFLECTOR_DELAY);
         let stamp = reflector.complete(&answer, &mut packet, &cloud);
         reflector.sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
         reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
         conversation.replies[number] = packet;
 
-        edge.advance(REFLECTION + WAY);
+        edge.advance(REFLECTOR_DELAY + ONE_WAY_DELAY);
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
         let returned = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
@@ -154,14 +154,18 @@ fn stored_request_gets_stored_reply() {
         let [first, second] = heard[..] else { panic!("two probes are answered: {heard:?}") };
         let answered = [first, second].map(|heard| heard.answered.expect("the clock was not set").exchange);
         for exchange in answered {
-            assert_eq!(exchange.returned - exchange.sent, WAY + REFLECTION + WAY, "{mode}");
+            assert_eq!(
+                exchange.returned - exchange.sent,
+                ONE_WAY_DELAY + REFLECTOR_DELAY + ONE_WAY_DELAY,
+                "{mode}"
+            );
             let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
             let began = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
             let ahead = match kind.clocks {
                 RelatedClocks::Raw => Span::ZERO,
                 _ => began + Span::from_seconds(3),
             };
-            assert_eq!(exchange.received - exchange.sent, WAY + ahead, "{mode}");
+            assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode}");
         }
         // The second reply reports when the first one really left.
         let refined = second.refined.expect("the first exchange is refined").exchange;

@@ -15,7 +15,7 @@ use peernet_probes::stamp::uncertainty;
 use crate::support::{INSTANCE, key};
 
 const TIMEOUT: Span = Span::from_seconds(1);
-const WAY: Span = Span::from_micros(700);
+const ONE_WAY_DELAY: Span = Span::from_micros(700);
 
 fn config() -> SenderConfig {
     SenderConfig {
@@ -81,7 +81,7 @@ impl Pair {
     }
 
     fn reflect(&mut self, mut packet: Vec<u8>) -> Vec<u8> {
-        self.clock.advance(WAY);
+        self.clock.advance(ONE_WAY_DELAY);
         let there = self.there();
         let source: SocketAddr = "10.0.0.1:40000".parse().expect("an address");
         let (received, received_raw) = (there.wall(), there.raw());
@@ -92,7 +92,7 @@ impl Pair {
         self.reflector.sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
         self.reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
-        self.clock.advance(Span::from_micros(55) + WAY);
+        self.clock.advance(Span::from_micros(55) + ONE_WAY_DELAY);
         packet
     }
 
@@ -142,7 +142,7 @@ fn next_reply_refines_departure_of_previous_one() {
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
         assert_eq!(exchange.sent, begun.raw);
-        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + WAY + pair.ahead));
+        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
         assert_eq!(exchange.returned, pair.clock.raw());
         assert_eq!(exchange.uncertainty, uncertainty::OWN);
@@ -152,7 +152,11 @@ fn next_reply_refines_departure_of_previous_one() {
         let refined = second.refined.expect("the follow-up");
         assert_eq!(refined.exchange.replied, exchange.replied + Span::from_micros(5));
         assert_eq!((refined.exchange.sent, refined.exchange.received), (exchange.sent, exchange.received));
-        assert_eq!(refined.exchange.round_trip(), WAY + WAY, "nothing is left but the way");
+        assert_eq!(
+            refined.exchange.round_trip(),
+            ONE_WAY_DELAY + ONE_WAY_DELAY,
+            "nothing is left but the way"
+        );
     }
 }
 
@@ -273,7 +277,7 @@ fn tlvs_of_another_probe_are_refused() {
     tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
     assert_eq!(pair.hear(&appended), Err("with what was told to another probe"));
     let exchange = answered(&pair.hear(&reply).expect("the real one")).exchange;
-    assert_eq!(exchange.received - exchange.sent, WAY);
+    assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY);
 }
 
 #[test]
@@ -415,7 +419,7 @@ fn reply_with_damaged_tlvs_is_refused_with_reason() {
 #[test]
 fn kernel_stamps_of_another_clock_are_distrusted() {
     let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
-    let there_and_back = WAY + WAY + Span::from_micros(55);
+    let there_and_back = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
     for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
         let mut pair = Pair::new(0, false);
         let back = pair.clock.stamp() + there_and_back;
@@ -473,8 +477,8 @@ fn raw_exchange_is_of_both_free_running_clocks() {
         let begun = pair.clock.raw();
         let first = answered(&pair.exchange());
         assert_eq!((first.exchange.sent, first.exchange.returned), (begun, pair.clock.raw()));
-        assert_eq!(first.exchange.received, begun + WAY, "the same by both");
-        assert_eq!(first.exchange.replied, begun + WAY + Span::from_micros(50));
+        assert_eq!(first.exchange.received, begun + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(first.exchange.replied, begun + ONE_WAY_DELAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
         // Steps of wall clocks have no effect.
         pair.clock.step_wall(Span::from_seconds(60));

@@ -184,15 +184,15 @@ impl NoPeer {
 /// Returns advice for a peer that was not found, from what discovery has seen of the domain.
 pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topics: &[String]) -> String {
     /// Largest number of listed topics.
-    const LISTED: usize = 8;
+    const MAX_LISTED_TOPICS: usize = 8;
     if participants == 0 {
         return format!(
             "is the peer running, is its ROS_DOMAIN_ID {domain_id}, and does multicast to 239.255.0.1 reach it through \
              {interfaces}?"
         );
     }
-    let mut listed = topics.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
-    if topics.len() > LISTED {
+    let mut listed = topics.iter().take(MAX_LISTED_TOPICS).cloned().collect::<Vec<_>>().join(", ");
+    if topics.len() > MAX_LISTED_TOPICS {
         listed.push_str(", …");
     }
     if listed.is_empty() {

@@ -102,7 +102,7 @@ impl TopicReader {
         match &mut self.inner {
             VersionedSubscriber::Ros1 { subscriber, environment, .. } => {
                 let Ok(message) = timeout(patience, subscriber.recv()).await else {
-                    let reason = absence(subscriber, environment).await;
+                    let reason = describe_missing_publisher(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
                     return Err(TopicError::NoMessage { topic, waited: patience, reason });
                 };
@@ -176,7 +176,7 @@ async fn open_ros2(
 }
 
 /// Returns the reason why no message arrives, from the connections to publishers.
-async fn absence(subscriber: &Subscriber, environment: &Environment) -> String {
+async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Environment) -> String {
     let publishers = subscriber.publishers();
     let failures = publishers.iter().filter_map(|publisher| match &publisher.state {
         PublisherState::Failed(reason) => Some(reason.clone()),

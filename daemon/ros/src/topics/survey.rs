@@ -88,7 +88,7 @@ pub fn survey_topic(
 }
 
 /// Largest number of listed topics.
-const LISTED: usize = 8;
+const MAX_LISTED_TOPICS: usize = 8;
 
 /// Returns a text that lists the existing topics.
 pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
@@ -97,7 +97,7 @@ pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
         return "it knows no topic at all".to_owned();
     }
     all.sort_unstable();
-    let more = if all.len() > LISTED { ", …" } else { "" };
-    all.truncate(LISTED);
+    let more = if all.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
+    all.truncate(MAX_LISTED_TOPICS);
     format!("it knows {}{more}", all.join(", "))
 }

@@ -32,7 +32,7 @@ impl AnswersBeingSent {
     }
 
     /// Waits until no answer is being sent and no request is in flight.
-    pub(super) async fn drained(&self, in_flight: impl Fn() -> usize) {
+    pub(super) async fn wait_until_idle(&self, in_flight: impl Fn() -> usize) {
         while in_flight() > 0 || self.count.load(Ordering::SeqCst) > 0 {
             self.sent.notified().await;
         }
@@ -51,7 +51,7 @@ pub(super) fn encode_answer(
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
     let (outcome, payload) = outcome(result, route.max_message_bytes);
-    let (grown, zero) = grown(log);
+    let (grown, zero) = encode_log_growth(log);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
@@ -91,7 +91,7 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
 }
 
 /// Returns the wire form of the growth, and the offset of the monotonic clock's zero from this host's anchor.
-fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+fn encode_log_growth(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
     let zero = log.offset(MonoTime::default());
     let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {

@@ -80,7 +80,7 @@ impl PortState {
     }
 
     pub(crate) fn report_statistics(&self) {
-        let sessions = self.machine().counted_sessions();
+        let sessions = self.machine().sessions_with_statistics();
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
             let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
@@ -149,7 +149,7 @@ impl PortState {
     }
 
     /// Waits for the answers in progress.
-    pub(super) async fn drained(&self) {
-        self.answers.drained(|| self.machine().in_flight()).await;
+    pub(super) async fn wait_until_idle(&self) {
+        self.answers.wait_until_idle(|| self.machine().in_flight()).await;
     }
 }

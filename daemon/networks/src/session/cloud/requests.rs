@@ -8,7 +8,7 @@ use peernet_logger::{Recorder, TreeError};
 
 use super::PortState;
 use crate::message::{
-    Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, decode_tree, put_upload,
+    Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, add_upload, decode_tree,
 };
 use crate::session::exchange::Sizes;
 use crate::session::incoming::{
@@ -80,7 +80,7 @@ fn incoming_request(
     (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
     let key = RequestKey { session: request.session, request: request.request, arrival };
-    let frames = match shared.budget.hold(frames) {
+    let frames = match shared.budget.reserve_frames(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {
             shared.answer(key, None, Err(Failure::Overloaded(exceeded.to_string())));
@@ -112,7 +112,7 @@ fn resume(
     received: Stamp,
 ) -> Result<Recorder, InvalidRequest> {
     let mut tree = decode_tree(tree.ok_or(InvalidRequest::NoTree)?)?;
-    let upload = put_upload(&mut tree, departure);
+    let upload = add_upload(&mut tree, departure);
     Ok(Recorder::resume(shared.clock.clone(), shared.host, tree, upload, received)?)
 }
 

@@ -160,8 +160,8 @@ fn session_limit_per_address_ignores_host_names() {
 fn end_of_connection_ends_only_its_sessions() {
     let mut server = server();
     let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
-    assert_eq!(server.gone(ConnectionId(1)), [a, c]);
-    assert_eq!(server.gone(ConnectionId(1)), []);
+    assert_eq!(server.remove_connection(ConnectionId(1)), [a, c]);
+    assert_eq!(server.remove_connection(ConnectionId(1)), []);
     assert!(server.accept(a, accepted()).is_none());
     assert!(server.accept(b, accepted()).is_some());
     let farewells = server.goodbye("bye");
@@ -189,7 +189,7 @@ fn announcement_reaches_open_and_later_sessions() {
 enum Step {
     Open(u64),
     /// Any message from a connection about the session at this index of all sessions so far.
-    Hear(u64, prop::sample::Index, Box<Header>),
+    Receive(u64, prop::sample::Index, Box<Header>),
     Request(u64, prop::sample::Index, u64),
     Accept(prop::sample::Index),
     Refuse(prop::sample::Index),
@@ -203,7 +203,7 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         4 => connection().prop_map(Step::Open),
         2 => (connection(), session(), strategies::header(Vec::new()))
-            .prop_map(|(connection, session, header)| Step::Hear(connection, session, Box::new(header))),
+            .prop_map(|(connection, session, header)| Step::Receive(connection, session, Box::new(header))),
         8 => (connection(), session(), 0..4_u64).prop_map(|(c, s, n)| Step::Request(c, s, n)),
         4 => session().prop_map(Step::Accept),
         1 => session().prop_map(Step::Refuse),
@@ -241,7 +241,7 @@ proptest! {
                         sessions.push(session);
                     }
                 }
-                Step::Hear(connection, session, header) => {
+                Step::Receive(connection, session, header) => {
                     let header = about(*header, *session.get(&sessions));
                     match server.receive(&peer(connection), header) {
                         EdgeMessage::Open(session, _) => sessions.push(session),
@@ -269,7 +269,7 @@ proptest! {
                     prop_assert_eq!(server.finish(session, number).is_some(), in_flight.remove(&(session, number)));
                 }
                 Step::Gone(connection) => {
-                    for session in server.gone(ConnectionId(connection)) {
+                    for session in server.remove_connection(ConnectionId(connection)) {
                         in_flight.retain(|(of, _)| *of != session);
                     }
                 }

@@ -36,7 +36,7 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 const TICK: Span = Span::from_millis(20);
 
 /// Reason for the end of a connection on which long datagrams are lost.
-const LONG_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
+const LONG_DATAGRAMS_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
      (MTU) and does not say so; mend its MTU, or set datagram_bytes to what passes (1200 is tried by itself)";
 
 /// Reason for the end of a connection whose ends contradict each other.
@@ -164,12 +164,12 @@ impl Connection {
                 self.events.extend(incomplete.map(Event::Incomplete));
             }
             Packet::Ping { heartbeat, .. } => {
-                self.learn(&heartbeat, now);
+                self.apply_heartbeat(&heartbeat, now);
                 let heartbeat = self.heartbeat(heartbeat.time, now);
                 self.control.push(Packet::Pong { connection, heartbeat });
             }
             Packet::Pong { heartbeat, .. } => {
-                self.learn(&heartbeat, now);
+                self.apply_heartbeat(&heartbeat, now);
                 let asked = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
                 self.measurement.answer(MonoTime::default() + asked, now);
             }
@@ -179,7 +179,7 @@ impl Connection {
             Packet::Reset { reason, .. } => self.end(match reason {
                 ResetReason::Unknown => "the peer does not know the connection any more: it was restarted, or it gave the connection up",
                 ResetReason::Full => "the peer has too many connections",
-                ResetReason::LongLost => LONG_LOST,
+                ResetReason::LongLost => LONG_DATAGRAMS_LOST,
             }),
             // Packets of the handshake and confirmed paths do not belong to a connection; the endpoint handles them.
             _ => {}
@@ -198,7 +198,7 @@ impl Connection {
     }
 
     /// Applies a heartbeat of the other end.
-    fn learn(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+    fn apply_heartbeat(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
         // A duplicated heartbeat says nothing new, and must not count as a second contradiction.
         if !self.heartbeats.receive(heartbeat) {
             return;
@@ -235,7 +235,7 @@ impl Connection {
         let expected = self.receiving.expect(next, count.into(), now);
         self.refuse(expected);
         // The other end does not wait any longer, so its unfinished messages will never be completed.
-        if self.shutdown.is_impatient() {
+        if self.shutdown.gives_up_messages() {
             self.receiving.give_up_all();
         }
         self.report(now);
@@ -290,7 +290,7 @@ impl Connection {
                 self.control
                     .push(Packet::Reset { id: self.writer.connection(), reason: ResetReason::LongLost });
             }
-            self.end(LONG_LOST);
+            self.end(LONG_DATAGRAMS_LOST);
             return;
         }
         if self.timer.ends_at() <= now {

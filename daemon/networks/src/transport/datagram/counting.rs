@@ -13,11 +13,11 @@ use self::gap_check::{GapCheck, NextNumber};
 use crate::statistics::DatagramStatistics;
 
 /// Shortest time after which a missing number counts as lost. The longest is twice that.
-const WAIT: Span = Span::from_seconds(1);
+const LOSS_DELAY: Span = Span::from_seconds(1);
 
 /// Number of numbers below the highest one for which it is remembered whether they arrived. A datagram with an older
 /// number is not counted, because it may be a duplicate.
-const REMEMBERED: u64 = 4_096;
+const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,7 +58,7 @@ pub(crate) struct ArrivalCounter {
     totals: ArrivalTotals,
     /// Numbers below this one have been sent, as far as is known.
     next: u64,
-    /// One bit for each remembered number, at the number modulo [`REMEMBERED`].
+    /// One bit for each remembered number, at the number modulo [`REMEMBERED_NUMBERS`].
     present: Vec<u64>,
     /// Numbers below this one have arrived or count as lost.
     decided: u64,
@@ -76,7 +76,7 @@ impl ArrivalCounter {
             datagrams: 0,
             totals: ArrivalTotals::default(),
             next: 0,
-            present: vec![0; (REMEMBERED / 64) as usize],
+            present: vec![0; (REMEMBERED_NUMBERS / 64) as usize],
             decided: 0,
             waiting: 0,
             since: now,
@@ -98,7 +98,7 @@ impl ArrivalCounter {
             return;
         }
         let Some(number) = self.next.checked_add_signed(ahead) else { return };
-        if self.next - number > REMEMBERED {
+        if self.next - number > REMEMBERED_NUMBERS {
             return;
         }
         if !self.mark(number) {
@@ -143,7 +143,7 @@ impl ArrivalCounter {
     /// Notes that `count` more numbers were sent, of which none has arrived.
     fn advance(&mut self, count: u64) {
         self.next += count;
-        for number in self.next - count.min(REMEMBERED)..self.next {
+        for number in self.next - count.min(REMEMBERED_NUMBERS)..self.next {
             let (word, bit) = place(number);
             self.present[word] &= !bit;
         }
@@ -184,7 +184,7 @@ impl ArrivalCounter {
 
     /// Counts as lost the numbers that have been missing for long enough.
     fn decide(&mut self, now: MonoTime) {
-        if now - self.since < WAIT {
+        if now - self.since < LOSS_DELAY {
             return;
         }
         let (before, after) = self.arrived;
@@ -196,7 +196,7 @@ impl ArrivalCounter {
 
 /// Returns the word and the bit of a remembered number.
 const fn place(number: u64) -> (usize, u64) {
-    let at = number % REMEMBERED;
+    let at = number % REMEMBERED_NUMBERS;
     ((at / 64) as usize, 1 << (at % 64))
 }
 

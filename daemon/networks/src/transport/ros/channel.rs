@@ -229,7 +229,7 @@ impl Channel {
     /// Returns the statistics of the transport. The round trip is that of the connection with the peer's companions.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
-        let lost = Some(self.lock().missed());
+        let lost = Some(self.lock().missing_companions());
         let received = DatagramStatistics { lost, ..DatagramStatistics::default() };
         TransportStatistics { sent: DatagramStatistics::default(), received, round_trip }
     }

@@ -40,7 +40,7 @@ const QUEUED_ARRIVALS: usize = 64;
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
 /// Largest number of waiting requests. Edges repeat theirs.
-const QUEUED_HELLOS: usize = 64;
+const MAX_QUEUED_HELLOS: usize = 64;
 
 /// Number of topics of a connection. Each is a TCP connection.
 const SOCKETS_OF_CONNECTION: usize = 5;
@@ -61,7 +61,7 @@ pub(crate) async fn bind(
         return Err(other(failure));
     }
     let options = SubscriberOptions {
-        queue: QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES },
+        queue: QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES },
         when_full: WhenFull::Drop,
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()
@@ -69,7 +69,7 @@ pub(crate) async fn bind(
     let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
     let refusals = (TopicUse::Companions, TopicType::of::<MessageInfo>());
-    let queue = QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES };
+    let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);

@@ -108,8 +108,8 @@ impl Connection {
     }
 
     /// Returns the number of the peer's companions that never arrived.
-    pub(super) fn missed(&self) -> u64 {
-        self.incoming.missed()
+    pub(super) fn missing_companions(&self) -> u64 {
+        self.incoming.missing_companions()
     }
 
     /// Creates the companion of a message that departs at `wall`, in nanoseconds since the Unix epoch.

@@ -79,7 +79,8 @@ pub(crate) async fn dial(
         ..SessionHello::default()
     };
     let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
-    welcome(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire)).await?;
+    exchange_hellos(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire))
+        .await?;
     drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
@@ -138,7 +139,7 @@ async fn open(
 }
 
 /// Says hello until the cloud answers.
-async fn welcome(
+async fn exchange_hellos(
     channel: &Channel,
     (response_info, refusals): (&mut dyn SessionSubscriber, &mut dyn SessionSubscriber),
     sessions: &dyn SessionPublisher,

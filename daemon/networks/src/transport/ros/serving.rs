@@ -96,7 +96,7 @@ impl<S: Sink> ConnectionTask<S> {
             let changed = changed(&*info_publishers, payload_publishers.as_deref());
             // Kept even if the peer returns to the topic, because messages in transfer may have been lost.
             left = left.or_else(|| {
-                self.topic_left(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
+                self.disconnected_topic(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
             if let Some((topic, until)) = &left
                 && !self.channel.lock().is_closed()
@@ -208,7 +208,7 @@ impl<S: Sink> ConnectionTask<S> {
     }
 
     /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
-    fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
+    fn disconnected_topic(&self, connected: &mut BTreeSet<String>) -> Option<String> {
         // Where payloads are confirmed, their topic may also be that of an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
         let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];

@@ -12,16 +12,16 @@ use crate::transport::UnknownAddress;
 /// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
 /// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, UnknownAddress> {
-    find_by(name, version, |name| std::env::var(name).ok())
+    find_with(name, version, |name| std::env::var(name).ok())
 }
 
-fn find_by(
+fn find_with(
     name: &str,
     version: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<String, UnknownAddress> {
     let name = allowed(name);
-    if chosen(version, &variable)? == RosVersion::Ros2 {
+    if requested_version(version, &variable)? == RosVersion::Ros2 {
         let settings = Ros2Settings::default().with_environment(variable);
         let settings = settings.map_err(|error| UnknownAddress(error.to_string()))?;
         return Ok(format!("ros2://{}/{name}", settings.domain_id.unwrap_or_default()));
@@ -34,7 +34,7 @@ fn find_by(
 }
 
 /// Returns the requested version; ROS 1 if nothing says which.
-fn chosen(
+fn requested_version(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<RosVersion, UnknownAddress> {
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, UnknownAddress> {
-        find_by("jetson-orin", version, |name| {
+        find_with("jetson-orin", version, |name| {
             variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         })
     }

@@ -114,7 +114,7 @@ impl Machine for CloudEnd {
         self.endpoint.abandon();
     }
 
-    fn is_over(&self) -> bool {
+    fn is_finished(&self) -> bool {
         self.is_closing && self.endpoint.is_empty()
     }
 }

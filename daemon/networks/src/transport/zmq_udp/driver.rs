@@ -44,7 +44,7 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     /// Says goodbye once.
     fn abandon(&mut self);
     /// Returns whether nothing is left to do.
-    fn is_over(&self) -> bool;
+    fn is_finished(&self) -> bool;
 }
 
 /// State that senders share with the task.
@@ -190,7 +190,7 @@ impl<M: Machine> Port<M> {
                 (
                     self.start + (next - MonoTime::default()).to_duration(),
                     state.blocked.is_some(),
-                    state.machine.is_over(),
+                    state.machine.is_finished(),
                 )
             };
             while !waiting.is_empty()

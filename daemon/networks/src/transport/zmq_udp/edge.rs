@@ -234,7 +234,7 @@ impl Machine for EdgeEnd {
         }
     }
 
-    fn is_over(&self) -> bool {
+    fn is_finished(&self) -> bool {
         self.connection.is_closed()
     }
 }

@@ -123,7 +123,7 @@ impl Driver {
                 () = timer.as_mut() => Wake::Timer,
             };
             match event {
-                Wake::Read(Read::Bytes) => {
+                Wake::Read(ReadOutcome::Bytes) => {
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return ConnectionEnd::Rejected(reason, text);
@@ -132,8 +132,8 @@ impl Driver {
                         return ConnectionEnd::Closed;
                     }
                 }
-                Wake::Read(Read::End(reason)) => return ConnectionEnd::Peer(reason),
-                Wake::Read(Read::Violation((reason, text))) => {
+                Wake::Read(ReadOutcome::End(reason)) => return ConnectionEnd::Peer(reason),
+                Wake::Read(ReadOutcome::Violation((reason, text))) => {
                     // Messages that were complete before the violation are still delivered.
                     if self.decode().is_ok() {
                         self.deliver().await;
@@ -296,14 +296,14 @@ fn violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
 
 /// Event that the task of a connection waited for.
 enum Wake {
-    Read(Read),
+    Read(ReadOutcome),
     Notified,
     Writable(bool),
     Timer,
 }
 
 /// Result of one read.
-enum Read {
+enum ReadOutcome {
     Bytes,
     End(String),
     Violation(Violation),
@@ -311,7 +311,7 @@ enum Read {
 
 impl Input {
     /// Reads once, into the buffer of a long frame or into pieces. Cancel safe: dropping the future loses nothing.
-    async fn read(&mut self, connection: &ZmtpConnection) -> Read {
+    async fn read(&mut self, connection: &ZmtpConnection) -> ReadOutcome {
         let Self { reader, framer, allowance, pieces } = self;
         std::future::poll_fn(|cx| {
             // Read at each poll, because bytes that follow an acceptance may arrive before this task is woken for it.
@@ -336,9 +336,9 @@ fn poll_read(
     framer: &mut Framer,
     allowance: &Allowance,
     pieces: &mut Vec<Piece>,
-) -> Poll<Read> {
+) -> Poll<ReadOutcome> {
     let (read, result) = match framer.direct_buffer(allowance) {
-        Err(violation) => return Poll::Ready(Read::Violation(violation)),
+        Err(violation) => return Poll::Ready(ReadOutcome::Violation(violation)),
         Ok(Some(mut buffer)) => {
             debug_assert!(buffer.has_remaining_mut());
             let read = std::pin::pin!(reader.read_buf(&mut buffer)).poll(cx);
@@ -353,9 +353,9 @@ fn poll_read(
         }
     };
     Poll::Ready(match (read, result) {
-        (Ok(0), _) => Read::End("the peer closed the connection".into()),
-        (Err(error), _) => Read::End(error.to_string()),
-        (_, Err(violation)) => Read::Violation(violation),
-        (Ok(_), Ok(())) => Read::Bytes,
+        (Ok(0), _) => ReadOutcome::End("the peer closed the connection".into()),
+        (Err(error), _) => ReadOutcome::End(error.to_string()),
+        (_, Err(violation)) => ReadOutcome::Violation(violation),
+        (Ok(_), Ok(())) => ReadOutcome::Bytes,
     })
 }

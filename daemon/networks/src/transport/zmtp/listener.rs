@@ -205,7 +205,7 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
     while let Some(accepted) = shared.stop.run_until_cancelled(next(&listener, &places)).await {
         let (stream, address, place) = match accepted {
             Ok(accepted) => accepted,
-            Err(error) if has_given_up(&error) => continue,
+            Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 shared.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
                 tokio::time::sleep(SHORTAGE_PAUSE).await;
@@ -253,7 +253,7 @@ async fn next(
 }
 
 /// Returns whether the other side gave up before it was accepted.
-fn has_given_up(error: &io::Error) -> bool {
+fn is_aborted_by_peer(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }

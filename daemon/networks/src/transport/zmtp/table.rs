@@ -93,15 +93,15 @@ impl ConnectionTable {
     }
 
     pub(super) fn admit(&self, id: ConnectionId) {
-        self.move_to(id, Phase::Admitted);
+        self.set_phase(id, Phase::Admitted);
     }
 
     /// Notes that the session or hello that admitted the connection is over. The next hello must arrive in time.
     pub(super) fn demote(&self, id: ConnectionId) {
-        self.move_to(id, Phase::Unadmitted);
+        self.set_phase(id, Phase::Unadmitted);
     }
 
-    fn move_to(&self, id: ConnectionId, phase: Phase) {
+    fn set_phase(&self, id: ConnectionId, phase: Phase) {
         let mut entries = self.entries();
         let Some(connection) = entries.open.get(&id).cloned() else { return };
         connection.advance(phase);

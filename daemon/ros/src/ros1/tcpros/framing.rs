@@ -61,7 +61,7 @@ impl FrameBuffer {
     }
 
     /// Returns the length of the frame that has begun.
-    fn announced(&self) -> Option<usize> {
+    fn frame_length(&self) -> Option<usize> {
         let prefix = self.bytes.get(..PREFIX_BYTES)?;
         let length = u32::from_le_bytes(prefix.try_into().unwrap_or_default());
         Some(usize::try_from(length).unwrap_or(usize::MAX))
@@ -72,7 +72,7 @@ impl FrameBuffer {
     /// # Errors
     /// If there is no memory for more of a long frame. The connection must then be closed.
     pub fn input(&mut self) -> Result<Limit<&mut BytesMut>, FrameError> {
-        let length = self.announced().unwrap_or(0).min(self.limits.max_bytes);
+        let length = self.frame_length().unwrap_or(0).min(self.limits.max_bytes);
         let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame.saturating_sub(arrived).max(1);
         if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
@@ -97,7 +97,7 @@ impl FrameBuffer {
     /// # Errors
     /// If the next frame is longer than allowed, or there is no memory for it. The connection must then be closed.
     pub fn next_frame(&mut self) -> Result<Option<(Bytes, MessageMemory)>, FrameError> {
-        let Some(length) = self.announced() else { return Ok(None) };
+        let Some(length) = self.frame_length() else { return Ok(None) };
         if length > self.limits.max_bytes {
             return Err(FrameError::TooLong { length, max: self.limits.max_bytes });
         }

@@ -11,17 +11,17 @@ const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
 /// Smallest limit of unacknowledged messages, whatever the depth. With few messages, a fast publisher would wait for
 /// acknowledgments all the time. The publisher limits their bytes.
-const LEAST_UNACKNOWLEDGED: i32 = 1_024;
+const MIN_UNACKNOWLEDGED: i32 = 1_024;
 
 /// Smallest limit of received and unread messages, whatever the depth.
-const LEAST_UNREAD: i32 = 8;
+const MIN_UNREAD: i32 = 8;
 
 pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
     EndpointId(guid.to_bytes())
 }
 
 /// Returns the policies of an endpoint with a checked profile.
-pub(super) fn policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
+pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
     let depth = i32::try_from(qos.depth).unwrap_or(i32::MAX);
     let reliability = match qos.reliability {
         Reliability::Reliable => {
@@ -36,8 +36,8 @@ pub(super) fn policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
     // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones. At 1 MB each, this is far
     // more memory than the depth suggests.
     let most = match role {
-        EndpointRole::Publisher => depth.max(LEAST_UNACKNOWLEDGED),
-        EndpointRole::Subscription => depth.max(LEAST_UNREAD),
+        EndpointRole::Publisher => depth.max(MIN_UNACKNOWLEDGED),
+        EndpointRole::Subscription => depth.max(MIN_UNREAD),
     };
     let limits = ResourceLimits { max_samples: most, max_instances: 1, max_samples_per_instance: most };
     let mut builder = QosPolicyBuilder::new()
@@ -122,8 +122,8 @@ mod tests {
 
     #[test]
     fn incompatibility_names_policy_and_both_values() {
-        let requested = policies(EndpointRole::Subscription, &QosProfile::default());
-        let offered = policies(
+        let requested = qos_policies(EndpointRole::Subscription, &QosProfile::default());
+        let offered = qos_policies(
             EndpointRole::Publisher,
             &QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() },
         );

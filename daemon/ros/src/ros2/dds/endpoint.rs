@@ -33,7 +33,7 @@ impl Endpoint {
         let in_time = tokio::time::timeout(patience, matched);
         match self.node.closed.run_until_cancelled(in_time).await {
             Some(Ok(Ok(_))) => Ok(()),
-            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.absence(patience)))),
+            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.missing_peer(patience)))),
             // The sender exists as long as the endpoint is registered, which is as long as the endpoint exists.
             None | Some(Ok(Err(_))) => Err(self.shut_down()),
         }
@@ -43,7 +43,7 @@ impl Endpoint {
         Ros2Error::ShutDown { topic: self.topic.clone() }
     }
 
-    fn absence(&self, waited: Duration) -> NoPeer {
+    fn missing_peer(&self, waited: Duration) -> NoPeer {
         let discovery = self.node.discovery();
         let name = |id| discovery.node_of(id).map(str::to_owned);
         let refused = self.peers.borrow().refused.iter().map(|(id, why)| (name(*id), why.clone())).collect();

@@ -13,7 +13,7 @@ use rustdds::{
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::conversions::{endpoint_id, incompatibility, policies};
+use super::conversions::{endpoint_id, incompatibility, qos_policies};
 use super::endpoint::Endpoint;
 use super::interfaces::{Interfaces, check_socket_buffers};
 use super::publisher::Ros2Publisher;
@@ -101,7 +101,7 @@ impl Ros2Node {
         socket_buffer_warnings: Vec<SocketBufferWarning>,
         participant: DomainParticipant,
     ) -> rustdds::dds::CreateResult<Self> {
-        let qos = |role| policies(role, &QosProfile::default());
+        let qos = |role| qos_policies(role, &QosProfile::default());
         let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
         let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
         let (node_list, entries) = NodeList::new(&settings, &participant, (&publisher, &subscriber))?;
@@ -164,7 +164,7 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let writer = parts
             .publisher
-            .create_datawriter_no_key(&dds_topic, Some(policies(role, qos)))
+            .create_datawriter_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(writer.guid());
         // Under the lock of `discovery`, so that no event about the endpoint is handled before it is known.
@@ -195,7 +195,7 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let reader = parts
             .subscriber
-            .create_simple_datareader_no_key(&dds_topic, Some(policies(role, qos)))
+            .create_simple_datareader_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(reader.guid());
         let peers = discovery.add_local(id, role, &names.dds_type);
@@ -225,7 +225,7 @@ impl Ros2Node {
             .create_topic(
                 dds_topic(&names.topic),
                 names.dds_type.clone(),
-                &policies(role, qos),
+                &qos_policies(role, qos),
                 TopicKind::NoKey,
             )
             .map_err(|error| names.failed(role, &error))?;
@@ -319,8 +319,8 @@ impl NodeList {
         };
         // The topic has no keys, so that the entries of all participants are in one history.
         let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos };
-        let of_others = policies(EndpointRole::Subscription, &of_others);
-        let qos = policies(EndpointRole::Publisher, &qos);
+        let of_others = qos_policies(EndpointRole::Subscription, &of_others);
+        let qos = qos_policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
         let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
         let entry = NodeEntry {

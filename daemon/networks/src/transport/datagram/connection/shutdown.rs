@@ -72,7 +72,7 @@ impl Shutdown {
     }
 
     /// Returns whether the other end has said goodbye so often that its unfinished messages are no longer awaited.
-    pub(super) const fn is_impatient(&self) -> bool {
+    pub(super) const fn gives_up_messages(&self) -> bool {
         self.byes >= PATIENT_BYES
     }
 
@@ -112,7 +112,7 @@ mod tests {
         let mut heard = Vec::new();
         for _ in 0..8 {
             shutdown.receive_bye();
-            heard.push((shutdown.is_impatient(), shutdown.is_last_bye()));
+            heard.push((shutdown.gives_up_messages(), shutdown.is_last_bye()));
         }
         assert_eq!(heard[..2], [(false, false), (true, false)]);
         assert_eq!(heard[6..], [(true, false), (true, true)]);

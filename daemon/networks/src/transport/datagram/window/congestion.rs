@@ -3,7 +3,7 @@
 use peernet_clock::MonoTime;
 
 use super::PROGRESS_BYTES;
-use super::in_flight::SILENCE;
+use super::in_flight::FLIGHT_TIMEOUT;
 
 /// Smallest size: more than arrives between two reports of progress. Bytes.
 pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
@@ -44,7 +44,7 @@ impl CongestionWindow {
         let growth = if self.size < self.threshold {
             arrived
         } else {
-            let elapsed = (now - self.progressed).min(SILENCE).seconds();
+            let elapsed = (now - self.progressed).min(FLIGHT_TIMEOUT).seconds();
             (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
         };
         self.progressed = now;

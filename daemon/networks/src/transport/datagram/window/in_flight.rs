@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use peernet_clock::{MonoTime, Span};
 
 /// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
-pub(super) const SILENCE: Span = Span::from_millis(200);
+pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 
 /// Counts the bytes of datagrams that were sent, and of those that have arrived according to the other end's reports.
 #[derive(Debug)]
@@ -14,14 +14,14 @@ pub(super) struct BytesInFlight {
     /// At most `sent`.
     arrived: u64,
     /// Datagrams in flight, in the order in which they were sent.
-    marks: VecDeque<Mark>,
+    datagrams: VecDeque<DatagramInFlight>,
     /// Time of the last progress of the other end, or of the first datagram in flight if that is later.
     progress_at: MonoTime,
 }
 
 /// A datagram in flight.
 #[derive(Clone, Copy, Debug)]
-struct Mark {
+struct DatagramInFlight {
     /// Its message, and the offset of the end of its part of the message.
     end: (u64, u32),
     /// Number of bytes sent so far, including this datagram.
@@ -30,7 +30,7 @@ struct Mark {
 
 impl BytesInFlight {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { sent: 0, arrived: 0, marks: VecDeque::new(), progress_at: now }
+        Self { sent: 0, arrived: 0, datagrams: VecDeque::new(), progress_at: now }
     }
 
     /// Returns the number of bytes in flight.
@@ -50,7 +50,7 @@ impl BytesInFlight {
 
     /// Returns the time at which the bytes in flight are treated as arrived or lost.
     pub(super) fn ends_at(&self) -> MonoTime {
-        self.progress_at + SILENCE
+        self.progress_at + FLIGHT_TIMEOUT
     }
 
     /// Notes that a datagram was sent. `end` is the end of its part of a message.
@@ -60,14 +60,14 @@ impl BytesInFlight {
             self.progress_at = now;
         }
         self.sent += u64::from(bytes);
-        self.marks.push_back(Mark { end, sent: self.sent });
+        self.datagrams.push_back(DatagramInFlight { end, sent: self.sent });
     }
 
     /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
     pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.
-        while let Some(mark) = self.marks.pop_front_if(|mark| mark.end <= end) {
+        while let Some(mark) = self.datagrams.pop_front_if(|mark| mark.end <= end) {
             self.arrived = mark.sent;
         }
         let arrived = self.arrived - before;
@@ -81,7 +81,7 @@ impl BytesInFlight {
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.ends_at() {
             self.arrived = self.sent;
-            self.marks.clear();
+            self.datagrams.clear();
         }
     }
 }

@@ -38,14 +38,14 @@ impl Refusals {
         drop(throttle);
         self.publish(hello, reason);
         if is_due {
-            self.hand_up(hello, edge, reason);
+            self.report(hello, edge, reason);
         }
     }
 
     /// Refuses a connection whose opening failed. Hands every refusal up.
     pub(super) fn refuse_failed(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         self.publish(hello, reason);
-        self.hand_up(hello, edge, reason);
+        self.report(hello, edge, reason);
     }
 
     fn publish(&self, hello: &SessionHello, reason: &str) {
@@ -64,7 +64,7 @@ impl Refusals {
         }
     }
 
-    fn hand_up(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+    fn report(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let node = self.node.describe(&edge.node);
         let pipeline = peernet_sample::printable_line(&hello.pipeline);
         let reason = peernet_sample::printable_line(reason);

@@ -73,7 +73,7 @@ impl IncomingSequence {
     }
 
     /// Returns the number of companions that never arrived.
-    pub(super) fn missed(&self) -> u64 {
+    pub(super) fn missing_companions(&self) -> u64 {
         self.missed
     }
 }
@@ -107,9 +107,9 @@ mod tests {
         for number in [5, 6, 9, 7, 10] {
             sequence.receive(number);
         }
-        assert_eq!(sequence.missed(), 2);
+        assert_eq!(sequence.missing_companions(), 2);
         sequence.receive(u64::MAX);
         sequence.receive(0);
-        assert_eq!(sequence.missed(), 2 + (u64::MAX - 11));
+        assert_eq!(sequence.missing_companions(), 2 + (u64::MAX - 11));
     }
 }

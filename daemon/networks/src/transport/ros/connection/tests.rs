@@ -61,7 +61,7 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
         far.tick(at(second));
         assert!(near.next_notice(0, at(second)).is_none() && far.next_event().is_none());
     }
-    assert_eq!(far.missed(), 0);
+    assert_eq!(far.missing_companions(), 0);
     far.tick(at(24));
     assert!(matches!(far.next_event(), Some(Event::Gone(_))) && far.next_timer().is_none());
 }
@@ -163,7 +163,7 @@ fn parts_are_assembled_and_unfinished_messages_dropped() {
         matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
     );
     assert_eq!(
-        (far.next_event().is_none(), far.missed()),
+        (far.next_event().is_none(), far.missing_companions()),
         (true, 1),
         "the companion of the first never came"
     );

@@ -51,7 +51,7 @@ struct SubscriberLimits {
 
 /// Reason why a subscription ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum EndReason {
+enum SubscriptionEnd {
     ForGood,
     OtherType,
 }
@@ -98,7 +98,7 @@ impl Ros2SessionSubscriber {
                 let type_name = receiving.payload_type().await;
                 match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
-                        if receiving.run(subscription, type_name.into()).await == EndReason::ForGood {
+                        if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::ForGood {
                             return;
                         }
                     }
@@ -168,7 +168,7 @@ impl SubscriberTask {
     }
 
     /// Receives until there are only publishers of another type, or until the subscriber is dropped.
-    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> EndReason {
+    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> SubscriptionEnd {
         let mut peers = subscription.peers();
         // Messages may arrive before discovery finds their publisher, and after it reports that an earlier one has
         // gone.
@@ -181,7 +181,7 @@ impl SubscriberTask {
             if matched.is_empty() && is_refused && self.takes_any_type {
                 let types = self.payload_types();
                 if !types.is_empty() && !types.contains(&&*type_name) {
-                    return EndReason::OtherType;
+                    return SubscriptionEnd::OtherType;
                 }
             }
             unmatched_writers.retain(|id| !matched.contains(id));
@@ -199,14 +199,14 @@ impl SubscriberTask {
                 message = subscription.receive() => message,
                 changed = peers.changed() => match changed {
                     Ok(()) => continue,
-                    Err(_) => return EndReason::ForGood,
+                    Err(_) => return SubscriptionEnd::ForGood,
                 },
             };
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {
                     self.fail(error.into()).await;
-                    return EndReason::ForGood;
+                    return SubscriptionEnd::ForGood;
                 }
             };
             if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
@@ -235,7 +235,7 @@ impl SubscriberTask {
                     self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
                     tracing::debug!(topic = subscription.topic(), bytes, "a message of ROS 2 is dropped");
                 }
-                Err(TrySendError::Closed(_)) => return EndReason::ForGood,
+                Err(TrySendError::Closed(_)) => return SubscriptionEnd::ForGood,
             }
         }
     }
