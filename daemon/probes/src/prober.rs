@@ -188,7 +188,7 @@ impl Prober {
                 tokio::select! {
                     biased;
                     () = stop.cancelled() => return,
-                    told = results.send(result) => if told.is_err() { return },
+                    sent = results.send(result) => if sent.is_err() { return },
                 }
             }
         }
@@ -253,15 +253,15 @@ impl Prober {
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
         let returned = ReplyArrival { kernel: received.kernel, read, ahead, epoch };
         pending_results.lost(self.logic.expire(read.mono));
-        let heard = self.logic.receive(packet, &returned);
+        let reply = self.logic.receive(packet, &returned);
         if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {
             self.distrust_kernel();
         }
-        match heard {
-            Ok(heard) => {
-                pending_results.0.extend(heard.refined.map(ProbeResult::Refined));
+        match reply {
+            Ok(reply) => {
+                pending_results.0.extend(reply.refined.map(ProbeResult::Refined));
                 let stepped = ProbeResult::Stepped(returned.epoch);
-                pending_results.push(heard.answered.map_or(stepped, ProbeResult::Answered));
+                pending_results.push(reply.answered.map_or(stepped, ProbeResult::Answered));
             }
             Err(LATE) => pending_results.push(ProbeResult::Late),
             Err(why) => pending_results.push(ProbeResult::Refused(why)),

@@ -24,12 +24,12 @@ impl RefusalLog {
     /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
     /// last one, and the advice.
     pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
-        let (told, count) = &mut self.reasons[why as usize];
+        let (logged, count) = &mut self.reasons[why as usize];
         *count += 1;
-        if told.is_some_and(|told| now - told < LOG_INTERVAL) {
+        if logged.is_some_and(|logged| now - logged < LOG_INTERVAL) {
             return None;
         }
-        *told = Some(now);
+        *logged = Some(now);
         let count = std::mem::take(count);
         let advice = match (why, self.key) {
             (Refusal::Short, true) => {
@@ -61,14 +61,14 @@ mod tests {
     fn each_reason_is_logged_once_a_minute() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
         let mut refusal_log = RefusalLog::new(true);
-        let mut told = Vec::new();
+        let mut logged = Vec::new();
         for _ in 0..1_210 {
-            told.extend(refusal_log.due(Refusal::Short, clock.mono()));
+            logged.extend(refusal_log.due(Refusal::Short, clock.mono()));
             clock.advance(Span::from_millis(100));
         }
-        let counts: Vec<u64> = told.iter().map(|(count, _)| *count).collect();
-        assert_eq!(counts, [1, 600, 600], "{told:?}");
-        assert!(told.iter().all(|(_, advice)| advice.contains("key_file")), "{told:?}");
+        let counts: Vec<u64> = logged.iter().map(|(count, _)| *count).collect();
+        assert_eq!(counts, [1, 600, 600], "{logged:?}");
+        assert!(logged.iter().all(|(_, advice)| advice.contains("key_file")), "{logged:?}");
         assert!(refusal_log.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
         assert!(
             refusal_log

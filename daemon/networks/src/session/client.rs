@@ -130,8 +130,8 @@ impl<W> Client<W> {
             },
             Header::Clock(news) if news.session == self.session => CloudMessage::Clock(news.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
-            Header::Statistics(told) if told.session == self.session => {
-                CloudMessage::Statistics(Box::new(told.statistics))
+            Header::Statistics(report) if report.session == self.session => {
+                CloudMessage::Statistics(Box::new(report.statistics))
             }
             Header::Statistics(_) => CloudMessage::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {

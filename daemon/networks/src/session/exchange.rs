@@ -153,13 +153,13 @@ pub(crate) fn absorb(
     if growth.nodes.iter().any(|node| node.host < host) {
         return Err(GrowthError::EarlierHost);
     }
-    let there = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
+    let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
         // The cloud's wall clock replaces its free-running clock.
         (false, ..) => (RawTime::of_wall(growth.closed.1), RawTime::of_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
         (true, ..) => return Err(GrowthError::NoRawStamps),
     };
-    let raw_stamps = Some(RawStamps { sent: there.1, received: arrived.at.raw });
+    let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.at.raw });
     let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
     growth.nodes.push(Node {
         parent: Some(NodeId::ROOT),
@@ -168,9 +168,9 @@ pub(crate) fn absorb(
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let observation = observation(departed, raw, there, departure, arrived);
+    let observation = observation(departed, raw, cloud_times, departure, arrived);
     log.tree_mut().absorb(growth)?;
-    let up = RawStamps { sent: departed.at.raw, received: there.0 };
+    let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
     let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;

@@ -162,15 +162,15 @@ mod tests {
 
     #[test]
     fn reason_with_advice_gets_no_hint() {
-        let told = |reason: &str| {
+        let error_text = |reason: &str| {
             let address = "tcp://a:1".parse().expect("an address");
             OpenError::Unreachable { address, reason: reason.to_owned() }.to_string()
         };
         let missing =
             "no ROS master answers at http://a:11311: refused; start roscore there, or set ROS_MASTER_URI";
-        assert_eq!(told(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
+        assert_eq!(error_text(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
         assert!(
-            told("connection refused")
+            error_text("connection refused")
                 .ends_with("connection refused; is it running, and is the address right?")
         );
     }

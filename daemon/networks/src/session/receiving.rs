@@ -19,7 +19,7 @@ impl SessionState {
         self.counters.received(Sizes::of(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
-        let heard = match header {
+        let message = match header {
             Ok(header) => self.requests.receive(header),
             Err(problem) => {
                 tracing::debug!(problem, "dropped a message from the cloud");
@@ -27,7 +27,7 @@ impl SessionState {
                 return None;
             }
         };
-        match heard {
+        match message {
             CloudMessage::Answer(waiter, reply) => {
                 let reply = ArrivedReply { reply, frames, at: arrived, epoch: self.clock.epoch() };
                 // Fails if the request was given up at this moment.

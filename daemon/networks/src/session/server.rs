@@ -181,12 +181,12 @@ impl Server {
         if group.is_loopback() {
             return None;
         }
-        let is_there = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
-        let there = self.sessions.values().filter(is_there).count();
-        let most = ((max - (all - there)) * 3).div_ceil(4);
-        (there >= most).then(|| {
+        let is_of_group = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
+        let of_group = self.sessions.values().filter(is_of_group).count();
+        let most = ((max - (all - of_group)) * 3).div_ceil(4);
+        (of_group >= most).then(|| {
             format!(
-                "this address holds {there} sessions, and may hold {most}: three quarters of what others leave of the \
+                "this address holds {of_group} sessions, and may hold {most}: three quarters of what others leave of the \
                  cloud's max_sessions, {max}; close some or raise max_sessions there"
             )
         })
@@ -268,7 +268,7 @@ impl Server {
     /// Sets the state of the clocks. Returns the messages to the open sessions, with their destinations.
     pub(crate) fn announce(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
         let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
-        let news = open
+        let headers = open
             .map(|(session, entry)| {
                 let clock = clock.clone().in_version(entry.version);
                 let news = ClockNews { session: *session, clock };
@@ -276,13 +276,13 @@ impl Server {
             })
             .collect();
         self.clock = Some(clock);
-        news
+        headers
     }
 
     /// Returns the open sessions whose version has reports of statistics, with their counters.
     pub(crate) fn sessions_with_statistics(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
-        let told = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
-        let open = self.sessions.iter().filter(|(_, entry)| told(entry));
+        let gets_statistics = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
+        let open = self.sessions.iter().filter(|(_, entry)| gets_statistics(entry));
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
     }
 

@@ -140,10 +140,10 @@ fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
         Some(PeerIdent::Socket(address)) => Some(*address),
         _ => None,
     };
-    let told = &peer.diagnostics;
+    let diagnostics = &peer.diagnostics;
     Some(ConnectionAddresses {
-        local: socket_address(&told.local_address)?,
-        remote: socket_address(&told.remote_address)?,
+        local: socket_address(&diagnostics.local_address)?,
+        remote: socket_address(&diagnostics.remote_address)?,
     })
 }
 

@@ -352,7 +352,9 @@ async fn plain_zeromq_socket_reads_announcement() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     cloud.listener.announcer().announce(news());
-    let (Header::Clock { session: of, clock }, _) = plain.hear().await else { panic!("no announcement") };
+    let (Header::Clock { session: of, clock }, _) = plain.receive_message().await else {
+        panic!("no announcement")
+    };
     assert_eq!((of, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));
     let discipline = clock.discipline.expect("announced");
     assert_eq!(

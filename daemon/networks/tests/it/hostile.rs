@@ -27,9 +27,9 @@ fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
 /// Opens a session over a plain socket.
 pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
-    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     cloud.next_open().await.accept(accepted(cloud.host));
-    match plain.hear().await {
+    match plain.receive_message().await {
         (Header::Accepted { session, .. }, _) => (plain, session),
         other => panic!("{other:?}"),
     }
@@ -57,11 +57,11 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
 async fn plain_zeromq_socket_is_served_as_edge() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
-    plain.say(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
+    plain.send_message(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
     incoming.reply.send(incoming.log, Ok(sample("answer")));
-    let (header, rest) = plain.hear().await;
+    let (header, rest) = plain.receive_message().await;
     assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
     assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
 }
@@ -113,7 +113,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
     ];
     for header in &out_of_place {
-        plain.say(header, Vec::new()).await;
+        plain.send_message(header, Vec::new()).await;
         expected += 1;
     }
     malformed_after(&mut cloud, expected).await;
@@ -135,9 +135,9 @@ async fn invalid_requests_are_answered_as_failed() {
     let count = cases.len() as u64;
     for (number, (parts, rest)) in cases.into_iter().enumerate() {
         let number = number as u64;
-        plain.say(&plain_request(&session, number, parts), rest).await;
+        plain.send_message(&plain_request(&session, number, parts), rest).await;
         let (header, _) = tokio::select! {
-            heard = plain.hear() => heard,
+            received = plain.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
@@ -154,9 +154,9 @@ async fn session_of_another_connection_is_unknown() {
     let (_owner, session) = plain_session(&mut cloud).await;
     let (thief, _) = plain_session(&mut cloud).await;
     for (number, session) in [(3, session), (4, Id::from([7; 16]))] {
-        thief.say(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
+        thief.send_message(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
         let (header, _) = tokio::select! {
-            heard = thief.hear() => heard,
+            received = thief.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
@@ -172,11 +172,11 @@ async fn requests_above_limit_are_answered_as_overload() {
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
     let (plain, session) = plain_session(&mut cloud).await;
     for number in 0..3 {
-        plain.say(&plain_request(&session, number, 0), vec![tree()]).await;
+        plain.send_message(&plain_request(&session, number, 0), vec![tree()]).await;
     }
     let held = [cloud.next_request().await, cloud.next_request().await];
     let (header, _) = tokio::select! {
-        heard = plain.hear() => heard,
+        received = plain.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     assert!(matches!(header, Header::Reply(_, 2, None, _, Outcome::Overloaded(_))), "{header:?}");
@@ -192,19 +192,19 @@ async fn memory_of_all_requests_is_bounded() {
     let payload = || vec![tree(), Bytes::from(vec![1; 40_000])];
     let mut held = Vec::new();
     for number in 0..2 {
-        first.say(&plain_request(&session, number, 1), payload()).await;
+        first.send_message(&plain_request(&session, number, 1), payload()).await;
         held.push(cloud.next_request().await);
     }
-    second.say(&plain_request(&other, 0, 1), payload()).await;
+    second.send_message(&plain_request(&other, 0, 1), payload()).await;
     let (header, _) = tokio::select! {
-        heard = second.hear() => heard,
+        received = second.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes is 100000"), "{reason}");
     // Requests that are answered make room, also for others.
     held.clear();
-    second.say(&plain_request(&other, 1, 1), payload()).await;
+    second.send_message(&plain_request(&other, 1, 1), payload()).await;
     assert_eq!(cloud.next_request().await.sample.payload_bytes(), 40_000);
 }
 
@@ -227,7 +227,7 @@ async fn silent_connections_do_not_block_new_edges() {
 async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
     let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
-    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     malformed_after(&mut cloud, 1).await;
 }
 
@@ -237,7 +237,7 @@ async fn oversize_message_ends_only_its_connection() {
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small).await;
     let (good, _) = cloud.session(settings()).await;
     let (plain, session) = plain_session(&mut cloud).await;
-    plain.say(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
+    plain.send_message(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
     cloud.next_closed().await;
     echo(&mut cloud, &good, "not my fault").await;
 }
@@ -247,9 +247,9 @@ async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
     let pending = request(&session, "do you know me?", PATIENCE);
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
-    cloud.say(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
+    cloud.send_message(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
@@ -287,11 +287,11 @@ async fn invalid_answers_change_no_tree() {
     let count = bad.len() as u64;
     for growth in bad {
         let pending = request(&session, "x", PATIENCE);
-        let (_, header) = cloud.hear().await;
+        let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
         cloud
-            .say(
+            .send_message(
                 &to,
                 &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
                 vec![growth],
@@ -316,17 +316,17 @@ async fn invalid_answers_change_no_tree() {
         Header::Clock { session: Id::from([8; 16]), clock: wire::host_clock(1) },
         Header::Clock { session: id.clone(), clock: impossible },
     ] {
-        cloud.say(&to, &header, Vec::new()).await;
+        cloud.send_message(&to, &header, Vec::new()).await;
     }
     let pending = tokio::spawn({
         let session = session.clone();
         async move { session.request(log(), &sample("y"), PATIENCE).await }
     });
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
-        .say(
+        .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![growth(3, 2, 2, 1)],
@@ -344,11 +344,11 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
         let session = session.clone();
         async move { session.request(log(), &sample("x"), PATIENCE).await }
     });
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
-        .say(
+        .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![growth(3, 2, 2, 1)],

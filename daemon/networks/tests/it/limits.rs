@@ -80,7 +80,7 @@ impl RawPeer {
         self.0.write_all(&vec![7; bytes]).await
     }
 
-    async fn say(&mut self, text: &[u8]) {
+    async fn send_bytes(&mut self, text: &[u8]) {
         self.0.write_all(&[&[0, text.len() as u8][..], text].concat()).await.expect("sends");
     }
 
@@ -93,7 +93,7 @@ impl RawPeer {
 /// Returns a peer whose hello was accepted.
 async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
     let mut raw = RawPeer::connect(listener.address()).await;
-    raw.say(b"hello").await;
+    raw.send_bytes(b"hello").await;
     let (peer, frames) = message(listener).await;
     assert_eq!(frames, ["hello"]);
     listener.sender().admit(peer.connection);
@@ -123,7 +123,7 @@ async fn connection_without_hello_is_closed_in_time() {
     left.until_closed().await;
     until_rejected(&listener, Rejection::NoHello, 2).await;
     let mut accepted = accepted;
-    accepted.say(b"still here").await;
+    accepted.send_bytes(b"still here").await;
     assert_eq!(message(&mut listener).await.1, ["still here"]);
 }
 
@@ -182,9 +182,9 @@ async fn new_connection_replaces_oldest_silent_one() {
     for closed in silent.drain(..20) {
         closed.until_closed().await;
     }
-    first.say(b"untouched").await;
+    first.send_bytes(b"untouched").await;
     assert_eq!(message(&mut listener).await.1, ["untouched"]);
-    silent[9].say(b"in time").await;
+    silent[9].send_bytes(b"in time").await;
     assert_eq!(message(&mut listener).await.1, ["in time"]);
 }
 
@@ -198,7 +198,7 @@ async fn admitted_connections_at_limit_are_not_replaced() {
     let refused = TcpStream::connect(listener.address()).await.expect("the port is open");
     RawPeer(refused).until_closed().await;
     until_rejected(&listener, Rejection::TooMany, 1).await;
-    open[0].0.say(b"here").await;
+    open[0].0.send_bytes(b"here").await;
     assert_eq!(message(&mut listener).await.1, ["here"]);
 }
 
@@ -279,7 +279,7 @@ async fn messages_sent_before_closing_arrive() {
     let last = Bytes::from(vec![9; 3_000_000]);
     listener.sender().try_send(peer.connection, vec![last]).expect("there is room");
     // The peer continues to send, and has much to read.
-    raw.say(b"unread").await;
+    raw.send_bytes(b"unread").await;
     let closing = tokio::spawn(listener.close(Duration::from_secs(10)));
     let mut all = Vec::new();
     within(raw.0.read_to_end(&mut all)).await.expect("is not reset");

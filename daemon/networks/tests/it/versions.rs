@@ -24,11 +24,13 @@ fn later(oldest: u16, newest: u16) -> Header {
 async fn later_edge_is_served_in_common_version() {
     let mut cloud = Cloud::start().await;
     let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
-    plain.say(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
+    plain.send_message(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
     let wish = cloud.next_open().await;
     assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
     assert!(wish.accept(accepted(cloud.host)));
-    let (Header::Accepted { protocol, .. }, _) = plain.hear().await else { panic!("not accepted") };
+    let (Header::Accepted { protocol, .. }, _) = plain.receive_message().await else {
+        panic!("not accepted")
+    };
     assert_eq!(protocol, NEWEST);
 }
 
@@ -51,7 +53,7 @@ async fn malformed_clock_socket_name_is_ignored() {
     ];
     for name in names {
         let hello = wire::Hello { clock_socket: Some(name.to_owned()), ..wire::hello(PROTOCOL) };
-        plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+        plain.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
         let wish = cloud.next_open().await;
         let taken = wish.hello.clock_socket.map(|name| name.to_string());
         assert_eq!(taken.as_deref(), (name == good).then_some(good));
@@ -70,9 +72,9 @@ async fn edge_without_common_version_is_refused_with_release() {
         (later(PROTOCOL + 5, PROTOCOL + 6), "versions 9 to 10: update the cloud to at least PEERNet 0.9.0"),
         (unreadable, "version 9: update the cloud to at least the release of the edge"),
     ] {
-        plain.say(&said, Vec::new()).await;
+        plain.send_message(&said, Vec::new()).await;
         let (header, _) = tokio::select! {
-            heard = plain.hear() => heard,
+            received = plain.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         let Header::Refused { protocol, newest, since, kind, reason } = header else { panic!("{header:?}") };
@@ -88,8 +90,8 @@ async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, Str
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, Header::Open { hello, .. }) = cloud.hear().await else { panic!("no hello") };
-    cloud.say(&to, &answer, Vec::new()).await;
+    let (to, Header::Open { hello, .. }) = cloud.receive_message().await else { panic!("no hello") };
+    cloud.send_message(&to, &answer, Vec::new()).await;
     let opened = within(edge).await.expect("no panic").map(|_| ());
     (opened, hello, cloud.address.to_string())
 }

@@ -212,12 +212,12 @@ impl PlainSocket {
         within(self.0.send(Message::multipart(frames))).await.expect("sent");
     }
 
-    pub(crate) async fn say(&self, header: &Header, rest: Vec<Bytes>) {
+    pub(crate) async fn send_message(&self, header: &Header, rest: Vec<Bytes>) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
         self.frames([vec![header.into()], rest].concat()).await;
     }
 
-    pub(crate) async fn hear(&self) -> (Header, Vec<Bytes>) {
+    pub(crate) async fn receive_message(&self) -> (Header, Vec<Bytes>) {
         let message = within(self.0.recv()).await.expect("an answer");
         let frames: Vec<Bytes> = message.iter().collect();
         (rmp_serde::from_slice(&frames[0]).expect("a header"), frames[1..].to_vec())

@@ -71,7 +71,7 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
     let mut reflector = ReflectorState::new(key, INSTANCE, 1000, true);
     let source: SocketAddr = "192.0.2.1:40000".parse().expect("an address");
     let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
-    let mut heard = Vec::new();
+    let mut reply_results = Vec::new();
     for number in 0..2 {
         let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
@@ -98,10 +98,10 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
         let returned = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
-        heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
+        reply_results.push(sender.receive(reply, &returned).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));
     }
-    (conversation, heard)
+    (conversation, reply_results)
 }
 
 /// Mode of the packets.
@@ -147,12 +147,12 @@ fn stored_request_gets_stored_reply() {
     for kind in MODES {
         let mode = kind.name;
         let stored = Conversation::read(mode);
-        let (today, heard) = exchange(&kind, Some(&stored));
+        let (today, reply_results) = exchange(&kind, Some(&stored));
         for ((name, packet), (_, before)) in today.files().zip(stored.files()) {
             assert!(packet == before, "{name}.{mode}: the bytes changed: {packet:02x?}, were {before:02x?}");
         }
-        let [first, second] = heard[..] else { panic!("two probes are answered: {heard:?}") };
-        let answered = [first, second].map(|heard| heard.answered.expect("the clock was not set").exchange);
+        let [first, second] = reply_results[..] else { panic!("two probes are answered: {reply_results:?}") };
+        let answered = [first, second].map(|result| result.answered.expect("the clock was not set").exchange);
         for exchange in answered {
             assert_eq!(
                 exchange.returned - exchange.sent,

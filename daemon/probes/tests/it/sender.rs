@@ -96,7 +96,7 @@ impl Pair {
         packet
     }
 
-    fn hear(&mut self, packet: &[u8]) -> Result<ReplyResult, &'static str> {
+    fn receive_reply(&mut self, packet: &[u8]) -> Result<ReplyResult, &'static str> {
         let returned = self.returned(None);
         self.sender.receive(packet, &returned)
     }
@@ -104,7 +104,7 @@ impl Pair {
     fn exchange(&mut self) -> ReplyResult {
         let (_, packet) = self.send();
         let reply = self.reflect(packet);
-        self.hear(&reply).expect("an answer")
+        self.receive_reply(&reply).expect("an answer")
     }
 
     /// Returns the next answer. The kernel stamped its arrival when the program's clock showed `kernel`.
@@ -117,8 +117,8 @@ impl Pair {
     }
 }
 
-fn answered(heard: &ReplyResult) -> ExchangeObservation {
-    heard.answered.expect("no step")
+fn answered(reply_result: &ReplyResult) -> ExchangeObservation {
+    reply_result.answered.expect("no step")
 }
 
 impl Pair {
@@ -170,7 +170,7 @@ fn plausible_kernel_departure_stamp_is_used() {
         let (departure, packet) = pair.send();
         pair.sender.departed(departure.sequence(), begun.wall + late, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
-        let answered = answered(&pair.hear(&reply).expect("an answer"));
+        let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
         assert_eq!(answered.exchange.sent, if taken { begun.raw + late } else { begun.raw });
     }
 }
@@ -182,7 +182,7 @@ fn sequence_numbers_wrap_around() {
     assert_eq!(sent.last().map(|(departure, _)| departure.sequence()), Some(2));
     for (_, packet) in sent.into_iter().rev() {
         let reply = pair.reflect(packet);
-        pair.hear(&reply).expect("an answer, in whatever order");
+        pair.receive_reply(&reply).expect("an answer, in whatever order");
     }
     assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0);
 }
@@ -193,13 +193,13 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     let (_, slow) = pair.send();
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
-    let heard = pair.exchange();
-    assert!(answered(&heard).exchange.sent < pair.clock.raw());
+    let reply_result = pair.exchange();
+    assert!(answered(&reply_result).exchange.sent < pair.clock.raw());
     pair.clock.advance(TIMEOUT - Span::from_millis(900));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    pair.hear(&reply).expect("an answer");
-    assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
+    pair.receive_reply(&reply).expect("an answer");
+    assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
 
     pair.clock.advance(TIMEOUT - Span::from_millis(100));
     assert_eq!(pair.sender.expire(pair.clock.mono()), 1, "one of the two old ones was answered");
@@ -210,9 +210,9 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
     fields.asked.timestamp += 1;
     fields.write(Mode::Open, &mut forged);
-    assert_eq!(pair.hear(&forged), Err("to another stamp than was sent"));
-    assert_eq!(pair.hear(&reply), Err(LATE));
-    assert_eq!(pair.hear(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
+    assert_eq!(pair.receive_reply(&forged), Err("to another stamp than was sent"));
+    assert_eq!(pair.receive_reply(&reply), Err(LATE));
+    assert_eq!(pair.receive_reply(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
 }
 
 #[test]
@@ -225,7 +225,7 @@ fn reply_with_wrong_request_fields_is_refused() {
         let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
         change(&mut fields);
         fields.write(Mode::Open, &mut forged);
-        pair.hear(&forged)
+        pair.receive_reply(&forged)
     };
     assert_eq!(forge(|reply| reply.asked.ssid = 98), Err("of another session"));
     assert_eq!(forge(|reply| reply.asked.sequence += 1), Err("to no probe of ours, or to one of long ago"));
@@ -243,13 +243,13 @@ fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     for at in [0, 30, 50, 111] {
         let mut touched = reply.clone();
         touched[at] ^= 4;
-        assert_eq!(pair.hear(&touched), Err("not authenticated by the key"));
+        assert_eq!(pair.receive_reply(&touched), Err("not authenticated by the key"));
     }
     let mut touched = reply;
     *touched.last_mut().expect("not empty") ^= 1;
-    let heard = pair.hear(&touched).expect("its base packet is authentic");
-    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, None));
-    assert_eq!(answered(&heard).exchange.uncertainty, uncertainty::FOREIGN);
+    let reply_result = pair.receive_reply(&touched).expect("its base packet is authentic");
+    assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, None));
+    assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::FOREIGN);
 }
 
 #[test]
@@ -270,13 +270,13 @@ fn tlvs_of_another_probe_are_refused() {
     let reply = pair.reflect(packet);
     // Both halves are authentic, each by itself.
     let spliced = [&reply[..112], &told[112..]].concat();
-    assert_eq!(pair.hear(&spliced), Err("with what was told to another probe"));
+    assert_eq!(pair.receive_reply(&spliced), Err("with what was told to another probe"));
     // The octets are right, but in a place that is not authenticated.
     let octets = tlv::places(&reply[112..]).find(|place| place.kind == tlv::EXTRA_PADDING).expect("bound");
     let mut appended = spliced;
     tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
-    assert_eq!(pair.hear(&appended), Err("with what was told to another probe"));
-    let exchange = answered(&pair.hear(&reply).expect("the real one")).exchange;
+    assert_eq!(pair.receive_reply(&appended), Err("with what was told to another probe"));
+    let exchange = answered(&pair.receive_reply(&reply).expect("the real one")).exchange;
     assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY);
 }
 
@@ -292,7 +292,7 @@ fn reply_of_reflector_without_tlvs_is_accepted() {
             // It returns everything unchanged.
             reply[44..].copy_from_slice(&packet[44..]);
         }
-        let answered = answered(&pair.hear(&reply).expect("an answer"));
+        let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
         assert_eq!((answered.cloud_epoch, answered.exchange.uncertainty), (None, uncertainty::FOREIGN));
     }
 }
@@ -305,8 +305,8 @@ fn clock_step_at_reflector_prevents_refinement() {
     let reply = pair.reflect(packet);
     // As if the reflector had noticed a step between the two replies.
     let reply = Pair::from_elsewhere(&reply, |origin| origin.epoch = 1);
-    let heard = pair.hear(&reply).expect("an answer");
-    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, Some(1)));
+    let reply_result = pair.receive_reply(&reply).expect("an answer");
+    assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, Some(1)));
 }
 
 #[test]
@@ -348,9 +348,9 @@ fn exchanges_during_a_sleep_are_discarded() {
     pair.clock.sleep(Span::from_micros(30));
     // The first reply shows the interruption; the others were in flight during it, too.
     for reply in replies {
-        let heard = pair.hear(&reply).expect("an answer");
-        assert_eq!(heard, ReplyResult { refined: None, answered: None });
-        assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
+        let reply_result = pair.receive_reply(&reply).expect("an answer");
+        assert_eq!(reply_result, ReplyResult { refined: None, answered: None });
+        assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
     }
     let after = pair.exchange();
     assert_eq!(after.refined, None, "of an exchange across the sleep");
@@ -365,12 +365,12 @@ fn reply_of_another_process_is_refused() {
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
-        let told = pair.hear(&reply);
+        let told = pair.receive_reply(&reply);
         assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
         if !believed {
             assert_eq!(told, Err("another process answers the probes than serves the data"));
             let real = Pair::from_elsewhere(&reply, |origin| origin.instance = INSTANCE + 1);
-            assert!(pair.hear(&real).is_ok(), "the right one may still answer");
+            assert!(pair.receive_reply(&real).is_ok(), "the right one may still answer");
         }
     }
 }
@@ -383,10 +383,10 @@ fn reply_without_expected_origin_is_refused() {
     let reply = pair.reflect(packet.clone());
     let foreign = [&reply[..44], &packet[44..]].concat();
     for reply in [&reply[..44], &foreign] {
-        let told = pair.hear(reply);
+        let told = pair.receive_reply(reply);
         assert_eq!(told, Err("something else answers the probes than the agent that serves the data"));
     }
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }
 
 #[test]
@@ -398,22 +398,22 @@ fn reply_with_damaged_tlvs_is_refused_with_reason() {
     let mut altered_request = packet.clone();
     altered_request[112 + tlv::HEADER_BYTES] ^= 1;
     let reply = pair.reflect(altered_request);
-    let said = pair.hear(&reply).expect_err("the probe was altered");
+    let said = pair.receive_reply(&reply).expect_err("the probe was altered");
     assert!(said.contains("HMAC of the probe's TLVs does not fit"), "{said}");
     let reply = pair.reflect(packet);
     let code = tlv::places(&reply[112..]).find(|place| place.kind == tlv::HMAC).expect("authenticated");
     for at in 112..112 + code.at {
         let mut altered = reply.clone();
         altered[at] ^= 1;
-        let said = pair.hear(&altered).expect_err("the reply was altered");
+        let said = pair.receive_reply(&altered).expect_err("the reply was altered");
         assert!(!said.contains("something else answers"), "octet {at}: {said}");
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;
-    assert!(pair.hear(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
-    let said = pair.hear(&reply[..112]).expect_err("cut off");
+    assert!(pair.receive_reply(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
+    let said = pair.receive_reply(&reply[..112]).expect_err("cut off");
     assert!(said.contains("does not say which process wrote it"), "{said}");
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }
 
 #[test]
@@ -442,7 +442,7 @@ fn kernel_departure_before_ours_is_distrusted() {
     let early = pair.clock.wall() - Span::from_micros(300);
     pair.sender.departed(departure.sequence(), early, pair.clock.wall_ahead());
     let reply = pair.reflect(packet);
-    pair.hear(&reply).expect("an answer");
+    pair.receive_reply(&reply).expect("an answer");
     assert!(pair.sender.distrusts_kernel());
 }
 
@@ -461,8 +461,8 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
         pair.sender.departed(departure.sequence(), left, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
         let returned = pair.returned(Some(kernel));
-        let heard = pair.sender.receive(&reply, &returned).expect("an answer");
-        let exchange = answered(&heard).exchange;
+        let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
+        let exchange = answered(&reply_result).exchange;
         assert!(begun <= exchange.sent && exchange.sent <= begun + Span::from_micros(9), "{exchange:?}");
         assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
         assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
@@ -506,8 +506,11 @@ fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
     let mut empty = reply.clone();
     empty[44..][place.value].copy_from_slice(&RawStamps::default().to_value());
     for touched in [unknown, empty, reply[..44].to_vec()] {
-        assert_eq!(pair.hear(&touched), Err("without the stamps of the reflector's free-running clock"));
+        assert_eq!(
+            pair.receive_reply(&touched),
+            Err("without the stamps of the reflector's free-running clock")
+        );
     }
     assert_eq!(reply.len(), packet.len());
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }

@@ -73,8 +73,8 @@ impl PortState {
     }
 
     pub(crate) fn announce(&self, clock: PeerClock) {
-        let news = self.machine().announce(clock);
-        for (peer, header) in news {
+        let headers = self.machine().announce(clock);
+        for (peer, header) in headers {
             self.send_message(&peer, &header);
         }
     }

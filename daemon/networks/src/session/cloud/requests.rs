@@ -42,13 +42,13 @@ pub(super) fn handle_message(
         }
     };
     // A separate statement, so that the lock is released before the branches below take it.
-    let heard = shared.machine().receive(peer, header);
-    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &heard
+    let message = shared.machine().receive(peer, header);
+    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
         && let Some(counters) = shared.machine().counters(*session)
     {
         counters.received(bytes);
     }
-    match heard {
+    match message {
         EdgeMessage::Open(session, hello) => {
             shared.update_admission(peer.connection);
             let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));

@@ -213,9 +213,9 @@ impl Connection {
         }
         self.heartbeats.agree();
         // Each of these checks its own fields, so that one altered field does not hide what the others report.
-        let told =
+        let reported =
             self.measurement.report(heartbeat.number, heartbeat.arrivals, self.sending.datagrams(), now);
-        self.refuse(told);
+        self.refuse(reported);
         let expected = self.receiving.expect(heartbeat.next, heartbeat.time, now);
         self.refuse(expected);
     }

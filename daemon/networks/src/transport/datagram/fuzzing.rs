@@ -71,11 +71,11 @@ impl Port {
             known,
             stranger: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
-        let answer = port.say(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
+        let answer = port.send_packet(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
         let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
-        let answer = port.say(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
+        let answer = port.send_packet(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
         let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
@@ -84,7 +84,7 @@ impl Port {
         Some(port)
     }
 
-    fn say(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
+    fn send_packet(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
         self.bring(from, &body)

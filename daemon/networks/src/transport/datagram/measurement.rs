@@ -68,18 +68,18 @@ impl PathMeasurement {
 
     /// Returns the number of this end's datagrams that the other end reports as lost.
     pub(super) fn reported_lost(&self) -> u64 {
-        self.reported.totals().map_or(0, |told| told.lost)
+        self.reported.totals().map_or(0, |totals| totals.lost)
     }
 
     /// Returns all totals. `sent` datagrams were sent, of which `retransmitted` were retransmissions.
     pub(super) fn statistics(&mut self, sent: u64, retransmitted: u64, now: MonoTime) -> TransportStatistics {
-        let told = self.reported.totals();
+        let totals = self.reported.totals();
         TransportStatistics {
             sent: DatagramStatistics {
                 datagrams: Some(sent),
-                lost: told.map(|told| told.lost),
-                duplicated: told.map(|told| told.duplicated),
-                reordered: told.map(|told| told.reordered),
+                lost: totals.map(|totals| totals.lost),
+                duplicated: totals.map(|totals| totals.duplicated),
+                reordered: totals.map(|totals| totals.reordered),
                 retransmitted: Some(retransmitted),
             },
             received: self.arrivals.statistics(now),
