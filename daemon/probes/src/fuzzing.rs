@@ -89,10 +89,10 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         clock.advance(Span::from_millis(3));
         let returned =
             ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
-        if let Ok(heard) = sender.receive(&packet, &returned) {
-            let answered = heard.answered.expect("no step");
+        if let Ok(result) = sender.receive(&packet, &returned) {
+            let answered = result.answered.expect("no step");
             assert_eq!(answered.exchange.returned, returned.read.raw);
-            assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
+            assert!(result.refined.is_none() || turn == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }
     }

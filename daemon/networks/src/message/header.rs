@@ -61,9 +61,9 @@ pub(crate) enum Header {
     /// The cloud answers a request. The tree's growth and the payload follow.
     Reply(Reply),
     /// The cloud reports the state of its clocks.
-    Clock(Box<ClockNews>),
+    Clock(Box<ClockUpdate>),
     /// The cloud reports what it has sent and received on the session's connection so far.
-    Statistics(Box<CountedAtCloud>),
+    Statistics(Box<StatisticsReport>),
     /// The cloud does not know the session, or does not know it any more.
     UnknownSession(UnknownSession),
     /// Either end closes the session.
@@ -167,14 +167,14 @@ pub(crate) enum Outcome {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct ClockNews {
+pub(crate) struct ClockUpdate {
     pub(crate) session: SessionId,
     pub(crate) clock: PeerClock,
 }
 
 /// Statistics of the cloud's end of a connection. Exists since [`STATISTICS_SINCE`](super::STATISTICS_SINCE).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct CountedAtCloud {
+pub(crate) struct StatisticsReport {
     pub(crate) session: SessionId,
     pub(crate) statistics: ConnectionStatistics,
 }

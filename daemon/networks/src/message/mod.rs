@@ -31,8 +31,8 @@ pub(crate) mod strategies;
 
 pub use clock_socket::{ClockSocketName, NoClockSocketName};
 pub(crate) use header::{
-    Accepted, ClockNews, CountedAtCloud, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome,
-    RefusalKind, Refused, Reply, Request, SampleHeader, UnknownSession,
+    Accepted, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
+    Refused, Reply, Request, SampleHeader, StatisticsReport, UnknownSession,
 };
 pub(crate) use hello::STATISTICS_SINCE;
 pub use hello::{

@@ -12,9 +12,9 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, ClockSocketName, CountedAtCloud, Departure, Goodbye, Header, Open, Outcome,
-    PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted,
-    SessionHello, SessionId, UnknownSession,
+    Accepted, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
+    RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    StatisticsReport, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -219,8 +219,8 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
-                    1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
-                    1 => Just(Header::Statistics(Box::new(CountedAtCloud { session, statistics: counted }))),
+                    1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
+                    1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),
                 ]

@@ -128,7 +128,7 @@ impl<W> Client<W> {
                 // An answer may arrive after its request timed out; it must not be mistaken for an invalid one.
                 None => CloudMessage::Late,
             },
-            Header::Clock(news) if news.session == self.session => CloudMessage::Clock(news.clock),
+            Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
             Header::Statistics(report) if report.session == self.session => {
                 CloudMessage::Statistics(Box::new(report.statistics))

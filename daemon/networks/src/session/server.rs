@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, ClockNews, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
+    Accepted, ClockUpdate, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
     SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 use crate::statistics::Counters;
@@ -271,8 +271,8 @@ impl Server {
         let headers = open
             .map(|(session, entry)| {
                 let clock = clock.clone().in_version(entry.version);
-                let news = ClockNews { session: *session, clock };
-                (entry.peer.clone(), Header::Clock(Box::new(news)))
+                let update = ClockUpdate { session: *session, clock };
+                (entry.peer.clone(), Header::Clock(Box::new(update)))
             })
             .collect();
         self.clock = Some(clock);

@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 use super::answers::{AnswersBeingSent, encode_answer};
 use super::output::PortOutput;
 use crate::SessionSettings;
-use crate::message::{CountedAtCloud, Header, PeerClock, SessionAccepted, SessionId};
+use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::Budget;
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::{Route, Server};
@@ -83,7 +83,7 @@ impl PortState {
         let sessions = self.machine().sessions_with_statistics();
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
-            let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
+            let header = Header::Statistics(Box::new(StatisticsReport { session, statistics }));
             self.send_message(&peer, &header);
         }
     }

@@ -176,10 +176,10 @@ fn announcement_reaches_open_and_later_sessions() {
     let (open, asking) = (opened(&mut server, 1), opened(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
-    let told = server.announce(clock.clone());
+    let headers = server.announce(clock.clone());
     assert!(matches!(
-        &told[..],
-        [(to, Header::Clock(news))] if to.connection.0 == 1 && news.session == open && news.clock == clock
+        &headers[..],
+        [(to, Header::Clock(update))] if to.connection.0 == 1 && update.session == open && update.clock == clock
     ));
     let (_, header) = server.accept(asking, accepted()).expect("the edge is there");
     assert!(matches!(header, Header::Accepted(said) if said.accepted.host_clock == clock));
@@ -217,8 +217,8 @@ fn about(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
-        Header::Clock(news) => news.session = session,
-        Header::Statistics(told) => told.session = session,
+        Header::Clock(update) => update.session = session,
+        Header::Statistics(report) => report.session = session,
         Header::UnknownSession(unknown) => unknown.session = session,
         Header::Goodbye(goodbye) => goodbye.session = session,
         Header::Accepted(accepted) => accepted.session = session,

@@ -178,8 +178,8 @@ impl UdpPort {
         let mut refusal = None;
         // All errors are read, because the socket counts as in error until none is left.
         let drained: io::Result<()> = self.socket.try_io(Interest::ERROR, || {
-            while let Some(told) = self.state.recv_transport_error((&self.socket).into())? {
-                let error = io::Error::from_raw_os_error(told.raw_errno);
+            while let Some(reported) = self.state.recv_transport_error((&self.socket).into())? {
+                let error = io::Error::from_raw_os_error(reported.raw_errno);
                 // Missing routes are ignored, because they may come back. A closed port does not open by itself.
                 refusal =
                     refusal.take().or((error.kind() == io::ErrorKind::ConnectionRefused).then_some(error));

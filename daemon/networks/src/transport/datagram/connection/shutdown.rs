@@ -109,12 +109,12 @@ mod tests {
     #[test]
     fn patience_ends_before_the_last_goodbye() {
         let mut shutdown = Shutdown::new();
-        let mut heard = Vec::new();
+        let mut states = Vec::new();
         for _ in 0..8 {
             shutdown.receive_bye();
-            heard.push((shutdown.gives_up_messages(), shutdown.is_last_bye()));
+            states.push((shutdown.gives_up_messages(), shutdown.is_last_bye()));
         }
-        assert_eq!(heard[..2], [(false, false), (true, false)]);
-        assert_eq!(heard[6..], [(true, false), (true, true)]);
+        assert_eq!(states[..2], [(false, false), (true, false)]);
+        assert_eq!(states[6..], [(true, false), (true, true)]);
     }
 }
